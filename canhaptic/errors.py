@@ -1,0 +1,105 @@
+"""Everything canhaptic raises.
+
+    CanHapticError                       exit status
+    |- InputError (ValueError)               2   bad input, found before any torque
+    |  |- ParameterError                     2   a value outside its physical range
+    |  |- SceneError                         2   a scene file; lists every fault at once
+    |  |- DictionaryError                    2   an EDS or DCF file
+    |  |- BusBudgetError                     2   the frames of one cycle do not fit the bus
+    |  `- LogFormatError                     2   an energy log or bus log that cannot be read
+    |- CheckFailedError                      1   a comparison or check the user asked for failed
+    `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
+       |- StartError                         3   a step of the fail-closed start was not confirmed
+       |- DriveFaultError                    3   EMCY, fault or unexpected state in the cycle
+       |- LinkError (TimeoutError)           3   lost frames, lost heartbeat, bus-off
+       `- ControlError                       3   the controller raised or produced a non-finite torque
+
+Every message says what happened, the value seen, the limit, and what to do.
+"""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+
+class CanHapticError(Exception):
+    """Root of every error raised on purpose by canhaptic."""
+
+    exit_status: ClassVar[int] = 1
+
+
+class InputError(CanHapticError, ValueError):
+    """Bad input, found before any torque is sent."""
+
+    exit_status = 2
+
+
+class ParameterError(InputError):
+    """A parameter outside its physical range; names the value and the limit."""
+
+
+class SceneError(InputError):
+    """A scene file that cannot be used; carries every fault found in it.
+
+    Attributes:
+        faults: One line per fault, each `file:line:column: path: got X, expected Y`.
+    """
+
+    def __init__(self, faults: Sequence[str]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(self.faults))
+
+
+class DictionaryError(InputError):
+    """An object dictionary (EDS or DCF) that is missing, unreadable or unfit for cyclic torque."""
+
+
+class BusBudgetError(InputError):
+    """The periodic frames do not fit the bus at the asked rate; the message shows the arithmetic."""
+
+
+class LogFormatError(InputError):
+    """A log that is empty, truncated, foreign or of a newer version."""
+
+
+class CheckFailedError(CanHapticError):
+    """A check or comparison that the user asked for did not hold."""
+
+
+class RigError(CanHapticError, RuntimeError):
+    """A drive or link failed; torque was set to zero before this was raised.
+
+    Attributes:
+        records: The last records before the failure, newest last; empty before the cycle starts.
+    """
+
+    exit_status = 3
+
+    def __init__(self, message: str, records: Sequence[Any] = ()) -> None:
+        self.records = tuple(records)
+        super().__init__(message)
+
+
+class StartError(RigError):
+    """A step of the fail-closed start was not confirmed; the drive is left disabled.
+
+    Attributes:
+        drive: Name of the axis.
+        step: The step that was not confirmed.
+    """
+
+    def __init__(self, drive: str, step: str, seen: str, expected: str, remedy: str) -> None:
+        self.drive = drive
+        self.step = step
+        super().__init__(f"{drive}: {step}: got {seen}, expected {expected}; {remedy}")
+
+
+class DriveFaultError(RigError):
+    """The drive left OPERATION ENABLED, sent an EMCY or reported a fault during the cycle."""
+
+
+class LinkError(RigError, TimeoutError):
+    """Frames, heartbeats or the bus itself were lost beyond the link policy."""
+
+
+class ControlError(RigError):
+    """The controller raised, or produced a torque that is not finite."""

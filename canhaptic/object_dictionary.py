@@ -1,0 +1,138 @@
+"""CiA 301 and CiA 402 indices, bits and codes. Constants only; sources: CiA 301 v4.2, IEC 61800-7-201 (CiA 402)."""
+
+from enum import IntEnum, IntFlag
+from typing import Final
+
+# --- CiA 301: communication profile -------------------------------------------------------------------------------
+DEVICE_TYPE: Final = 0x1000
+ERROR_REGISTER: Final = 0x1001
+SYNC_COB_ID: Final = 0x1005
+COMMUNICATION_CYCLE_PERIOD: Final = 0x1006
+EMCY_COB_ID: Final = 0x1014
+CONSUMER_HEARTBEAT_TIME: Final = 0x1016
+PRODUCER_HEARTBEAT_TIME: Final = 0x1017
+IDENTITY: Final = 0x1018
+ERROR_BEHAVIOUR: Final = 0x1029
+RPDO_COMMUNICATION: Final = 0x1400
+RPDO_MAPPING: Final = 0x1600
+TPDO_COMMUNICATION: Final = 0x1800
+TPDO_MAPPING: Final = 0x1A00
+
+CIA402_PROFILE: Final = 0x0192  # low word of 0x1000 of every CiA 402 device
+COB_ID_INVALID: Final = 1 << 31  # bit 31 of a PDO COB-ID: the PDO does not exist
+
+# --- predefined connection set (CiA 301, 7.3.5) -------------------------------------------------------------------
+NMT_COB_ID: Final = 0x000
+SYNC_FRAME_COB_ID: Final = 0x080
+EMCY_BASE: Final = 0x080
+TPDO_BASE: Final = (0x180, 0x280, 0x380, 0x480)
+RPDO_BASE: Final = (0x200, 0x300, 0x400, 0x500)
+SDO_RESPONSE_BASE: Final = 0x580
+SDO_REQUEST_BASE: Final = 0x600
+HEARTBEAT_BASE: Final = 0x700
+
+# --- CiA 402: drive profile ---------------------------------------------------------------------------------------
+ABORT_CONNECTION_OPTION: Final = 0x6007
+ERROR_CODE: Final = 0x603F
+CONTROLWORD: Final = 0x6040
+STATUSWORD: Final = 0x6041
+QUICK_STOP_OPTION: Final = 0x605A
+SHUTDOWN_OPTION: Final = 0x605B
+DISABLE_OPTION: Final = 0x605C
+FAULT_REACTION_OPTION: Final = 0x605E
+MODES_OF_OPERATION: Final = 0x6060
+MODES_OF_OPERATION_DISPLAY: Final = 0x6061
+POSITION_ACTUAL: Final = 0x6064
+VELOCITY_ACTUAL: Final = 0x606C
+TARGET_TORQUE: Final = 0x6071
+MAX_TORQUE: Final = 0x6072
+TORQUE_DEMAND: Final = 0x6074
+RATED_CURRENT: Final = 0x6075
+RATED_TORQUE: Final = 0x6076  # [mN*m]; torques are per mille of it
+TORQUE_ACTUAL: Final = 0x6077
+CURRENT_ACTUAL: Final = 0x6078
+DC_LINK_VOLTAGE: Final = 0x6079
+ENCODER_RESOLUTION: Final = 0x608F
+GEAR_RATIO: Final = 0x6091
+INTERPOLATION_PERIOD: Final = 0x60C2
+SUPPORTED_DRIVE_MODES: Final = 0x6502
+
+CYCLIC_SYNC_TORQUE: Final = 10  # value of 0x6060
+CYCLIC_SYNC_TORQUE_BIT: Final = 1 << 9  # in 0x6502
+SYNCHRONOUS_EVERY_SYNC: Final = 1  # PDO transmission type
+EVENT_DRIVEN: Final = 255  # PDO transmission type
+
+
+class NmtCommand(IntEnum):
+    """First byte of an NMT frame."""
+
+    START = 0x01
+    STOP = 0x02
+    PRE_OPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
+
+
+class NmtState(IntEnum):
+    """The byte of a heartbeat."""
+
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+class Controlword(IntEnum):
+    """Commands of 0x6040."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    FAULT_RESET = 0x80
+
+
+class StatusBit(IntFlag):
+    """Bits of 0x6041."""
+
+    READY_TO_SWITCH_ON = 1 << 0
+    SWITCHED_ON = 1 << 1
+    OPERATION_ENABLED = 1 << 2
+    FAULT = 1 << 3
+    VOLTAGE_ENABLED = 1 << 4
+    QUICK_STOP = 1 << 5
+    SWITCH_ON_DISABLED = 1 << 6
+    WARNING = 1 << 7
+    REMOTE = 1 << 9
+    TARGET_REACHED = 1 << 10
+    INTERNAL_LIMIT = 1 << 11
+    FOLLOWS_COMMAND = 1 << 12
+
+
+class SdoAbort(IntEnum):
+    """SDO abort codes (CiA 301, table 22)."""
+
+    TOGGLE_BIT = 0x05030000
+    TIMEOUT = 0x05040000
+    COMMAND_SPECIFIER = 0x05040001
+    OUT_OF_MEMORY = 0x05040005
+    UNSUPPORTED_ACCESS = 0x06010000
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_LENGTH = 0x06040042
+    PARAMETER_INCOMPATIBLE = 0x06040043
+    LENGTH_MISMATCH = 0x06070010
+    LENGTH_TOO_HIGH = 0x06070012
+    LENGTH_TOO_LOW = 0x06070013
+    NO_SUBINDEX = 0x06090011
+    VALUE_RANGE = 0x06090030
+    VALUE_TOO_HIGH = 0x06090031
+    VALUE_TOO_LOW = 0x06090032
+    GENERAL = 0x08000000
+    CANNOT_STORE = 0x08000020
+    LOCAL_CONTROL = 0x08000021
+    DEVICE_STATE = 0x08000022
+    NO_DATA = 0x08000024

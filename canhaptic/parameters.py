@@ -1,0 +1,198 @@
+"""Frozen parameter models with units: the one way a number with a dimension enters the package.
+
+A field is declared once, with its unit for linear axes, its unit for rotary axes where that differs, and its range:
+
+    class SpringDamperWall(Parameters):
+        stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)]
+
+A plain number is SI. A string may carry a unit ("100 N/m", "1 kHz", "50 us"), which is checked for dimension.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+
+from canhaptic.errors import ParameterError
+
+Motion = Literal["m", "rad"]
+
+# Dimension exponents of (kg, m, s, A, K, rad). The radian is kept as a dimension of its own, so that a linear
+# stiffness on a rotary axis is an error and not a wall of the wrong strength.
+_Dimension = tuple[int, int, int, int, int, int]
+_BASE_UNITS: Final[dict[str, tuple[float, _Dimension]]] = {
+    "kg": (1.0, (1, 0, 0, 0, 0, 0)),
+    "g": (1e-3, (1, 0, 0, 0, 0, 0)),
+    "m": (1.0, (0, 1, 0, 0, 0, 0)),
+    "s": (1.0, (0, 0, 1, 0, 0, 0)),
+    "min": (60.0, (0, 0, 1, 0, 0, 0)),
+    "h": (3600.0, (0, 0, 1, 0, 0, 0)),
+    "Hz": (1.0, (0, 0, -1, 0, 0, 0)),
+    "A": (1.0, (0, 0, 0, 1, 0, 0)),
+    "K": (1.0, (0, 0, 0, 0, 1, 0)),
+    "rad": (1.0, (0, 0, 0, 0, 0, 1)),
+    "deg": (math.pi / 180.0, (0, 0, 0, 0, 0, 1)),
+    "rev": (2.0 * math.pi, (0, 0, 0, 0, 0, 1)),
+    "N": (1.0, (1, 1, -2, 0, 0, 0)),
+    "J": (1.0, (1, 2, -2, 0, 0, 0)),
+    "W": (1.0, (1, 2, -3, 0, 0, 0)),
+    "V": (1.0, (1, 2, -3, -1, 0, 0)),
+    "ohm": (1.0, (1, 2, -3, -2, 0, 0)),
+    "H": (1.0, (1, 2, -2, -2, 0, 0)),
+    "bit": (1.0, (0, 0, 0, 0, 0, 0)),
+    "count": (1.0, (0, 0, 0, 0, 0, 0)),
+    "1": (1.0, (0, 0, 0, 0, 0, 0)),
+}
+_PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
+_NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
+_FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1)(?:\^(-?\d+))?\s*")
+
+_motion: ContextVar[Motion | None] = ContextVar("motion", default=None)
+
+
+@contextmanager
+def axis_motion(motion: Motion | None) -> Iterator[None]:
+    """Within the block, parameters belong to an axis that moves in metres or in radians."""
+    token = _motion.set(motion)
+    try:
+        yield
+    finally:
+        _motion.reset(token)
+
+
+def _base_unit(symbol: str) -> tuple[float, _Dimension]:
+    if symbol in _BASE_UNITS:
+        return _BASE_UNITS[symbol]
+    for prefix, scale in _PREFIXES.items():
+        rest = symbol.removeprefix(prefix)
+        if prefix and rest != symbol and rest in _BASE_UNITS:
+            factor, dimension = _BASE_UNITS[rest]
+            return scale * factor, dimension
+    raise ValueError(f"unknown unit {symbol!r} (products are written with '*', as in N*m)")
+
+
+def parse_unit(text: str) -> tuple[float, _Dimension]:
+    """Returns (factor to SI, dimension exponents) of a unit such as `N*s/m` or `kg*m^2`.
+
+    Raises:
+        ValueError: The text is not a product of known units.
+    """
+    factor, dimension, position = 1.0, (0, 0, 0, 0, 0, 0), 0
+    text = text.strip()
+    while position < len(text):
+        match = _FACTOR.match(text, position)
+        if match is None or (position == 0) != (match.group(1) == ""):
+            raise ValueError(f"cannot read unit {text!r}; write it like N*s/m or kg*m^2")
+        scale, base = _base_unit(match.group(2))
+        power = int(match.group(3) or 1) * (-1 if match.group(1) == "/" else 1)
+        factor *= scale**power
+        d = [a + power * b for a, b in zip(dimension, base, strict=True)]
+        dimension = (d[0], d[1], d[2], d[3], d[4], d[5])
+        position = match.end()
+    return factor, dimension
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """The unit of a field on a linear axis and on a rotary one (equal where motion does not matter)."""
+
+    linear: str
+    rotary: str
+
+    def accepted(self) -> tuple[str, ...]:
+        """Returns the units that may be used for the axis being read; both when it is not known."""
+        motion = _motion.get()
+        if motion is None:
+            return (self.linear,) if self.linear == self.rotary else (self.linear, self.rotary)
+        return (self.linear if motion == "m" else self.rotary,)
+
+    def read(self, value: object) -> object:
+        """Returns a number in SI from a number or a string with a unit; other types pass to the validator behind.
+
+        Raises:
+            ValueError: The string is no number, or its unit has another dimension.
+        """
+        if isinstance(value, bool):
+            raise ValueError("a truth value is not a number")
+        if not isinstance(value, str):
+            return value
+        match = _NUMBER_AND_UNIT.fullmatch(value)
+        if match is None:
+            raise ValueError(f"{value!r} is not a number with an optional unit [{' or '.join(self.accepted())}]")
+        number = float(match.group(1))
+        if match.group(2) is None:
+            return number
+        factor, dimension = parse_unit(match.group(2))
+        for unit in self.accepted():
+            expected_factor, expected = parse_unit(unit)
+            if dimension == expected:
+                return number * (factor / expected_factor)
+        raise ValueError(f"unit {match.group(2)!r} does not fit; expected [{' or '.join(self.accepted())}]")
+
+
+class _Quantity:
+    """Annotation of a number: reads units before pydantic, sets pydantic's own limits, tells the JSON schema."""
+
+    def __init__(self, unit: Unit, limits: Mapping[str, float]) -> None:
+        self.unit = unit
+        self.limits = limits
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        schema = handler(source)
+        if schema["type"] not in {"float", "int"}:
+            raise TypeError(f"quantity() annotates float or int, not {source!r}; write Annotated[...] | None")
+        schema.update(self.limits)
+        if schema["type"] == "float":
+            schema["allow_inf_nan"] = False
+        return BeforeValidator(self.unit.read).__get_pydantic_core_schema__(source, lambda _source: schema)
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> Any:
+        schema = handler(core_schema)
+        unit = self.unit.linear if self.unit.linear == self.unit.rotary else f"{self.unit.linear} or {self.unit.rotary}"
+        return {"anyOf": [schema, {"type": "string"}], "unit": unit}
+
+
+def quantity(linear: str, rotary: str | None = None, **limits: float) -> Any:
+    """Returns the pydantic annotation of a finite number with a unit and limits.
+
+    Args:
+        linear: Unit on a linear axis, SI or the unit that the field keeps (`N/m`); "1" for a pure number.
+        rotary: Unit on a rotary axis when it differs (`N*m/rad`).
+        limits: Bounds in that unit: gt, ge, lt, le.
+    """
+    return _Quantity(Unit(linear, rotary or linear), limits)
+
+
+class _ParametersMeta(type(BaseModel)):  # type: ignore[misc]
+    """Turns pydantic's error into ours when a model is made by hand; nested validation keeps pydantic's."""
+
+    def __call__(cls, *args: Any, **values: Any) -> Any:
+        try:
+            return super().__call__(*args, **values)
+        except ValidationError as error:
+            raise ParameterError(describe(cls.__name__, error)) from error
+
+
+def describe(owner: str, error: ValidationError) -> str:
+    """Returns one line per fault of a pydantic error: where, the value seen, what was expected."""
+    lines = []
+    for fault in error.errors():
+        path = ".".join(str(part) for part in fault["loc"]) or "value"
+        lines.append(f"{owner}.{path}: got {_short(fault.get('input'))}, {fault['msg'][:1].lower()}{fault['msg'][1:]}")
+    return "\n".join(lines)
+
+
+def _short(value: object) -> str:
+    text = "a mapping" if isinstance(value, Mapping) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+class Parameters(BaseModel, metaclass=_ParametersMeta):
+    """Base of every parameter model: frozen, unknown keys refused, defaults validated."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)

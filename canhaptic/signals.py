@@ -1,0 +1,36 @@
+"""The few types that cross from one side of the port to another. SI throughout; times in integer nanoseconds."""
+
+from typing import NamedTuple, Protocol
+
+
+class Sample(NamedTuple):
+    """What one axis reported for one SYNC.
+
+    The torque is the one HELD DURING THE HOLD THAT ENDED at this SYNC, read back from the drive where it can be, so
+    that -torque_applied * (position - previous position) is the interaction energy of that hold (eq. 2).
+    """
+
+    sync_index: int  # index k of the SYNC, counted from 0 at the first SYNC with the drive enabled
+    position: float  # [rad or m] at SYNC k
+    torque_applied: float  # [N*m or N] held from SYNC k-1 to SYNC k
+    statusword: int  # 0x6041 as sent with the position
+    fresh: bool  # False when no TPDO arrived for this SYNC and the values are those of the last one
+
+
+class PlantEnergy(NamedTuple):
+    """True energies of a simulated axis since its start [J]; each sum is of work done ON the moving mass."""
+
+    motor: float  # work done by the motor torque on the moving mass: sum(tau dq) = -sum(h_i)
+    user: float  # work done by the hand on the moving mass
+    dissipated: float  # work taken out by friction and other losses, >= 0
+    stored: float  # kinetic and elastic energy of the plant, minus its value at the start
+
+
+class FarSide(Protocol):
+    """A simulated drive (or several) that shares a bus with the master and is driven by the master's clock."""
+
+    def process(self, now: int) -> None:
+        """Handles every frame waiting on its bus and every timer due up to `now` [ns], in order."""
+
+    def next_due(self) -> int:
+        """Returns the time [ns] of its next timer; a very large number when it has none."""
