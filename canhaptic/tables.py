@@ -1,0 +1,30 @@
+"""Explicit tables from a name in a scene to the class that implements it, imported on demand.
+
+A scene that does not name an entry never imports its module.
+"""
+
+import difflib
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+from canhaptic.errors import ParameterError
+
+
+def load(table: Mapping[str, str], name: str, kind: str) -> Any:
+    """Returns the class that `table` lists as "module:Class" under `name`.
+
+    Args:
+        table: Name -> "module:Class".
+        name: The name asked for.
+        kind: What the table lists, for the message ("environment", "passivity algorithm", ...).
+
+    Raises:
+        ParameterError: The name is not in the table; the nearest name is offered.
+    """
+    if name not in table:
+        near = difflib.get_close_matches(name, table, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ParameterError(f"unknown {kind} {name!r}, expected one of: {', '.join(sorted(table))}{hint}")
+    module, _, attribute = table[name].partition(":")
+    return getattr(importlib.import_module(module), attribute)
