@@ -14,11 +14,16 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler, ValidationError
 
 from canhaptic.errors import ParameterError
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass as _ModelMetaclass
+else:
+    _ModelMetaclass = type(BaseModel)
 
 Motion = Literal["m", "rad"]
 
@@ -149,7 +154,8 @@ class _Quantity:
         schema.update(self.limits)
         if schema["type"] == "float":
             schema["allow_inf_nan"] = False
-        return BeforeValidator(self.unit.read).__get_pydantic_core_schema__(source, lambda _source: schema)
+        ready = cast(GetCoreSchemaHandler, lambda _source: schema)
+        return BeforeValidator(self.unit.read).__get_pydantic_core_schema__(source, ready)
 
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> Any:
         schema = handler(core_schema)
@@ -168,7 +174,7 @@ def quantity(linear: str, rotary: str | None = None, **limits: float) -> Any:
     return _Quantity(Unit(linear, rotary or linear), limits)
 
 
-class _ParametersMeta(type(BaseModel)):  # type: ignore[misc]
+class _ParametersMeta(_ModelMetaclass):
     """Turns pydantic's error into ours when a model is made by hand; nested validation keeps pydantic's."""
 
     def __call__(cls, *args: Any, **values: Any) -> Any:

@@ -1,0 +1,1 @@
+"""The `canhaptic` command, one file per subcommand."""

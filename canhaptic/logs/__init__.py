@@ -1,0 +1,1 @@
+"""Energy log and bus log: written in the cycle, read afterwards."""

@@ -1,0 +1,1 @@
+"""Scene files: YAML to validated models to a built rig."""

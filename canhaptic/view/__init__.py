@@ -1,0 +1,1 @@
+"""Energy tables and pictures for people."""

@@ -1,0 +1,1 @@
+"""One virtual environment a file, and the table that names them."""

@@ -1,0 +1,1 @@
+"""One passivity algorithm a file, and the table that names them."""

@@ -1,4 +1,4 @@
-"""What every passivity algorithm of one axis is: made from an environment and the loop's properties, stepped per SYNC."""
+"""What every passivity algorithm of one axis is: an environment and the loop's properties, stepped once per SYNC."""
 
 from typing import Annotated, Protocol
 

@@ -1,0 +1,1 @@
+"""One simulated effect a file, and the table that names them."""
