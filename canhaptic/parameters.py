@@ -177,11 +177,11 @@ def quantity(linear: str, rotary: str | None = None, **limits: float) -> Any:
 class _ParametersMeta(_ModelMetaclass):
     """Turns pydantic's error into ours when a model is made by hand; nested validation keeps pydantic's."""
 
-    def __call__(cls, *args: Any, **values: Any) -> Any:
+    def __call__(self, *args: Any, **values: Any) -> Any:
         try:
             return super().__call__(*args, **values)
         except ValidationError as error:
-            raise ParameterError(describe(cls.__name__, error)) from error
+            raise ParameterError(describe(self.__name__, error)) from error
 
 
 def describe(owner: str, error: ValidationError) -> str:

@@ -1,0 +1,44 @@
+# Two commands do everything on a fresh machine with python3 (3.11 or newer), venv and make:
+#   make demo    the main job on the virtual bus: energy table, log, picture
+#   make test    every check, in at most five minutes
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+JOBS ?= auto
+SOURCES := canhaptic tests tools
+
+.PHONY: demo test test-all format bench clean
+
+# One stamp per set of extras: a changed pyproject.toml installs again.
+$(VENV)/bin/pip:
+	@$(PYTHON) -c 'import sys; sys.exit("canhaptic needs Python 3.11 or newer, this is " + sys.version) if sys.version_info < (3, 11) else None'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed-%: pyproject.toml | $(VENV)/bin/pip
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$*]"
+	@touch $@
+
+demo: $(VENV)/.installed-plot
+	@mkdir -p demo_output
+	$(BIN)/canhaptic run configs/demo.yaml --pace free --log demo_output/demo.h5 --bus-log demo_output/demo.log --png demo_output/demo.png
+
+test: $(VENV)/.installed-dev
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest -q -n $(JOBS) -m "not slow"
+
+test-all: test
+	$(BIN)/pytest -q -n $(JOBS) -m slow
+
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff format $(SOURCES)
+	$(BIN)/ruff check --fix $(SOURCES)
+
+# make bench            every question;  make bench Q=cycle   one
+bench: $(VENV)/.installed-dev
+	$(BIN)/python tools/bench/run.py $(Q)
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info demo_output
