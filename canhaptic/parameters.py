@@ -55,7 +55,7 @@ _BASE_UNITS: Final[dict[str, tuple[float, _Dimension]]] = {
 }
 _PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
 _NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
-_FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1)(?:\^(-?\d+))?\s*")
+_FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1)(?:\^(-?\d))?\s*")
 
 _motion: ContextVar[Motion | None] = ContextVar("motion", default=None)
 
