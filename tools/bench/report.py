@@ -1,0 +1,93 @@
+"""What every benchmark shares: rows side by side, interleaved repeats, the machine, one table, one JSON file."""
+
+import json
+import os
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from time import perf_counter
+
+from rich.console import Console
+from rich.table import Table
+
+RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One figure of a benchmark beside its peer; `met` is None where there is no target."""
+
+    row: str
+    value: float
+    unit: str
+    peer: str = ""
+    peer_value: float | None = None
+    ratio: float | None = None
+    target: str = ""
+    met: bool | None = None
+
+
+def machine() -> dict[str, str]:
+    """Returns what the figures were measured on."""
+    return {
+        "system": f"{platform.system()} {platform.release()}",
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "python": platform.python_version(),
+    }
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def versions(packages: Sequence[str]) -> dict[str, str]:
+    """Returns the installed version of each package; "absent" where it is not installed."""
+    found = {}
+    for package in packages:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "absent"
+    return found
+
+
+def interleave(candidates: dict[str, Callable[[], None]], repeats: int) -> dict[str, list[float]]:
+    """Returns wall times [s] of each candidate, run in turn A B C A B C ... so that a drifting machine hits all alike."""
+    times: dict[str, list[float]] = {name: [] for name in candidates}
+    for _ in range(repeats):
+        for name, candidate in candidates.items():
+            start = perf_counter()
+            candidate()
+            times[name].append(perf_counter() - start)
+    return times
+
+
+def publish(question: str, rows: Sequence[Row], packages: Sequence[str]) -> None:
+    """Prints the table and writes docs/results/<question>.json."""
+    table = Table(title=question)
+    for heading in ("figure", "value", "unit", "peer", "peer value", "ratio", "target", "met"):
+        table.add_column(heading)
+    for row in rows:
+        met = "" if row.met is None else "yes" if row.met else "MISSED"
+        table.add_row(
+            row.row, _short(row.value), row.unit, row.peer, _short(row.peer_value), _short(row.ratio), row.target, met
+        )
+    console = Console(width=150)
+    console.print(table)
+    console.print("  ".join(f"{key}: {value}" for key, value in {**machine(), **versions(packages)}.items()))
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    document = {"machine": machine(), "versions": versions(packages), "rows": [asdict(row) for row in rows]}
+    (RESULTS / f"{question}.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _short(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
