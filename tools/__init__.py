@@ -1,0 +1,1 @@
+"""Thin scripts and benchmarks."""

@@ -61,7 +61,7 @@ def versions(packages: Sequence[str]) -> dict[str, str]:
 
 
 def interleave(candidates: dict[str, Callable[[], None]], repeats: int) -> dict[str, list[float]]:
-    """Returns wall times [s] of each candidate, run in turn A B C A B C ... so that a drifting machine hits all alike."""
+    """Returns wall times [s] of each candidate, run in turn A B C A B C, so that a drifting machine hits all alike."""
     times: dict[str, list[float]] = {name: [] for name in candidates}
     for _ in range(repeats):
         for name, candidate in candidates.items():
