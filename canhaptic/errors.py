@@ -7,6 +7,7 @@
     |  |- DictionaryError                    2   an EDS or DCF file
     |  |- BusBudgetError                     2   the frames of one cycle do not fit the bus
     |  `- LogFormatError                     2   an energy log or bus log that cannot be read
+    |- LogWriteError (OSError)              2   a log that cannot be written where it was asked for
     |- CheckFailedError                      1   a comparison or check the user asked for failed
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
        |- StartError                         3   a step of the fail-closed start was not confirmed
@@ -59,6 +60,12 @@ class BusBudgetError(InputError):
 
 class LogFormatError(InputError):
     """A log that is empty, truncated, foreign or of a newer version."""
+
+
+class LogWriteError(CanHapticError, OSError):
+    """A log that cannot be written: folder missing or read-only, disk full, writer process lost."""
+
+    exit_status = 2
 
 
 class CheckFailedError(CanHapticError):

@@ -26,6 +26,22 @@ class PlantEnergy(NamedTuple):
     stored: float  # kinetic and elastic energy of the plant, minus its value at the start
 
 
+class Truth(NamedTuple):
+    """What a simulated axis really did, read at the same SYNC as its Sample."""
+
+    position: float  # true position, without encoder [rad or m]
+    energy: PlantEnergy
+
+
+class CycleTiming(NamedTuple):
+    """Where the time of one cycle went [ns]."""
+
+    wakeup_lateness: int  # from the deadline of the SYNC until it was sent
+    sync_to_last_tpdo: int  # from the SYNC sent to the last position TPDO taken
+    compute: int  # controllers of all axes
+    send: int  # limiter, RPDOs packed and handed to the bus
+
+
 class FarSide(Protocol):
     """A simulated drive (or several) that shares a bus with the master and is driven by the master's clock."""
 
