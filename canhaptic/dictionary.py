@@ -1,0 +1,272 @@
+"""Reads any CiA 306 object dictionary (EDS or DCF) into a `canopen.ObjectDictionary`, tolerant of what vendors write.
+
+`canopen.import_od` raises on empty entries (`PDOMapping=`, `NrOfRXPDO=`), on Latin-1 text and on a subindex listed
+before its object; it reads a hexadecimal default of a signed object as a large positive number and keeps the node ID
+of whoever saved a DCF. This reader returns the same types and differs in:
+
+- a text of UTF-8, UTF-16 (byte order mark) or Windows-1252; keywords and sections in any case and order;
+- an entry that is empty or unreadable counts as not given: no value, no limit, not mappable;
+- a mapping object (0x1600-0x17FF, 0x1A00-0x1BFF) declared ARRAY is read as RECORD, so that each entry is its own;
+- a DCF saved for another node ID: its values of objects relative to $NODEID are dropped, the defaults remain;
+- limits that contradict each other are dropped, since a dictionary that allows nothing states nothing.
+
+What cannot be read at all raises `DictionaryError` with file and section.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
+
+from canhaptic.errors import DictionaryError
+
+_OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
+_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = 2, 7, 8, 9  # object types (CiA 301, table 42)
+_OBJECT_TYPES: Final = frozenset({_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD})
+_LARGEST_STANDARD_TYPE: Final = datatypes.UNSIGNED64
+_MAPPING_OBJECTS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_ACCESS_TYPES: Final = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
+_BIT_RATES_KBIT: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
+
+_Entries = dict[str, str]
+_Sections = dict[str, _Entries]
+
+
+class _Source(NamedTuple):
+    """A parsed file: the sections by lower-case name, and what every reader below needs to know of it."""
+
+    path: Path
+    sections: _Sections
+    node_id: int
+    is_for_node: bool  # False for a DCF that was saved for another node ID
+
+    def fault(self, section: str, text: str) -> DictionaryError:
+        return DictionaryError(f"{self.path}: [{section.upper().replace('SUB', 'sub')}]: {text}")
+
+
+def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
+    """Returns the object dictionary of a drive as its EDS or DCF states it, for one node ID.
+
+    `value` of a variable is the ParameterValue of a DCF, `default` its DefaultValue; both are None when not given.
+
+    Args:
+        path: An .eds or .dcf file.
+        node_id: 1..127; replaces $NODEID.
+
+    Raises:
+        DictionaryError: The file is missing, is no EDS or DCF, or an object cannot be read; names file and section.
+    """
+    path = Path(path)
+    if not 1 <= node_id <= 127:
+        raise DictionaryError(f"{path}: node ID {node_id} does not exist, expected 1..127")
+    sections = _parse(path)
+    saved_for = _integer(sections.get("devicecomissioning", {}).get("nodeid", ""))
+    source = _Source(path, sections, node_id, is_for_node=saved_for in (None, node_id))
+    dictionary: ObjectDictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
+    dictionary.node_id = node_id
+    _read_device(source, dictionary)
+    _read_dummies(source, dictionary)
+    for section in sections:
+        match = _OBJECT.fullmatch(section)
+        if match and match.group(2) is None:
+            dictionary.add_object(_read_object(source, section, int(match.group(1), 16)))
+    _read_subindices(source, dictionary)
+    if not any(index >= 0x1000 for index in dictionary):
+        raise DictionaryError(f"{path}: lists no object (no section like [1000]); expected an EDS or DCF of CiA 306")
+    return dictionary
+
+
+# --- the text ---------------------------------------------------------------------------------------------------
+
+
+def _parse(path: Path) -> _Sections:
+    """Returns the entries of each section, names and keys in lower case; comments and stray lines left out."""
+    sections: _Sections = {}
+    entries: _Entries | None = None
+    for line in _text(path).splitlines():
+        line = line.strip()
+        if line.startswith("[") and "]" in line:
+            entries = sections.setdefault(line[1 : line.index("]")].strip().lower(), {})
+        elif entries is not None and "=" in line and not line.startswith((";", "#")):
+            key, _, value = line.partition("=")
+            entries[key.strip().lower()] = re.split(r"\s;", value, maxsplit=1)[0].strip()
+    return sections
+
+
+def _text(path: Path) -> str:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DictionaryError(
+            f"{path}: cannot be read ({error.strerror}); give the path of the drive's EDS or DCF"
+        ) from error
+    if content.lstrip().startswith(b"<"):
+        raise DictionaryError(f"{path}: is XML (XDD or EPF), expected an EDS or DCF; export it from the vendor's tool")
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", errors="replace")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
+
+
+def _integer(text: str) -> int | None:
+    """Returns the number of a decimal, 0x or octal (leading 0) text as CiA 306 writes it; None if unreadable."""
+    text = text.replace(" ", "").lower()
+    octal = re.fullmatch(r"0+([0-7]+)", text)
+    try:
+        return int(octal.group(1), 8) if octal else int(text, 0)
+    except ValueError:
+        return None
+
+
+# --- the device ---------------------------------------------------------------------------------------------------
+
+
+def _read_device(source: _Source, dictionary: ObjectDictionary) -> None:
+    entries = source.sections.get("deviceinfo", {})
+    device = dictionary.device_information
+    for rate in _BIT_RATES_KBIT:
+        if _integer(entries.get(f"baudrate_{rate}", "")):
+            device.allowed_baudrates.add(rate * 1000)
+    for key, attribute in (("vendorname", "vendor_name"), ("productname", "product_name"), ("ordercode", "order_code")):
+        setattr(device, attribute, entries.get(key) or None)
+    numbers = (
+        ("vendornumber", "vendor_number"),
+        ("productnumber", "product_number"),
+        ("revisionnumber", "revision_number"),
+        ("nrofrxpdo", "nr_of_RXPDO"),
+        ("nroftxpdo", "nr_of_TXPDO"),
+        ("granularity", "granularity"),
+    )
+    for key, attribute in numbers:
+        setattr(device, attribute, _integer(entries.get(key, "")))
+    bit_rate = _integer(source.sections.get("devicecomissioning", {}).get("baudrate", ""))
+    dictionary.bitrate = bit_rate * 1000 if bit_rate else None
+
+
+def _read_dummies(source: _Source, dictionary: ObjectDictionary) -> None:
+    """Adds the data types that an RPDO may map to skip bytes (CiA 301, 7.4.7)."""
+    entries = source.sections.get("dummyusage", {})
+    for data_type in range(1, 8):
+        if _integer(entries.get(f"dummy{data_type:04}", "")) == 1:
+            dummy = ODVariable(f"Dummy{data_type:04}", data_type)
+            dummy.data_type, dummy.access_type, dummy.pdo_mappable = data_type, "const", True
+            dictionary.add_object(dummy)
+
+
+# --- the objects --------------------------------------------------------------------------------------------------
+
+
+def _read_object(source: _Source, section: str, index: int) -> ODVariable | ODArray | ODRecord:
+    entries = source.sections[section]
+    name = entries.get("parametername") or f"object {index:04X}"
+    object_type = _integer(entries.get("objecttype", ""))
+    if object_type not in _OBJECT_TYPES:
+        has_members = "subnumber" in entries or any(s.startswith(f"{section}sub") for s in source.sections)
+        object_type = _RECORD if has_members else _VAR
+    if object_type in (_VAR, _DOMAIN_OBJECT):
+        return _read_variable(source, section, index, 0, name)
+    if object_type == _RECORD or any(index in mapping for mapping in _MAPPING_OBJECTS):
+        holder: ODArray | ODRecord = ODRecord(name, index)
+    else:
+        holder = ODArray(name, index)
+    if count := _integer(entries.get("compactsubobj", "")):
+        _read_compact(source, section, holder, min(count, 254))
+    return holder
+
+
+def _read_compact(source: _Source, section: str, holder: ODArray | ODRecord, count: int) -> None:
+    """Adds the subindices 1..count that `CompactSubObj` describes in one entry (CiA 306, 4.6.4)."""
+    number = ODVariable("NrOfObjects", holder.index, 0)
+    number.data_type, number.access_type, number.default = datatypes.UNSIGNED8, "ro", count
+    holder.add_member(number)
+    names = source.sections.get(f"{section}name", {})
+    values = source.sections.get(f"{section}value", {})
+    for subindex in range(1, count + 1):
+        name = names.get(str(subindex)) or f"{holder.name} {subindex}"
+        member = _read_variable(source, section, holder.index, subindex, name)
+        if str(subindex) in values:
+            member.default = _value(source, member, values[str(subindex)])
+        holder.add_member(member)
+
+
+def _read_subindices(source: _Source, dictionary: ObjectDictionary) -> None:
+    for section, entries in source.sections.items():
+        match = _OBJECT.fullmatch(section)
+        if match is None or match.group(2) is None:
+            continue
+        index, subindex = int(match.group(1), 16), int(match.group(2), 16)
+        holder = dictionary.get(index)
+        if holder is None:
+            raise source.fault(section, f"belongs to no object; section [{index:04X}] is missing")
+        if not isinstance(holder, ODVariable):
+            name = entries.get("parametername") or f"subindex {subindex}"
+            if name in holder.names and holder.names[name].subindex != subindex:
+                name = f"{name} ({subindex})"  # canopen finds members by name first: a name must be one member
+            holder.add_member(_read_variable(source, section, index, subindex, name))
+
+
+def _read_variable(source: _Source, section: str, index: int, subindex: int, name: str) -> ODVariable:
+    entries = source.sections[section]
+    variable = ODVariable(name, index, subindex)
+    variable.data_type = _data_type(source, section)
+    access = entries.get("accesstype", "").lower()
+    # Not given: only the drive can tell, so nothing may be refused for it.
+    variable.access_type = access if access in _ACCESS_TYPES else "rw"
+    variable.pdo_mappable = bool(_integer(entries.get("pdomapping", "")))
+    low = _value(source, variable, entries.get("lowlimit", ""))
+    high = _value(source, variable, entries.get("highlimit", ""))
+    if variable.data_type in datatypes.NUMBER_TYPES and (low is None or high is None or low <= high):
+        variable.min, variable.max = low, high
+    default_text, value_text = entries.get("defaultvalue", ""), entries.get("parametervalue", "")
+    variable.relative = "$NODEID" in default_text.upper()
+    variable.default = _value(source, variable, default_text)
+    if source.is_for_node or not variable.relative or "$NODEID" in value_text.upper():
+        variable.value = _value(source, variable, value_text)
+    return variable
+
+
+def _data_type(source: _Source, section: str) -> int:
+    """Returns the CiA 301 data type; DOMAIN (opaque bytes) for a vendor type that the file does not define."""
+    entries = source.sections[section]
+    data_type = _integer(entries.get("datatype", ""))
+    if data_type is None:
+        if _integer(entries.get("objecttype", "")) == _DOMAIN_OBJECT:
+            return datatypes.DOMAIN
+        seen = repr(entries["datatype"]) if "datatype" in entries else "no entry"
+        raise source.fault(section, f"DataType: got {seen}, expected a number such as 0x0006; correct the file")
+    if data_type > _LARGEST_STANDARD_TYPE:  # defined by the file itself, as [A0] with its type in [A0sub1]
+        defined = source.sections.get(f"{data_type:x}sub1", {}).get("defaultvalue", "")
+        data_type = _integer(defined) or datatypes.DOMAIN
+    return data_type
+
+
+def _value(source: _Source, variable: ODVariable, text: str) -> Any:
+    """Returns the value of a text as the variable's type has it (int, float, str, bytes); None if unreadable."""
+    data_type = variable.data_type
+    if not text:
+        return None
+    if data_type in (datatypes.VISIBLE_STRING, datatypes.UNICODE_STRING):
+        return text
+    try:
+        if data_type in datatypes.FLOAT_TYPES:
+            return float(text)
+        if data_type in (datatypes.OCTET_STRING, datatypes.DOMAIN):
+            return bytes.fromhex(text)
+    except ValueError:
+        return None
+    number = _number(text, source.node_id)
+    if number is not None and data_type in datatypes.SIGNED_TYPES:
+        bits = len(variable)
+        number = number - (1 << bits) if (1 << (bits - 1)) <= number < (1 << bits) else number
+    return number
+
+
+def _number(text: str, node_id: int) -> int | None:
+    relative = re.sub(r"\+?\$NODEID\+?", "", text.replace(" ", ""), flags=re.IGNORECASE)
+    if relative == text.replace(" ", ""):
+        return _integer(text)
+    offset = _integer(relative) if relative else 0
+    return None if offset is None else offset + node_id
