@@ -1,0 +1,229 @@
+"""YAML text to plain values that remember where they came from.
+
+Scalars follow YAML 1.2, not PyYAML's 1.1: `1e-3` is a number; `017`, `1:30`, `on` and dates are not something else.
+Keys are kept as the text that was written, so that `0x6076` stays the name of an object.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import yaml
+
+from canhaptic.scene.faults import Faults, Mark
+
+MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
+_TAG: Final = "tag:yaml.org,2002:"
+_MERGE: Final = _TAG + "merge"
+_SCALARS: Final = (
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    ("int", r"[-+]?[0-9][0-9_]*|0x[0-9a-fA-F]+|0o[0-7]+", list("-+0123456789")),
+    ("float", r"[-+]?(?:\.[0-9]+|[0-9][0-9_]*(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?", list("-+.0123456789")),
+    ("float", r"[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)", list("-+.")),
+    ("merge", r"<<", ["<"]),
+)
+
+
+class MarkedMapping(dict[str, Any]):
+    """A mapping of the scene; `mark` is its own place, `keys_at` and `values_at` those of its entries."""
+
+    def __init__(self, mark: Mark) -> None:
+        super().__init__()
+        self.mark = mark
+        self.keys_at: dict[str, Mark] = {}
+        self.values_at: dict[str, Mark] = {}
+
+    def put(self, key: str, value: Any, key_at: Mark, value_at: Mark) -> None:
+        """Sets one entry with its places."""
+        self[key] = value
+        self.keys_at[key] = key_at
+        self.values_at[key] = value_at
+
+    def value_at(self, key: str) -> Mark:
+        """Returns the place of an entry, or where it would be when it is missing."""
+        return self.values_at.get(key) or self.mark.below(key)
+
+    def copy(self) -> "MarkedMapping":
+        """Returns a copy of the entries and their places; nested values are shared."""
+        twin = MarkedMapping(self.mark)
+        twin.update(self)
+        twin.keys_at.update(self.keys_at)
+        twin.values_at.update(self.values_at)
+        return twin
+
+    def without(self, *names: str) -> "MarkedMapping":
+        """Returns a copy without some entries."""
+        twin = self.copy()
+        for name in names:
+            twin.pop(name, None)
+        return twin
+
+
+class MarkedList(list[Any]):
+    """A list of the scene; `mark` is its own place, `values_at` those of its entries."""
+
+    def __init__(self, mark: Mark) -> None:
+        super().__init__()
+        self.mark = mark
+        self.values_at: list[Mark] = []
+
+    def put(self, value: Any, value_at: Mark) -> None:
+        """Appends one entry with its place."""
+        self.append(value)
+        self.values_at.append(value_at)
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes with the scalars of YAML 1.2."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  (PyYAML's own name; emptied of the YAML 1.1 rules)
+
+
+for _kind, _pattern, _first in _SCALARS:
+    _Loader.add_implicit_resolver(_TAG + _kind, re.compile(f"^(?:{_pattern})$"), _first)
+
+
+def parse_yaml(text: str, source: str, faults: Faults, path: tuple[str, ...] = (), lined: bool = True) -> Any:
+    """Returns the value of a YAML document, its mappings and lists marked.
+
+    Args:
+        text: The document.
+        source: Named in every fault.
+        faults: Receives syntax errors, duplicate keys and whatever else is not plain data.
+        path: Where the value belongs in the scene.
+        lined: False for text without lines of its own, such as an override.
+    """
+    top = Mark(source, int(lined), int(lined), path)
+    try:
+        node = yaml.compose(text, _Loader)
+    except RecursionError:
+        faults.add(top, "nested too deeply")
+        return None
+    except yaml.MarkedYAMLError as error:
+        place = error.problem_mark
+        at = top._replace(line=place.line + 1, column=place.column + 1) if place is not None and lined else top
+        context = f" {error.context}" if error.context else ""
+        faults.add(at, f"not valid YAML: {error.problem}{context}")
+        return None
+    except (yaml.YAMLError, ValueError) as error:
+        faults.add(top, f"not valid YAML: {' '.join(str(error).split())}")
+        return None
+    return None if node is None else _Builder(source, lined, faults).value(node, path)
+
+
+class _Builder:
+    """Turns composed nodes into marked values; every fault is noted and reading goes on."""
+
+    def __init__(self, source: str, lined: bool, faults: Faults) -> None:
+        self._source = source
+        self._lined = lined
+        self._faults = faults
+        self._open: list[yaml.Node] = []
+        self._nodes = 0
+
+    def _mark(self, node: yaml.Node, path: tuple[str, ...]) -> Mark:
+        place = node.start_mark
+        if not self._lined or place is None:
+            return Mark(self._source, 0, 0, path)
+        return Mark(self._source, place.line + 1, place.column + 1, path)
+
+    def value(self, node: yaml.Node, path: tuple[str, ...]) -> Any:
+        """Returns the value of a node; None, with a fault, when it is not plain data."""
+        self._nodes += 1
+        mark = self._mark(node, path)
+        if any(node is outer for outer in self._open):
+            self._faults.add(mark, "an alias that contains itself")
+        elif self._nodes == MAX_NODES:
+            self._faults.add(mark, f"more than {MAX_NODES} values after resolving aliases")
+        elif self._nodes > MAX_NODES:
+            pass
+        elif isinstance(node, yaml.ScalarNode):
+            return self._scalar(node, mark)
+        elif node.tag not in {_TAG + "map", _TAG + "seq"}:
+            self._faults.add(mark, f"tag {node.tag!r} is not supported; write plain values")
+        else:
+            self._open.append(node)
+            result = self._mapping(node, mark) if isinstance(node, yaml.MappingNode) else self._list(node, mark)
+            self._open.pop()
+            return result
+        return None
+
+    def _scalar(self, node: yaml.ScalarNode, mark: Mark) -> Any:
+        try:
+            return _read_scalar(node.tag.removeprefix(_TAG), str(node.value))
+        except (KeyError, ValueError):
+            shown = str(node.value)[:40]
+            self._faults.add(mark, f"got {shown!r}, which is not a plain value of tag {node.tag!r}")
+            return None
+
+    def _list(self, node: yaml.Node, mark: Mark) -> MarkedList:
+        result = MarkedList(mark)
+        for index, item in enumerate(node.value):
+            path = (*mark.path, str(index))
+            result.put(self.value(item, path), self._mark(item, path))
+        return result
+
+    def _mapping(self, node: yaml.MappingNode, mark: Mark) -> MarkedMapping:
+        result = MarkedMapping(mark)
+        merged: list[MarkedMapping] = []
+        for key_node, value_node in node.value:
+            if key_node.tag == _MERGE:
+                merged += self._merged(value_node, mark)
+            elif not isinstance(key_node, yaml.ScalarNode):
+                self._faults.add(self._mark(key_node, mark.path), "a key must be a plain word or number")
+            else:
+                self._entry(result, str(key_node.value), key_node, value_node)
+        for other in merged:  # entries written out win over merged ones, earlier ones over later
+            for key in other.keys() - result.keys():
+                result.put(key, other[key], other.keys_at[key], other.values_at[key])
+        return result
+
+    def _entry(self, result: MarkedMapping, key: str, key_node: yaml.Node, value_node: yaml.Node) -> None:
+        path = (*result.mark.path, key)
+        key_at = self._mark(key_node, path)
+        if key in result:
+            first = result.keys_at[key]
+            self._faults.add(key_at, f"key {key!r} is given twice, first in line {first.line}; keep one")
+            return
+        result.put(key, self.value(value_node, path), key_at, self._mark(value_node, path))
+
+    def _merged(self, node: yaml.Node, mark: Mark) -> list[MarkedMapping]:
+        sources = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        found = [self.value(source, mark.path) for source in sources]
+        if not all(isinstance(value, MarkedMapping) for value in found):
+            self._faults.add(self._mark(node, mark.path), "'<<' merges mappings only")
+        return [value for value in found if isinstance(value, MarkedMapping)]
+
+
+def _read_scalar(kind: str, text: str) -> Any:
+    if kind in {"str", "merge"}:
+        return text
+    if kind == "null":
+        return None
+    if kind == "bool":
+        return {"true": True, "false": False}[text.lower()]
+    if kind == "int":
+        digits = text.replace("_", "")
+        return int(digits, {"0x": 16, "0o": 8}.get(digits[:2].lower(), 10))
+    if kind == "float":
+        return float(re.sub(r"\.(?=inf|nan)", "", text.lower().replace("_", "")))
+    raise KeyError(kind)
+
+
+def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
+    """Returns plain Python mappings and sequences as marked ones, for scenes that are made without a file."""
+    mark = Mark(source, 0, 0, path)
+    if isinstance(value, Mapping):
+        result = MarkedMapping(mark)
+        for key, entry in value.items():
+            below = mark.below(str(key))
+            result.put(str(key), mark_plain(entry, source, below.path), below, below)
+        return result
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        items = MarkedList(mark)
+        for index, entry in enumerate(value):
+            below = mark.below(str(index))
+            items.put(mark_plain(entry, source, below.path), below)
+        return items
+    return value

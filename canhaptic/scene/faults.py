@@ -1,0 +1,43 @@
+"""Faults of a scene: where each one is, and the list that is raised at once."""
+
+from typing import NamedTuple
+
+from canhaptic.errors import SceneError
+
+
+class Mark(NamedTuple):
+    """The place a key or value came from: a line of a file, or an override of the command line."""
+
+    source: str  # file name as given, or the override as typed
+    line: int  # counted from 1; 0 when the source has no lines
+    column: int  # counted from 1; 0 when the source has no lines
+    path: tuple[str, ...]  # keys and list indices from the top of the scene
+
+    @property
+    def where(self) -> str:
+        """Returns `file:line:column`, or the source alone when it has no lines."""
+        return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
+
+    def below(self, *parts: str) -> "Mark":
+        """Returns the same place for an entry below it that the source does not hold."""
+        return self._replace(path=(*self.path, *parts))
+
+
+class Faults:
+    """Collects every fault of a scene, so that all of them are shown at once and each only once."""
+
+    def __init__(self) -> None:
+        self._lines: dict[str, tuple[int, int]] = {}
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def add(self, mark: Mark, message: str) -> None:
+        """Notes a fault as `file:line:column: path: message`."""
+        path = f"{'.'.join(mark.path)}: " if mark.path else ""
+        self._lines.setdefault(f"{mark.where}: {path}{message}", (mark.line, mark.column))
+
+    def raise_if_any(self) -> None:
+        """Raises SceneError with every fault noted so far, in the order of the file; overrides come first."""
+        if self._lines:
+            raise SceneError(sorted(self._lines, key=lambda line: self._lines[line]))

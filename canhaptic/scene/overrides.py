@@ -1,0 +1,68 @@
+"""Overrides from the command line: `axes.0.node_id=5` laid over the scene before it is checked.
+
+The path is keys and list indices joined by dots (a key that contains a dot is quoted); the value is YAML.
+"""
+
+import difflib
+import re
+from collections.abc import Sequence
+from typing import Any, Final
+
+from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
+from canhaptic.scene.faults import Faults, Mark
+
+_PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
+_PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
+
+
+def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Faults) -> None:
+    """Lays each override over the scene in place, later ones over earlier ones; faults name the override."""
+    for text in overrides:
+        source = f"--set {text}"
+        top = Mark(source, 0, 0, ())
+        address, equals, value_text = text.partition("=")
+        if not equals or _PATH.fullmatch(address.strip()) is None:
+            faults.add(top, "got no PATH=VALUE, expected something like axes.0.node_id=5")
+            continue
+        path = tuple(quoted or plain for quoted, plain in _PART.findall(address.strip()))
+        value = parse_yaml(value_text, source, faults, path, lined=False)
+        _put(scene, path, value, top._replace(path=path), faults)
+
+
+def _put(container: Any, path: tuple[str, ...], value: Any, mark: Mark, faults: Faults) -> None:
+    """Walks to the entry and sets it; a mapping that does not exist on the way is made."""
+    for depth, part in enumerate(path):
+        here = mark._replace(path=path[: depth + 1])
+        last = depth == len(path) - 1
+        if isinstance(container, MarkedMapping):
+            if last:
+                container.put(part, value, here, here)
+                return
+            if container.get(part) is None:
+                container.put(part, MarkedMapping(here), here, here)
+            container = container[part]
+        elif isinstance(container, MarkedList):
+            index = _index(container, part, here, faults)
+            if index is None:
+                return
+            if last:
+                container[index] = value
+                container.values_at[index] = here
+                return
+            container = container[index]
+        else:
+            faults.add(here._replace(path=path[:depth]), f"got {container!r}, which has no entry {part!r}")
+            return
+
+
+def _index(entries: MarkedList, part: str, here: Mark, faults: Faults) -> int | None:
+    """Returns the index of a list entry, given as a number or by the entry's name."""
+    names = [str(entry.get("name")) if isinstance(entry, MarkedMapping) else "" for entry in entries]
+    if part.isascii() and part.isdigit() and len(part) < 6 and int(part) < len(entries):
+        return int(part)
+    if part in names:
+        return names.index(part)
+    near = difflib.get_close_matches(part, [name for name in names if name], n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    faults.add(here, f"got index {part!r}, expected 0 to {len(entries) - 1} or a name{hint}")
+    return None
