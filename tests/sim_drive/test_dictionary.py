@@ -209,11 +209,8 @@ def test_vendor_files_read_as_canopen_reads_them_except_where_it_errs(vendor_eds
         for subindex, expected in b.items():
             for attribute in ("data_type", "access_type", "min", "max", "default", "value"):
                 seen, wanted = getattr(a[subindex], attribute), getattr(expected, attribute)
-                if (
-                    expected.data_type in datatypes.SIGNED_TYPES
-                    and wanted is not None
-                    and wanted >> len(expected) - 1 == 1
-                ):
+                signed = expected.data_type in datatypes.SIGNED_TYPES and isinstance(wanted, int)
+                if signed and wanted >> len(expected) - 1 == 1:
                     wanted -= 1 << len(expected)  # canopen leaves a hexadecimal default of a signed object unsigned
                 if (name, index) == ("elmo_simpliq.dcf", 0x100B):
                     continue  # "$NODEID" alone, which canopen does not read
