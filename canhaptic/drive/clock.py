@@ -1,0 +1,132 @@
+"""The only module of the package that reads or waits for time. Integer nanoseconds everywhere.
+
+`WallClock` sleeps to within a margin of the deadline and spins the rest: the wake-up is right to a microsecond or so,
+where a plain sleep is late by some 80 us. `VirtualClock` stands still until its owner waits: master and simulated
+drives then run in lock-step in one thread, as fast as the machine allows and with the same result every time.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+import can
+
+from canhaptic.signals import FarSide
+
+_POLL_STOP: Final = 20_000  # [ns] before a deadline from which the bus is no longer polled, so that none is overslept
+_SHORTEST_SLEEP: Final = 60_000  # [ns]; a shorter sleep takes this long anyhow
+
+
+class Clock(Protocol):
+    """Time as the master sees it."""
+
+    def now(self) -> int:
+        """Returns the time [ns] since an epoch of the clock's own."""
+
+    def wait_until(self, deadline: int) -> None:
+        """Returns when `deadline` [ns] has come; at once when it has passed."""
+
+    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+        """Returns the next frame of `bus`, or None when none came until `deadline` [ns]."""
+
+
+class WallClock:
+    """Real time, with drives simulated in this process pumped while it waits.
+
+    Args:
+        far_sides: Simulated drives inside this process; none for real hardware.
+        spin_margin: Time before a deadline from which it spins [s].
+    """
+
+    def __init__(self, far_sides: Sequence[FarSide] = (), spin_margin: float = 200e-6) -> None:
+        self._far_sides = tuple(far_sides)
+        self._margin = round(spin_margin * 1e9)
+
+    def now(self) -> int:
+        """Returns CLOCK_MONOTONIC [ns]."""
+        return time.monotonic_ns()
+
+    def wait_until(self, deadline: int) -> None:
+        """Sleeps, then spins, until `deadline` [ns]; far sides run meanwhile."""
+        now = time.monotonic_ns()
+        while now < deadline:
+            for far_side in self._far_sides:
+                far_side.process(now)
+            remaining = self._next_event(deadline) - self._margin - time.monotonic_ns()
+            if remaining > _SHORTEST_SLEEP:
+                time.sleep(remaining * 1e-9)
+            now = time.monotonic_ns()
+
+    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+        """Returns the next frame, or None at `deadline` [ns]: blocks, then polls, then spins."""
+        while True:
+            now = time.monotonic_ns()
+            for far_side in self._far_sides:
+                far_side.process(now)
+            remaining = deadline - now
+            if remaining <= _POLL_STOP:
+                break
+            message = bus.recv(self._blocking_time(deadline, now))
+            if message is not None:
+                return message
+        while time.monotonic_ns() < deadline:
+            pass
+        return bus.recv(0.0)
+
+    def _blocking_time(self, deadline: int, now: int) -> float:
+        """Returns how long to block in the bus [s]; with far sides in this thread nobody else could wake it."""
+        if self._far_sides:
+            idle = self._next_event(deadline) - self._margin - now
+            if idle > _SHORTEST_SLEEP:
+                time.sleep(min(idle, 200_000) * 1e-9)
+            return 0.0
+        return max(0, deadline - now - self._margin) * 1e-9
+
+    def _next_event(self, deadline: int) -> int:
+        return min([deadline, *(far_side.next_due() for far_side in self._far_sides)])
+
+
+class VirtualClock:
+    """Time that stands still until its owner waits, and then jumps to the next event of the far sides.
+
+    Args:
+        far_sides: Simulated drives that share a virtual bus with the master, in this thread.
+        start: The time at the beginning [ns].
+    """
+
+    def __init__(self, far_sides: Sequence[FarSide] = (), start: int = 0) -> None:
+        self._far_sides = tuple(far_sides)
+        self._now = start
+
+    def now(self) -> int:
+        """Returns virtual time [ns]."""
+        return self._now
+
+    def wait_until(self, deadline: int) -> None:
+        """Lets the far sides live until `deadline` [ns]."""
+        while self._now < deadline:
+            self._process()
+            self._now = self._next_event(deadline)
+
+    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+        """Returns the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
+        while True:
+            self._process()
+            message = bus.recv(0.0)
+            if message is not None or self._now >= deadline:
+                return message
+            self._now = self._next_event(deadline)
+
+    def _process(self) -> None:
+        now = self._now
+        for far_side in self._far_sides:
+            far_side.process(now)
+
+    def _next_event(self, deadline: int) -> int:
+        """Returns the next instant at which something happens; a timer that is overdue cannot hold time up."""
+        earliest = deadline
+        for far_side in self._far_sides:
+            due = far_side.next_due()
+            if self._now < due < earliest:
+                earliest = due
+        return earliest

@@ -1,0 +1,145 @@
+"""What a scene says about the bus and about each axis: every value in SI, with its unit and range."""
+
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, model_validator
+
+from canhaptic.object_dictionary import RPDO_COMMUNICATION, TPDO_COMMUNICATION
+from canhaptic.parameters import Parameters, quantity
+
+_PDO_COUNT: Final = 512  # of each direction (CiA 301)
+_LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x101, 0x57F  # free of NMT, SYNC, EMCY, SDO and heartbeat
+
+NodeId = Annotated[int, quantity("1", ge=1, le=127)]
+PdoNumber = Annotated[int, quantity("1", ge=1, le=_PDO_COUNT)]
+
+
+class BusParameters(Parameters):
+    """One CAN bus, its rate of SYNC, and what happens when frames go missing on it."""
+
+    interface: str = "virtual"
+    """python-can interface (`virtual`, `socketcan`, `udp_multicast`, ...)."""
+    channel: str | int | None = None
+    """Channel of the interface; None: the interface's own choice, and a private one for `virtual`."""
+    bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] = 1_000_000
+    """Bit rate of classic CAN; the bus budget is computed from it."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Further keyword arguments of `can.Bus` for this interface."""
+    rate: Annotated[float, quantity("Hz", ge=1.0, le=20_000.0)]
+    """SYNCs per second."""
+    rpdo: Literal["synchronous", "event"] = "synchronous"
+    """When a torque acts: at the SYNC after its RPDO (exact energy, one sample late), or when the RPDO arrives."""
+    master_id: NodeId = 126
+    """Node ID of the master's heartbeat."""
+    heartbeat_period: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.02
+    """Of the drives and of the master, which sends at the nearest SYNC."""
+    heartbeat_timeout: Annotated[float, quantity("s", ge=5e-3, le=30.0)] = 0.1
+    """Silence after which either side counts the other as lost; at least three periods are always granted."""
+    hold_cycles: Annotated[int, quantity("count", ge=0, le=1000)] = 2
+    """Missed cycles for which the last torque is held."""
+    stop_cycles: Annotated[int, quantity("count", ge=1, le=10_000)] = 20
+    """Missed cycles after which the rig stops; between hold and stop the torque ramps to zero."""
+    tpdo_timeout: Annotated[float, quantity("1", gt=0.0, le=0.95)] = 0.5
+    """Part of the sample time after SYNC in which the TPDOs must arrive; what comes later counts as late."""
+    compute_latency: Annotated[float, quantity("s", ge=0.0, le=0.1)] = 20e-6
+    """Time between the last TPDO and the first RPDO that the bus budget reserves for the host."""
+    emcy_reserve: Annotated[int, quantity("count", ge=0, le=128)] = 1
+    """EMCY frames in one cycle that the bus budget reserves."""
+    stop_ramp: Annotated[float, quantity("s", ge=0.0, le=0.05)] = 0.02
+    """Time in which an operator's stop takes the torque to zero."""
+    spin_margin: Annotated[float, quantity("s", ge=0.0, le=0.01)] = 200e-6
+    """Time before a deadline from which the clock spins instead of sleeping."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "BusParameters":
+        if self.stop_cycles <= self.hold_cycles:
+            raise ValueError(f"stop_cycles is {self.stop_cycles}, expected more than hold_cycles ({self.hold_cycles})")
+        return self
+
+    @property
+    def sample_time_ns(self) -> int:
+        """The sample time [ns], the one that every part of the package uses."""
+        return round(1e9 / self.rate)
+
+    @property
+    def sample_time(self) -> float:
+        """The sample time [s]: a whole number of nanoseconds."""
+        return self.sample_time_ns * 1e-9
+
+    @property
+    def heartbeat_cycles(self) -> int:
+        """SYNCs from one heartbeat of the master to the next."""
+        return max(1, round(self.heartbeat_period * 1e9 / self.sample_time_ns))
+
+    @property
+    def master_silence_ns(self) -> int:
+        """Silence [ns] of the master that a drive tolerates: whole milliseconds, three heartbeats at least."""
+        longest = max(round(self.heartbeat_timeout * 1e9), 3 * self.heartbeat_cycles * self.sample_time_ns)
+        return -(-longest // 1_000_000) * 1_000_000
+
+    @property
+    def drive_silence_ns(self) -> int:
+        """Silence [ns] of a drive that the master tolerates: three heartbeats at least."""
+        return max(round(self.heartbeat_timeout * 1e9), 3 * round(self.heartbeat_period * 1e9))
+
+
+class AxisParameters(Parameters):
+    """One servo drive and the axis behind it. Torques are those of the axis: N*m where it turns, N where it slides."""
+
+    name: Annotated[str, Field(min_length=1, max_length=40)]
+    node_id: NodeId
+    eds: Path
+    """Object dictionary (EDS or DCF) of the drive."""
+    drive: str | None = None
+    """Name of a drive profile with known deviations (`canhaptic.drive.quirks`)."""
+    unit: Literal["m", "rad"] = "rad"
+    counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0)]
+    """Position counts (0x6064) per metre or radian of the axis."""
+    direction: Literal[1, -1] = 1
+    """-1 turns the sign of position and torque together."""
+    rated_torque: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
+    """Torque of the axis at 1000 per mille; needed when the drive does not state 0x6076."""
+    transmission: Annotated[float, quantity("1/m", "1", gt=0.0)] = 1.0
+    """Torque or force of the axis per torque of the motor (gear ratio, 1/pulley radius); scales 0x6076."""
+    torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
+    """Largest torque ever commanded; also written to 0x6072 where the drive has it."""
+    torque_rate_limit: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)] | None = None
+    power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
+    """Largest power that the torque may put into the user's side."""
+    speed_limit: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
+    """A position that moves faster than this between two SYNCs is not believed: the rig stops."""
+    read_back: Literal["auto", "demand", "actual", "none"] = "auto"
+    """Torque in the TPDO: 0x6074, 0x6077, nothing; auto takes the first that the dictionary allows."""
+    demand_reported: Literal["before", "after"] = "before"
+    """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
+    rpdo_number: PdoNumber | None = None
+    """RPDO to use instead of the one chosen from the dictionary."""
+    tpdo_numbers: Annotated[tuple[PdoNumber, ...], Field(min_length=1, max_length=4)] | None = None
+    """TPDOs to use instead of those chosen from the dictionary."""
+    pdo_cob_ids: dict[int, int] = Field(default_factory=dict)
+    """COB-ID by index of the communication object (0x1404: 0x205); for PDOs beyond the fourth."""
+    vendor_id: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
+    """Expected 0x1018:01; any when absent."""
+    product_code: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
+    """Expected 0x1018:02; any when absent."""
+    watchdog: bool = True
+    """Arms the drive's own watchdog of the master's heartbeat (0x1016, 0x6007)."""
+    reset_fault: bool = False
+    """Whether start may reset a fault of the drive before it begins; never done in the cycle."""
+    sdo_timeout: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.3
+    step_timeout: Annotated[float, quantity("s", ge=1e-2, le=60.0)] = 1.0
+    """Time in which the drive must confirm one step of the start."""
+
+    @model_validator(mode="after")
+    def _check_cob_ids(self) -> "AxisParameters":
+        for index, cob_id in self.pdo_cob_ids.items():
+            is_rpdo = RPDO_COMMUNICATION <= index < RPDO_COMMUNICATION + _PDO_COUNT
+            is_tpdo = TPDO_COMMUNICATION <= index < TPDO_COMMUNICATION + _PDO_COUNT
+            if not (is_rpdo or is_tpdo):
+                raise ValueError(
+                    f"pdo_cob_ids: {index:#06x} is no PDO communication object; use 0x1400..0x15FF or 0x1800..0x19FF"
+                )
+            if not _LOWEST_PDO_COB_ID <= cob_id <= _HIGHEST_PDO_COB_ID:
+                raise ValueError(f"pdo_cob_ids: {index:#06x}: got {cob_id:#x}, expected a free COB-ID 0x101..0x57F")
+        return self
