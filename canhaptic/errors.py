@@ -11,6 +11,7 @@
     |- CheckFailedError                      1   a comparison or check the user asked for failed
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
        |- StartError                         3   a step of the fail-closed start was not confirmed
+       |- SdoError                           3   an SDO was aborted by the drive or not answered
        |- DriveFaultError                    3   EMCY, fault or unexpected state in the cycle
        |- LinkError (TimeoutError)           3   lost frames, lost heartbeat, bus-off
        `- ControlError                       3   the controller raised or produced a non-finite torque
@@ -98,6 +99,22 @@ class StartError(RigError):
         self.drive = drive
         self.step = step
         super().__init__(f"{drive}: {step}: got {seen}, expected {expected}; {remedy}")
+
+
+class SdoError(RigError):
+    """An SDO transfer that the drive aborted or did not answer.
+
+    Attributes:
+        index: Index of the object.
+        subindex: Its subindex.
+        code: SDO abort code (CiA 301, table 22); None when there was no usable answer.
+    """
+
+    def __init__(self, message: str, index: int, subindex: int, code: int | None = None) -> None:
+        self.index = index
+        self.subindex = subindex
+        self.code = code
+        super().__init__(message)
 
 
 class DriveFaultError(RigError):

@@ -1,0 +1,165 @@
+"""The master's end of one CAN bus: every frame it sends or receives passes here, in the caller's thread.
+
+There is no Notifier and no callback thread: whoever waits pumps the bus, and an exception in a handler reaches him.
+"""
+
+from collections.abc import Callable
+from typing import Final, cast
+
+import can
+
+from canhaptic.drive.clock import Clock
+from canhaptic.errors import LinkError
+
+Handler = Callable[[bytearray], None]
+Recorder = Callable[[int, int, bytes | bytearray, bool], None]
+"""Called as recorder(timestamp [ns], COB-ID, data, is_rx) for every frame."""
+
+_LARGEST_STANDARD_ID: Final = 0x7FF
+_MOST_FRAMES_AT_ONCE: Final = 10_000  # a bus that delivers this many frames at one instant is broken
+
+
+class LinkStatistics:
+    """Counts of a link since it was made. Frames counted as anything but `received` never enter a ledger."""
+
+    __slots__ = ("duplicate", "echoed", "error_frames", "foreign", "late", "received", "send_failures", "sent", "short")
+
+    def __init__(self) -> None:
+        self.sent = 0
+        self.received = 0  # every frame that came, whatever became of it
+        self.foreign = 0  # nobody waits for its COB-ID, or remote, or with an extended identifier
+        self.echoed = 0  # our own frame, given back by the interface
+        self.late = 0  # TPDO outside the window of its SYNC, SDO answer after its time
+        self.duplicate = 0  # second TPDO for one SYNC
+        self.short = 0  # data of another length than the map has
+        self.error_frames = 0
+        self.send_failures = 0
+
+    def as_dict(self) -> dict[str, int]:
+        """Returns the counts by name."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+class Link:
+    """Sends and receives through a python-can bus, by a clock.
+
+    Args:
+        bus: The bus; it stays the caller's to shut down.
+        clock: Where waiting is done.
+        recorder: Sees every frame, for the bus log.
+        echoes: Whether the interface gives back what it was sent (`udp_multicast` does).
+    """
+
+    def __init__(
+        self, bus: can.BusABC, clock: Clock, recorder: Recorder | None = None, *, echoes: bool = False
+    ) -> None:
+        self.clock = clock
+        self.statistics = LinkStatistics()
+        self._bus = bus
+        self._recorder = recorder
+        self._echoes = echoes
+        self._handlers: dict[int, Handler] = {}
+        self._frames: dict[int, can.Message] = {}
+
+    def subscribe(self, can_id: int, handler: Handler) -> None:
+        """Calls `handler(data)` for each frame of this COB-ID from now on, in place of the one before."""
+        self._handlers[can_id] = handler
+
+    def unsubscribe(self, can_id: int) -> None:
+        """Counts frames of this COB-ID as foreign again."""
+        self._handlers.pop(can_id, None)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Sends one data frame.
+
+        Raises:
+            LinkError: The interface refused it, at once and once more (a full queue, ENOBUFS, bus-off).
+        """
+        message = self._frames.get(can_id)
+        if message is None:
+            message = self._frames[can_id] = can.Message(arbitration_id=can_id, is_extended_id=False, is_rx=False)
+        now = self.clock.now()
+        message.timestamp = now * 1e-9
+        message.data = cast(bytearray, data)  # bytes: python-can copies them faster and never changes them
+        message.dlc = len(data)
+        try:
+            self._bus.send(message)
+        except (can.CanError, OSError):
+            self._send_again(message)
+        self.statistics.sent += 1
+        if self._recorder is not None:
+            self._recorder(now, can_id, data, False)
+
+    def _send_again(self, message: can.Message) -> None:
+        self.statistics.send_failures += 1
+        try:
+            self._bus.send(message)
+        except (can.CanError, OSError) as error:
+            raise LinkError(
+                f"frame {message.arbitration_id:#05x} was not sent: {error}; check the cable, the bit rate and the "
+                "length of the interface's queue (ip link set CHANNEL txqueuelen 1000)"
+            ) from error
+
+    def poll(self, deadline: int) -> bool:
+        """Takes the next frame and hands it to its handler; returns False when none came until `deadline` [ns].
+
+        Raises:
+            LinkError: The interface failed.
+        """
+        try:
+            message = self.clock.receive(self._bus, deadline)
+        except (can.CanError, OSError) as error:
+            raise LinkError(f"the bus cannot be read: {error}; check cable and interface") from error
+        if message is None:
+            return False
+        self.statistics.received += 1
+        can_id = message.arbitration_id
+        handler = self._handlers.get(can_id)
+        if handler is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+            self._put_aside(message)
+            return True
+        if self._recorder is not None:
+            self._recorder(self.clock.now(), can_id, message.data, True)
+        handler(message.data)
+        return True
+
+    def pump(self, deadline: int) -> None:
+        """Handles frames until `deadline` [ns] and then whatever still waits."""
+        while self.poll(deadline):
+            pass
+
+    def drain(self) -> None:
+        """Handles the frames that wait already.
+
+        Raises:
+            LinkError: They do not end.
+        """
+        now = self.clock.now()
+        for _ in range(_MOST_FRAMES_AT_ONCE):
+            if not self.poll(now):
+                return
+        raise LinkError(f"more than {_MOST_FRAMES_AT_ONCE} frames wait at one instant; something floods the bus")
+
+    def wait_for(self, condition: Callable[[], bool], timeout: int) -> bool:
+        """Handles frames until `condition()` holds; returns False when `timeout` [ns] passed first.
+
+        What came before the call counts: the condition looks at state, not at the next frame.
+        """
+        deadline = self.clock.now() + timeout
+        while not condition():
+            if not self.poll(deadline):
+                return condition()
+        return True
+
+    def _put_aside(self, message: can.Message) -> None:
+        """Counts a frame that is for nobody here; the bus log still shows it."""
+        if message.is_error_frame:
+            self.statistics.error_frames += 1
+            return
+        if self._echoes and message.arbitration_id in self._frames:
+            self.statistics.echoed += 1
+            return
+        self.statistics.foreign += 1
+        is_data = not message.is_remote_frame and message.arbitration_id <= _LARGEST_STANDARD_ID
+        if self._recorder is not None and is_data:
+            self._recorder(self.clock.now(), message.arbitration_id, message.data, True)

@@ -1,0 +1,83 @@
+"""SI <-> drive units of one axis: the only converter on the master's side.
+
+Positions are 32-bit counts that wrap; torques are per mille of the rated torque (0x6076, in mN*m or mN).
+"""
+
+import math
+from typing import Final
+
+from canhaptic.errors import ParameterError
+
+_WRAP: Final = 1 << 32  # 0x6064 is INTEGER32
+_HALF: Final = 1 << 31
+_LARGEST_PER_MILLE: Final = 32_767  # 0x6071 is INTEGER16
+_PER_MILLE: Final = 1000.0
+
+
+class AxisScaling:
+    """Converts one axis; remembers the last position so that a wrapped counter goes on.
+
+    Args:
+        counts_per_unit: Position counts per metre or radian.
+        rated_torque: Of the axis at 1000 per mille [N*m or N].
+        direction: 1 or -1, for position and torque together.
+
+    Raises:
+        ParameterError: A factor is not positive and finite.
+    """
+
+    __slots__ = ("_counts", "_is_referenced", "_torque_quantum", "_unit_per_count", "rated_torque")
+
+    def __init__(self, counts_per_unit: float, rated_torque: float, direction: int = 1) -> None:
+        for name, value in (("counts_per_unit", counts_per_unit), ("rated_torque", rated_torque)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise ParameterError(f"{name}: got {value}, expected a positive finite number")
+        self.rated_torque = rated_torque
+        self._unit_per_count = direction / counts_per_unit
+        self._torque_quantum = direction * rated_torque / _PER_MILLE
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the last position: the next one is taken as it comes."""
+        self._counts = 0
+        self._is_referenced = False
+
+    def position(self, position_counts: int) -> float:
+        """Returns the position [m or rad] of the next 0x6064; a step of less than half the range never jumps."""
+        if self._is_referenced:
+            self._counts += (position_counts - self._counts + _HALF) % _WRAP - _HALF
+        else:
+            self._counts = position_counts
+            self._is_referenced = True
+        return self._counts * self._unit_per_count
+
+    def torque(self, torque_per_mille: int) -> float:
+        """Returns a torque of the drive (0x6071, 0x6074, 0x6077) in [N*m or N]."""
+        return torque_per_mille * self._torque_quantum
+
+    def torque_per_mille(self, torque: float) -> int:
+        """Returns the nearest target torque (0x6071) to a finite torque [N*m or N] that the limiter has passed."""
+        return round(torque / self._torque_quantum)
+
+    @property
+    def torque_quantum(self) -> float:
+        """Smallest step of torque [N*m or N]."""
+        return abs(self._torque_quantum)
+
+    @property
+    def position_quantum(self) -> float:
+        """Displacement of one count [m or rad]."""
+        return abs(self._unit_per_count)
+
+    @property
+    def largest_torque(self) -> float:
+        """Largest torque that 0x6071 can carry [N*m or N]."""
+        return _LARGEST_PER_MILLE * self.torque_quantum
+
+
+def torque_limit_per_mille(torque_limit: float, rated_torque: float) -> int:
+    """Returns the value of 0x6072 for a limit [N*m or N]: rounded down, so that the drive never allows more.
+
+    A hair is added before rounding down: 0.3 of 1.0 is 300 and not 299.
+    """
+    return math.floor(torque_limit / rated_torque * _PER_MILLE * (1.0 + 4e-16) + 1e-9)
