@@ -3,11 +3,12 @@
 Identity of every step, whatever the algorithm (to 1e-12 of the largest term):
 
     h_s - h_s_before + h_r - h_i - gen + h_pas - deficit + leak = 0
-    h_dis - h_dis_before = gen + deficit - h_pas - paid,      paid = min(leak, h_dis_before + gen + deficit - h_pas)
+    h_dis - h_dis_before = gen + deficit - h_pas - paid
+    paid = min(leak, max(0, h_dis_before + gen + deficit - h_pas))
 """
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 
 class Branch(IntEnum):
@@ -50,3 +51,189 @@ class EnergyBalance(NamedTuple):
     damping_rendered: float  # damping of model plus modulated damper inside the command [N*s/m or N*m*s/rad]
     certificate: int  # Certificate
     state: float  # displacement of the storage after this step [m or rad]
+
+
+AT_REST: Final = EnergyBalance(
+    torque=0.0,
+    h_i=0.0,
+    h_pas=0.0,
+    h_m=0.0,
+    h_r=0.0,
+    h_s=0.0,
+    h_dis=0.0,
+    gen=0.0,
+    deficit=0.0,
+    leak=0.0,
+    paid=0.0,
+    branch=Branch.FREE.value,
+    damping_rendered=0.0,
+    certificate=Certificate.EXACT.value,
+    state=0.0,
+)
+"""The balance of the first call after a reset: nothing held, nothing stored."""
+
+
+def residual(balance: EnergyBalance, stored_before: float) -> float:
+    """Returns how far one step is from the identity of this module [J]."""
+    return (
+        (balance.h_s - stored_before)
+        + balance.h_r
+        - balance.h_i
+        - balance.gen
+        + balance.h_pas
+        - balance.deficit
+        + balance.leak
+    )
+
+
+class LedgerSummary(NamedTuple):
+    """The account of one port over a run. Energies in [J]."""
+
+    energy_in: float  # sum of the positive h_i
+    energy_out: float  # minus the sum of the negative h_i
+    stored: float  # at the end
+    dissipated: float  # sum of h_r
+    generated: float  # sum of gen
+    surplus_end: float  # h_dis at the end
+    surplus_max: float
+    recovered: float  # sum of h_pas
+    leaked: float  # sum of leak, of which `paid` paid surplus
+    paid: float
+    deficit: float
+    margin_value: float  # least value of sum(h_i) - sum(h_r) after any hold (eq. 4)
+    margin_cycle: int  # and the cycle at which it was reached
+    least_interaction: float  # least value of sum(h_i) after any hold (eq. 3)
+    certificate: Certificate  # the weakest used
+    branches: dict[str, int]  # holds booked by each branch
+    damping_least: float  # range of the damping rendered in contact [N*s/m or N*m*s/rad]
+    damping_most: float
+
+    def as_json(self, sample_time: float) -> dict[str, Any]:
+        """Returns the account of a port as `run --json` prints it.
+
+        Args:
+            sample_time: Turns the cycle of the least margin into a time [s].
+        """
+        return {
+            "in": self.energy_in,
+            "out": self.energy_out,
+            "stored": self.stored,
+            "dissipated": self.dissipated,
+            "generated": self.generated,
+            "surplus": {"end": self.surplus_end, "max": self.surplus_max},
+            "recovered": self.recovered,
+            "leaked": self.leaked,
+            "paid": self.paid,
+            "deficit": self.deficit,
+            "margin": {
+                "value": self.margin_value,
+                "cycle": self.margin_cycle,
+                "time": self.margin_cycle * sample_time,
+            },
+            "least_interaction": self.least_interaction,
+            "certificate": self.certificate.name.lower(),
+            "branches": dict(self.branches),
+            "damping_rendered": {"least": self.damping_least, "most": self.damping_most},
+        }
+
+
+class _Sum:
+    """A sum whose rounding errors are summed beside it (two-sum, Knuth): no drift over any number of terms."""
+
+    __slots__ = ("_error", "_total")
+
+    def __init__(self) -> None:
+        self._total = 0.0
+        self._error = 0.0
+
+    def add(self, term: float) -> float:
+        """Adds a term and returns the value of the sum."""
+        before = self._total
+        total = before + term
+        part = total - before
+        self._error += (before - (total - part)) + (term - part)
+        self._total = total
+        return total + self._error
+
+    @property
+    def value(self) -> float:
+        return self._total + self._error
+
+
+class Ledger:
+    """The compensated sums of a run: one `add` per cycle, one `summary` whenever it is wanted."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets every hold."""
+        self._interaction, self._in, self._dissipated, self._margin = _Sum(), _Sum(), _Sum(), _Sum()
+        self._recovered, self._leaked, self._paid, self._deficit, self._generated = (_Sum() for _ in range(5))
+        self._branches = [0] * len(Branch)
+        self._last = AT_REST
+        self._least_interaction = self._least_margin = self._surplus_max = 0.0
+        self._least_margin_cycle = 0
+        self._certificate = 0
+        self._damping_least, self._damping_most = float("inf"), 0.0
+
+    def add(self, balance: EnergyBalance, cycle: int) -> None:
+        """Adds the account of the hold that ended at SYNC `cycle`."""
+        h_i, h_r = balance.h_i, balance.h_r
+        self._branches[balance.branch] += 1
+        self._last = balance
+        self._surplus_max = max(self._surplus_max, balance.h_dis)
+        self._certificate = max(self._certificate, balance.certificate)
+        if h_i or h_r:
+            self._add_flows(h_i, h_r, cycle)
+        if balance.h_pas or balance.leak or balance.deficit or balance.gen:
+            self._add_corrections(balance)
+        if balance.branch:
+            rendered = balance.damping_rendered
+            self._damping_least = min(self._damping_least, rendered)
+            self._damping_most = max(self._damping_most, rendered)
+
+    def _add_corrections(self, balance: EnergyBalance) -> None:
+        self._recovered.add(balance.h_pas)
+        self._leaked.add(balance.leak)
+        self._paid.add(balance.paid)
+        self._deficit.add(balance.deficit)
+        self._generated.add(balance.gen)
+
+    def _add_flows(self, h_i: float, h_r: float, cycle: int) -> None:
+        interaction = self._interaction.add(h_i)
+        if h_i > 0.0:
+            self._in.add(h_i)
+        elif interaction < self._least_interaction:
+            self._least_interaction = interaction
+        margin = self._margin.add(h_i)
+        if h_r:
+            self._dissipated.add(h_r)
+            margin = self._margin.add(-h_r)
+        if margin < self._least_margin:
+            self._least_margin = margin
+            self._least_margin_cycle = cycle
+
+    def summary(self) -> LedgerSummary:
+        """Returns the account so far."""
+        energy_in = self._in.value
+        return LedgerSummary(
+            energy_in=energy_in,
+            energy_out=energy_in - self._interaction.value,
+            stored=self._last.h_s,
+            dissipated=self._dissipated.value,
+            generated=self._generated.value,
+            surplus_end=self._last.h_dis,
+            surplus_max=self._surplus_max,
+            recovered=self._recovered.value,
+            leaked=self._leaked.value,
+            paid=self._paid.value,
+            deficit=self._deficit.value,
+            margin_value=self._least_margin,
+            margin_cycle=self._least_margin_cycle,
+            least_interaction=self._least_interaction,
+            certificate=Certificate(self._certificate),
+            branches={branch.name.lower(): self._branches[branch] for branch in Branch},
+            damping_least=self._damping_least if self._damping_most or any(self._branches[1:]) else 0.0,
+            damping_most=self._damping_most,
+        )

@@ -1,0 +1,49 @@
+"""The paper's virtual wall: a spring and a damper side by side, felt on one side of a plane (eqs. 12-14)."""
+
+import math
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.parameters import Parameters, quantity
+
+
+class SpringDamperWall(Parameters):
+    """A wall that is in contact while the position is beyond its surface."""
+
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    position: Annotated[float, quantity("m", "rad")] = 0.0
+    side: Literal["below", "above"] = "below"
+    """Where the wall is solid: below `position` (q < q_w, eq. 12) or above it."""
+
+    relaxes: ClassVar[bool] = False
+
+    @property
+    def linear_stiffness(self) -> float:
+        """Stiffness k [N/m or N*m/rad]."""
+        return self.stiffness
+
+    def contact(self, position: float) -> int:
+        """Returns 1 inside the wall, 0 outside (eq. 12)."""
+        return int(position < self.position) if self.side == "below" else int(position > self.position)
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Returns x = q - q_w [m or rad] (eq. 14): negative in a wall below, positive in a wall above."""
+        return position - self.position
+
+    def stored_energy(self, state: float) -> float:
+        """Returns k x^2 / 2 [J]."""
+        return 0.5 * self.stiffness * state * state
+
+    def effort(self, state: float) -> float:
+        """Returns k x [N or N*m]."""
+        return self.stiffness * state
+
+    def state_of_energy(self, energy: float, like: float) -> float:
+        """Returns sqrt(2 H / k) with the sign of `like`; eq. 18 prints it positive, where contact has x < 0."""
+        if self.stiffness == 0.0:
+            return 0.0
+        return math.copysign(math.sqrt(2.0 * max(0.0, energy) / self.stiffness), like)
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Returns the state: nothing relaxes."""
+        return state
