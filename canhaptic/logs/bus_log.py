@@ -1,0 +1,96 @@
+"""The bus log as the link sees it: every frame sent or received goes into a ring, a writer process formats it."""
+
+import threading
+from pathlib import Path
+from typing import Final, Literal
+
+from canhaptic.errors import LogWriteError, ParameterError
+from canhaptic.logs.bus_sink import FRAME_RING, aside_files
+from canhaptic.logs.writer_process import WriterProcess
+
+_WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
+
+
+class BusLogWriter:
+    """Writes frames as candump text. Call it as a recorder: `recorder(timestamp_ns, can_id, data, is_rx)`.
+
+    The same frames give the same bytes. At real pace a full ring drops frames and counts them; at free pace it waits.
+
+    Args:
+        path: The file; an existing one is replaced.
+        channel: Name of the bus, as it shall stand in every line.
+        pace: "real" or "free".
+        file_size: Bytes after which the file is put aside as NAME.00001.log, ...; 0 for one file without limit.
+        files: How many files are kept in all when `file_size` is given.
+
+    Raises:
+        LogWriteError: The file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        channel: str,
+        *,
+        pace: Literal["real", "free"] = "real",
+        file_size: int = 0,
+        files: int = 10,
+    ) -> None:
+        if not channel or any(letter.isspace() for letter in channel):
+            raise ParameterError(f"channel {channel!r}: expected a name without spaces, it stands in every line")
+        if file_size < 0 or files < 2:
+            raise ParameterError(f"bus log of {files} files of {file_size} bytes: expected at least 2 files, size >= 0")
+        self.path = Path(path).absolute()
+        for old in aside_files(self.path) if file_size else []:
+            old.unlink()
+        job = {
+            "kind": "bus",
+            "path": str(self.path),
+            "channel": channel,
+            "file_size": file_size,
+            "files": files,
+        }
+        self._process = WriterProcess(job, [FRAME_RING])
+        self._push = self._process.rings[0].push
+        self._free = pace == "free"
+        self._closed = False
+        self.dropped = 0
+        """Frames lost so far because the ring was full."""
+
+    @property
+    def failure(self) -> str:
+        """Why the log stopped before it was closed; empty while all is well."""
+        return self._process.failure
+
+    @property
+    def writer_pid(self) -> int:
+        """Process id of the writer at work."""
+        return self._process.pid
+
+    def __call__(self, timestamp_ns: int, can_id: int, data: bytes, is_rx: bool) -> None:
+        """Takes one frame of classic CAN (at most 8 bytes of data).
+
+        Raises:
+            LogWriteError: At free pace only: the writer has failed and its ring is full.
+        """
+        frame = (timestamp_ns, can_id, len(data), is_rx, data)
+        if self._push(frame):
+            return
+        if not self._free:
+            self.dropped += 1
+            return
+        pause = threading.Event()
+        while not self._push(frame):
+            if self.failure:
+                raise LogWriteError(self.failure)
+            pause.wait(_WAIT)
+
+    def close(self) -> None:
+        """Writes everything that is still in the ring and waits for it. A second call does nothing.
+
+        Raises:
+            LogWriteError: The log is not complete.
+        """
+        if not self._closed:
+            self._closed = True
+            self._process.close("complete")

@@ -1,0 +1,108 @@
+"""Frames of the shared ring -> candump text, one line per frame, as `candump -L -x` of can-utils writes it.
+
+    (0000000000.001000) can0 181#3712A0860100E803 R
+
+R is a frame received by the master, T one that it sent.
+"""
+
+import os
+import struct
+from pathlib import Path
+from typing import Final
+
+from canhaptic.logs.ring import RingShape, SharedArea
+
+FRAME_RING: Final = RingShape("=qIBB2x8s", 65_536)  # timestamp [ns], identifier, length, is_rx, data
+_BLOCK: Final = 4096  # frames formatted at a time
+_LAST_STANDARD_ID: Final = 0x7FF
+
+
+class BusSink:
+    """One bus log being written, or a bounded series of them.
+
+    Args:
+        path: The file being written.
+        channel: Name of the bus in every line.
+        area: Shared memory with one ring of frames.
+        file_size: Bytes after which the file is put aside as NAME.00001.log, NAME.00002.log, ...; 0 for no limit.
+        files: How many files are kept in all, the one being written included; the oldest is deleted.
+    """
+
+    def __init__(self, path: Path, channel: str, area: SharedArea, file_size: int, files: int) -> None:
+        self._path = path
+        self._channel = channel
+        self._area = area
+        (self._frames,) = area.rings
+        self._unpack = struct.Struct(FRAME_RING.record)
+        self._file_size = file_size
+        self._files = files
+
+    def open(self, restart: bool) -> None:
+        """Makes the file; after a restart goes on behind the last whole line of the one that is there."""
+        self._next = self._frames.tail
+        if restart and self._path.exists():
+            self._recover()
+        else:
+            self._begin()
+
+    def _begin(self) -> None:
+        self._area.mark = self._next
+        self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        self._size = 0
+
+    def _recover(self) -> None:
+        text = self._path.read_bytes()
+        self._size = text.rfind(b"\n") + 1
+        self._next = max(self._next, self._area.mark + text.count(b"\n"))
+        self._descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND)
+        os.truncate(self._descriptor, self._size)
+
+    def drain(self, heads: list[int], final: bool) -> None:
+        """Writes all frames up to `heads[0]`."""
+        while self._next < heads[0]:
+            count = min(_BLOCK, heads[0] - self._next)
+            self._write(self._text(self._frames.read(self._next, count)))
+            self._next += count
+            self._frames.release(self._next)
+            if self._file_size and self._size >= self._file_size:
+                self._put_aside()
+        if final:
+            os.fsync(self._descriptor)
+
+    def _write(self, text: bytes) -> None:
+        while text:
+            written = os.write(self._descriptor, text)
+            self._size += written
+            text = text[written:]
+
+    def _text(self, frames: bytes) -> bytes:
+        channel = self._channel
+        lines = []
+        for timestamp, identifier, length, is_rx, data in self._unpack.iter_unpack(frames):
+            name = f"{identifier:03X}" if identifier <= _LAST_STANDARD_ID else f"{identifier:08X}"
+            seconds, rest = divmod(timestamp, 1_000_000_000)
+            direction = "R" if is_rx else "T"
+            lines.append(
+                f"({seconds:010d}.{rest // 1000:06d}) {channel} {name}#{data[:length].hex().upper()} {direction}\n"
+            )
+        return "".join(lines).encode()
+
+    def _put_aside(self) -> None:
+        os.close(self._descriptor)
+        aside = aside_files(self._path)
+        number = int(aside[-1].suffixes[-2][1:]) + 1 if aside else 1
+        self._path.rename(self._path.with_suffix(f".{number:05d}{self._path.suffix}"))
+        for old in aside_files(self._path)[: -(self._files - 1) or None]:
+            old.unlink()
+        self._begin()
+
+    def finish(self, status: str) -> None:
+        """Closes the file; the status of the run has no place in this format."""
+        del status
+        os.close(self._descriptor)
+
+
+def aside_files(path: Path) -> list[Path]:
+    """Returns the files put aside before `path`, oldest first."""
+    pattern = f"{path.stem}.[0-9][0-9][0-9][0-9][0-9]{path.suffix}"
+    return sorted(path.parent.glob(pattern))

@@ -1,0 +1,157 @@
+"""The energy log as the cycle sees it: one packed row per SYNC into a ring, a writer process behind it."""
+
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+from canhaptic.errors import LogWriteError, ParameterError
+from canhaptic.haptics.balance import EnergyBalance
+from canhaptic.logs.schema import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
+from canhaptic.logs.writer_process import WriterProcess
+from canhaptic.signals import CycleTiming, Sample, Truth
+
+RING_ROWS: Final = 16_384  # 16 s at 1 kHz, longer than a disk stalls
+_FLUSH_TIME_NS: Final = 200_000_000  # a chunk holds this much of the run, at real pace
+_FREE_CHUNK: Final = 4096  # rows; without a wall clock only throughput counts
+_WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
+
+
+class EnergyLogWriter:
+    """Writes one energy log (HDF5).
+
+    At real pace `append` never waits: when the ring is full the cycle is counted as dropped and the next row says so.
+    At free pace (lock-step) it waits for the writer, and nothing is lost.
+
+    Args:
+        path: The file; an existing one is replaced.
+        ports: The axes, in the order of samples and balances.
+        attributes: What belongs to the run: configuration text and hash, versions, clock base, bit rate, ...
+        sample_time_ns: Sample time [ns].
+        with_truth: Whether a simulation tells what truly happened.
+        pace: "real" or "free".
+        ring_rows: Capacity of the ring.
+
+    Raises:
+        LogWriteError: The file cannot be made.
+        ParameterError: Two ports share a name, or a name contains a slash.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        ports: Sequence[PortDescription],
+        attributes: Mapping[str, Attribute],
+        *,
+        sample_time_ns: int,
+        with_truth: bool = False,
+        pace: Literal["real", "free"] = "real",
+        ring_rows: int = RING_ROWS,
+    ) -> None:
+        _check_names(ports)
+        self.path = Path(path).absolute()
+        self._free = pace == "free"
+        chunk = _FREE_CHUNK if self._free else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))
+        schema = LogSchema(
+            tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), not self._free, dict(attributes)
+        )
+        job = {"kind": "energy", "path": str(self.path), "schema": schema.to_json()}
+        self._process = WriterProcess(job, [schema.ring(ring_rows), EVENT_RING])
+        rows, self._events = self._process.rings
+        self._push = rows.push
+        self._unreported = 0
+        self._closed = False
+        self.dropped = 0
+        """Cycles lost so far because the ring was full."""
+
+    @property
+    def failure(self) -> str:
+        """Why the log stopped before it was closed; empty while all is well. Cheap enough to ask every cycle."""
+        return self._process.failure
+
+    @property
+    def writer_pid(self) -> int:
+        """Process id of the writer at work."""
+        return self._process.pid
+
+    def append(
+        self,
+        sync_index: int,
+        samples: Sequence[Sample],
+        balances: Sequence[EnergyBalance],
+        timing: CycleTiming,
+        truths: Sequence[Truth] | None = None,
+    ) -> None:
+        """Takes one cycle.
+
+        Args:
+            sync_index: Index k of the SYNC.
+            samples: One per port.
+            balances: One per port.
+            timing: Of this cycle.
+            truths: One per port when the log was made with truth.
+
+        Raises:
+            LogWriteError: At free pace only: the writer has failed and its ring is full.
+        """
+        row: list[float] = [self._unreported, sync_index]
+        row += timing
+        for sample, balance in zip(samples, balances, strict=True):
+            row += sample
+            row += balance
+        if truths is not None:
+            for truth in truths:
+                row.append(truth.position)
+                row += truth.energy
+        if self._push(row):
+            self._unreported = 0
+        elif self._free:
+            self._push_patiently(row)
+        else:
+            self._unreported += 1
+            self.dropped += 1
+
+    def _push_patiently(self, row: list[float]) -> None:
+        pause = threading.Event()
+        while not self._push(row):
+            if self.failure:
+                raise LogWriteError(self.failure)
+            pause.wait(_WAIT)
+
+    def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
+        """Notes something that happened: a fault, an EMCY, a lost frame, a stop. Long texts are cut.
+
+        Args:
+            sync_index: Index k of the SYNC.
+            kind: One word.
+            port: Name of the axis, empty for the whole rig.
+            text: What happened.
+        """
+        texts = zip((kind, port, text), EVENT_TEXT_SIZES.values(), strict=True)
+        self._events.push((sync_index, *(_cut(words, size) for words, size in texts)))
+
+    def close(self, status: str = "complete") -> None:
+        """Writes everything that is still in the ring, packs the file and waits for it. A second call does nothing.
+
+        Args:
+            status: How the run ended.
+
+        Raises:
+            LogWriteError: The log is not complete.
+        """
+        if not self._closed:
+            self._closed = True
+            self._process.close(status)
+
+
+def _cut(text: str, size: int) -> bytes:
+    return text.encode()[:size].decode("utf-8", "ignore").encode()
+
+
+def _check_names(ports: Sequence[PortDescription]) -> None:
+    names = [port.name for port in ports]
+    for name in names:
+        if not name or "/" in name or name == ".":
+            raise ParameterError(f"port name {name!r}: expected a word without '/'; rename the axis")
+    if len(set(names)) != len(names):
+        raise ParameterError(f"ports {names}: expected different names; rename one of the axes")

@@ -1,0 +1,173 @@
+"""Reads an energy log: quantities as NumPy arrays, each loaded when it is first asked for.
+
+with EnergyLog.open("run.h5") as log:
+    handle = log.ports["handle"]
+    power = handle["h_i"] / log.sample_time          # [W]
+    print(handle.unit("h_i"), log.status, log.attributes["config_hash"])
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from canhaptic.errors import LogFormatError
+from canhaptic.logs.hdf5 import Array, Hdf5File
+from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, Event
+
+_OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
+
+
+class Quantities(Mapping[str, Array]):
+    """The columns of one group, as arrays of shape (n_rows,)."""
+
+    def __init__(self, file: Hdf5File, group: str, rows: int) -> None:
+        self._file = file
+        self._group = group
+        self._rows = rows
+        self._names = file.names(group)
+        self._loaded: dict[str, Array] = {}
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._names:
+            raise KeyError(name)
+        if name not in self._loaded:
+            self._loaded[name] = self.read(name)
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> Array:
+        """Returns rows `start` to `stop` of one quantity without keeping them in memory."""
+        path = f"{self._group}/{name}"
+        try:
+            return self._file[path].read(start, self._rows if stop is None else min(stop, self._rows))
+        except (OSError, RuntimeError) as error:
+            raise LogFormatError(f"{path}: the data is damaged ({error}); `inspect --repair` saves the rest") from error
+
+    def unit(self, name: str) -> str:
+        """Returns the unit of a quantity; "1" for a pure number."""
+        return str(self._file[f"{self._group}/{name}"].attributes.get("unit", "1"))
+
+
+class EnergyLog:
+    """An energy log opened for reading: finished, still being written, or left by a killed run.
+
+    Attributes:
+        path: The file.
+        attributes: What was stored with the run (configuration, hashes, versions, ...).
+        ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `h_i`, ...
+        truth: The same for what truly happened in a simulation; empty on a real rig.
+        timing: Times of each cycle and `sync_index`.
+        rows: Number of cycles in the log.
+        rows_lost: Cycles at the start that a damaged file took with it.
+        status: How the run ended; "running" while it is written or after a power cut.
+        sample_time_ns: Sample time [ns].
+    """
+
+    def __init__(self, path: Path, file: Hdf5File) -> None:
+        self.path = path
+        self._file = file
+        attributes = file.attributes
+        _check_format(path, attributes)
+        self.attributes = {name: _plain(value) for name, value in attributes.items() if name not in _OURS}
+        self.sample_time_ns = int(attributes["sample_time_ns"])
+        self.rows_lost = int(attributes["rows_lost"])
+        self.status = str(attributes["status"])
+        described = [line.rpartition(" ") for line in str(attributes["ports"]).splitlines()]
+        self.rows = _whole_rows(file)
+        self.ports = {name: Quantities(file, f"ports/{name}", self.rows) for name, _, _ in described}
+        self.truth = {name: Quantities(file, f"truth/{name}", self.rows) for name in file.names("truth")}
+        self.timing = Quantities(file, "timing", self.rows)
+
+    @staticmethod
+    def open(path: str | Path) -> "EnergyLog":
+        """Opens a log.
+
+        Raises:
+            LogFormatError: Missing, empty, truncated, foreign or written by a newer version.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise LogFormatError(f"{path}: no such file")
+        if path.stat().st_size == 0:
+            raise LogFormatError(f"{path}: the file is empty")
+        try:
+            file = Hdf5File(path, "live")
+        except (OSError, RuntimeError) as error:  # h5py raises either for one kind of damage or another
+            raise LogFormatError(f"{path}: not a readable HDF5 file ({error})") from error
+        try:
+            return EnergyLog(path, file)
+        except LogFormatError:
+            file.close()
+            raise
+        except (OSError, RuntimeError, KeyError, ValueError) as error:
+            file.close()
+            raise LogFormatError(f"{path}: the file is damaged ({error})") from error
+
+    def __enter__(self) -> "EnergyLog":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the file; arrays already loaded stay valid."""
+        self._file.close()
+
+    @property
+    def sample_time(self) -> float:
+        """Sample time [s]."""
+        return self.sample_time_ns * 1e-9
+
+    @property
+    def time(self) -> Array:
+        """Time of each SYNC since the first [s], shape (n_rows,)."""
+        return np.asarray(self.timing["sync_index"] * (self.sample_time_ns * 1e-9))
+
+    @property
+    def dropped(self) -> int:
+        """Cycles that the ring had no room for."""
+        return int(self.timing["dropped_before"].sum(dtype=np.int64))
+
+    @property
+    def events(self) -> list[Event]:
+        """Everything noted during the run, in order."""
+        columns = [self._file[f"events/{name}"].read() for name in EVENT_TEXT_SIZES]
+        indices = self._file["events/sync_index"].read()
+        return [
+            Event(int(index), *(bytes(text).decode("utf-8", "replace") for text in texts))
+            for index, *texts in zip(indices, *columns, strict=False)  # a kill can come between two columns
+        ]
+
+
+def _check_format(path: Path, attributes: Mapping[str, Any]) -> None:
+    if attributes.get("format") != FORMAT_NAME:
+        raise LogFormatError(f"{path}: an HDF5 file, but no energy log of canhaptic")
+    version = int(attributes.get("format_version", 0))
+    if not 1 <= version <= FORMAT_VERSION:
+        raise LogFormatError(
+            f"{path}: format version {version}, this program reads up to {FORMAT_VERSION}; use a newer canhaptic"
+        )
+    missing = [name for name in _OURS if name not in attributes]
+    if missing:
+        raise LogFormatError(f"{path}: the attributes {', '.join(missing)} are missing")
+
+
+def _whole_rows(file: Hdf5File) -> int:
+    return min((len(dataset) for path, dataset in file.datasets() if not path.startswith("events/")), default=0)
+
+
+def _plain(value: Any) -> str | int | float:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    plain: str | int | float = value.item() if isinstance(value, np.generic) else value
+    return plain

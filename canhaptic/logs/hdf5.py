@@ -1,0 +1,132 @@
+"""The part of h5py that the logs use, with types: the one place where the untyped library is touched."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+class Dataset:
+    """One column of a file."""
+
+    def __init__(self, dataset: Any) -> None:
+        self._dataset = dataset
+
+    def __len__(self) -> int:
+        return int(self._dataset.shape[0])
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of its elements."""
+        dtype: np.dtype[Any] = self._dataset.dtype
+        return dtype
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Its attributes."""
+        return dict(self._dataset.attrs)
+
+    def set_attribute(self, name: str, value: str) -> None:
+        """Sets one attribute."""
+        self._dataset.attrs[name] = value
+
+    def read(self, start: int = 0, stop: int | None = None) -> Array:
+        """Returns elements `start` to `stop` (all by default)."""
+        return np.asarray(self._dataset[start:stop])
+
+    def append(self, values: Array) -> None:
+        """Adds elements at the end."""
+        length = len(self)
+        self._dataset.resize((length + len(values),))
+        self._dataset[length:] = values
+
+    def truncate(self, length: int) -> None:
+        """Keeps the first `length` elements."""
+        self._dataset.resize((length,))
+
+
+class Hdf5File:
+    """An open HDF5 file.
+
+    Args:
+        path: The file.
+        mode: "live" read, also while another process writes it or after that was killed; "w" make anew;
+            "w live" make anew, to be read by others while it is written.
+
+    Nothing newer than the format of HDF5 1.10 (2016) is written, so that MATLAB and old readers can open it.
+    """
+
+    def __init__(self, path: Path, mode: str) -> None:
+        if mode == "live":
+            self._file = h5py.File(path, "r", swmr=True, locking=False)
+        else:
+            oldest = "v110" if mode == "w live" else "earliest"
+            self._file = h5py.File(path, "w", libver=(oldest, "v110"), locking=False)
+
+    def __enter__(self) -> "Hdf5File":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of the root."""
+        return dict(self._file.attrs)
+
+    def set_attribute(self, name: str, value: Any) -> None:
+        """Sets one attribute of the root."""
+        self._file.attrs[name] = value
+
+    def create(self, path: str, dtype: str | np.dtype[Any], chunk: int, compressed: bool = True) -> Dataset:
+        """Returns a new empty column that can grow."""
+        options: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compressed else {}
+        return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
+
+    def __contains__(self, path: str) -> bool:
+        return path in self._file
+
+    def __getitem__(self, path: str) -> Dataset:
+        return Dataset(self._file[path])
+
+    def names(self, group: str) -> list[str]:
+        """Returns the names inside a group; none when the group is missing."""
+        return list(self._file[group]) if group in self._file else []
+
+    def datasets(self) -> Iterator[tuple[str, Dataset]]:
+        """Yields path and column of everything in the file."""
+        found: list[tuple[str, Dataset]] = []
+
+        def visit(path: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset):
+                found.append((path, Dataset(item)))
+
+        self._file.visititems(visit)
+        yield from found
+
+    def copy_to(self, other: "Hdf5File") -> None:
+        """Copies everything, compressed chunks as they are, and the root's attributes."""
+        for name in self._file:
+            self._file.copy(name, other._file)  # noqa: SLF001 - the same class
+        for name, value in self.attributes.items():
+            other.set_attribute(name, value)
+
+    def start_live(self) -> None:
+        """From now on other processes may read while this one writes; no more columns or attributes can be added."""
+        self._file.swmr_mode = True
+
+    def flush(self) -> None:
+        """Hands everything to the operating system."""
+        self._file.flush()

@@ -1,0 +1,176 @@
+"""Rings of fixed records in memory shared by the control thread (producer) and a writer process (consumer).
+
+The memory is an unlinked file on a memory file system, handed to the writer as a file descriptor. It lives as long as
+either process does and leaves nothing behind when both are gone, however they ended. A record counts as written when
+the ring's head has moved past it, so a producer that is killed in the middle of a record leaves no half record.
+"""
+
+import mmap
+import os
+import struct
+import tempfile
+from collections.abc import Iterable
+from enum import IntEnum
+from pathlib import Path
+from typing import Final, NamedTuple
+
+_HEADER: Final = 4096  # [bytes] before the first ring
+_STATE_CELL: Final = 0
+_MARK_CELL: Final = 1
+_FIRST_RING_CELL: Final = 8  # two cells of 8 bytes per ring: head, tail
+_TEXT_OFFSETS: Final = {"failure": 1024, "status": 2048}
+_TEXT_SIZE: Final = 1000  # [bytes]
+
+
+class RingShape(NamedTuple):
+    """Size of one ring."""
+
+    record: str  # struct format of one record
+    capacity: int  # records
+
+
+class AreaState(IntEnum):
+    """What the producer wants of the writer."""
+
+    RUNNING = 0
+    CLOSING = 1
+
+
+class SharedArea:
+    """The mapped memory: a state, two short texts and one or more rings.
+
+    Args:
+        descriptor: An open file of at least `size_of(shapes)` bytes; the caller keeps it open.
+        shapes: The rings, in the same order on both sides.
+    """
+
+    def __init__(self, descriptor: int, shapes: Iterable[RingShape]) -> None:
+        shapes = tuple(shapes)
+        self._map = mmap.mmap(descriptor, size_of(shapes), flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+        self._cells = memoryview(self._map)[: _TEXT_OFFSETS["failure"]].cast("Q")
+        self.rings = []
+        offset = _HEADER
+        for number, shape in enumerate(shapes):
+            self.rings.append(Ring(self._map, self._cells, _FIRST_RING_CELL + 2 * number, offset, shape))
+            offset += struct.calcsize(shape.record) * shape.capacity
+
+    @property
+    def state(self) -> AreaState:
+        """What the producer wants of the writer."""
+        return AreaState(self._cells[_STATE_CELL])
+
+    @state.setter
+    def state(self, state: AreaState) -> None:
+        self._cells[_STATE_CELL] = state
+
+    @property
+    def mark(self) -> int:
+        """A number that one writer leaves for the next one, should it be killed."""
+        return self._cells[_MARK_CELL]
+
+    @mark.setter
+    def mark(self, mark: int) -> None:
+        self._cells[_MARK_CELL] = mark
+
+    def text(self, name: str) -> str:
+        """Returns the text left under `name` ("failure" or "status"), empty when none was."""
+        start = _TEXT_OFFSETS[name]
+        (size,) = struct.unpack_from("=Q", self._map, start)
+        return bytes(self._map[start + 8 : start + 8 + size]).decode("utf-8", "replace")
+
+    def set_text(self, name: str, text: str) -> None:
+        """Leaves a text of at most 1000 bytes under `name`; a longer one is cut."""
+        encoded = text.encode()[:_TEXT_SIZE]
+        struct.pack_into(f"=Q{len(encoded)}s", self._map, _TEXT_OFFSETS[name], len(encoded), encoded)
+
+    def close(self) -> None:
+        """Unmaps the memory."""
+        for ring in self.rings:
+            ring.detach()
+        self._cells.release()
+        self._map.close()
+
+
+class Ring:
+    """One ring. The producer calls `push`, the consumer `head`, `read` and `release`."""
+
+    def __init__(self, memory: mmap.mmap, cells: "memoryview[int]", cell: int, start: int, shape: RingShape) -> None:
+        self._memory = memory
+        self._cells = cells
+        self._head_cell = cell
+        self._tail_cell = cell + 1
+        self._start = start
+        self.capacity = shape.capacity
+        self._packer = struct.Struct(shape.record)
+        self._pack_into = self._packer.pack_into
+        self._size = self._packer.size
+        self._next = cells[self._head_cell]
+        self._limit = cells[self._tail_cell] + self.capacity
+
+    def push(self, values: Iterable[float | bytes]) -> bool:
+        """Writes one record; returns False, and writes nothing, when the ring is full."""
+        number = self._next
+        if number >= self._limit:
+            # The tail is read only here: reading shared memory for every record would cost more than packing it.
+            self._limit = self._cells[self._tail_cell] + self.capacity
+            if number >= self._limit:
+                return False
+        self._pack_into(self._memory, self._start + number % self.capacity * self._size, *values)
+        self._next = number + 1
+        self._cells[self._head_cell] = number + 1
+        return True
+
+    @property
+    def head(self) -> int:
+        """Number of records ever written."""
+        return self._cells[self._head_cell]
+
+    @property
+    def tail(self) -> int:
+        """Number of records that the consumer has put in a safe place."""
+        return self._cells[self._tail_cell]
+
+    def read(self, first: int, count: int) -> bytes:
+        """Returns `count` records from number `first` on, as bytes; all must lie between tail and head."""
+        index = first % self.capacity
+        until_end = min(count, self.capacity - index)
+        start = self._start + index * self._size
+        piece = self._memory[start : start + until_end * self._size]
+        if until_end < count:
+            piece += self._memory[self._start : self._start + (count - until_end) * self._size]
+        return piece
+
+    def release(self, tail: int) -> None:
+        """Frees all records before number `tail` for the producer."""
+        self._cells[self._tail_cell] = tail
+
+    def detach(self) -> None:
+        """Lets go of the memory so that it can be unmapped."""
+        self._cells = memoryview(b"")
+
+
+def size_of(shapes: Iterable[RingShape]) -> int:
+    """Returns the bytes of shared memory that the rings need."""
+    return _HEADER + sum(struct.calcsize(shape.record) * shape.capacity for shape in shapes)
+
+
+def allocate(size: int) -> int:
+    """Returns the descriptor of an unlinked file of `size` bytes, every page of it really there.
+
+    A memory file system is preferred: pages of a file on a disk stall the control thread while they are written back.
+    """
+    for folder in (Path("/dev/shm"), Path(tempfile.gettempdir())):
+        if not folder.is_dir():
+            continue
+        try:
+            descriptor, name = tempfile.mkstemp(prefix="canhaptic-", dir=folder)
+        except OSError:
+            continue
+        Path(name).unlink()
+        try:
+            os.posix_fallocate(descriptor, 0, size)
+        except OSError:  # a container may allow only a few megabytes of shared memory
+            os.close(descriptor)
+            continue
+        return descriptor
+    raise OSError(f"no folder with {size} bytes free for the ring of the log")

@@ -1,0 +1,133 @@
+"""What an energy log holds: one list of columns, from which the ring's record, the file and the reader are all made."""
+
+import json
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from canhaptic.haptics.balance import Branch, Certificate, EnergyBalance
+from canhaptic.logs.ring import RingShape
+from canhaptic.parameters import Motion
+from canhaptic.signals import CycleTiming, PlantEnergy, Sample
+
+FORMAT_VERSION: Final = 1
+FORMAT_NAME: Final = "canhaptic energy log"
+
+Attribute = str | int | float
+
+_EFFORT: Final[dict[Motion, str]] = {"m": "N", "rad": "N*m"}
+_DAMPING: Final[dict[Motion, str]] = {"m": "N*s/m", "rad": "N*m*s/rad"}
+_INTEGERS: Final = {"statusword": "u2", "fresh": "u1", "branch": "u1", "certificate": "u1"}
+_BALANCE_NAMES: Final = {"torque": "torque_command"}
+_MEANINGS: Final = {
+    "branch": ", ".join(f"{member.value} {member.name.lower()}" for member in Branch),
+    "certificate": ", ".join(f"{member.value} {member.name.lower()}" for member in Certificate),
+    "fresh": "0 no TPDO for this SYNC, values are those of the last one; 1 fresh",
+    "dropped_before": "cycles lost between the row before and this one because the ring was full",
+    "sync_index": "index k of the SYNC; time = k * sample_time_ns",
+}
+
+
+class PortDescription(NamedTuple):
+    """One port of the log: an axis."""
+
+    name: str
+    unit: Motion  # of its position
+
+
+class Column(NamedTuple):
+    """One quantity of the log."""
+
+    path: str  # of its dataset; empty when the ring carries it but the file does not
+    unit: str
+    dtype: str  # in the file, NumPy notation
+
+    @property
+    def name(self) -> str:
+        """Last part of the path."""
+        return self.path.rpartition("/")[2]
+
+    @property
+    def meaning(self) -> str:
+        """Words for a quantity that is not self-evident; empty otherwise."""
+        return _MEANINGS.get(self.name, "")
+
+
+class Event(NamedTuple):
+    """Something that happened at one SYNC."""
+
+    sync_index: int
+    kind: str  # "emcy", "fault", "link", "stop", ...
+    port: str  # empty when it concerns the whole rig
+    text: str
+
+
+EVENT_TEXT_SIZES: Final = {"kind": 24, "port": 64, "text": 208}  # [bytes]
+EVENT_RING: Final = RingShape("=q" + "".join(f"{size}s" for size in EVENT_TEXT_SIZES.values()), 1024)
+
+
+@dataclass(frozen=True, slots=True)
+class LogSchema:
+    """Everything that the writer process needs to know to make the file."""
+
+    ports: tuple[PortDescription, ...]
+    sample_time_ns: int
+    with_truth: bool
+    chunk_rows: int
+    synchronise: bool  # after each chunk the file is forced to the disk
+    attributes: dict[str, Attribute]
+
+    def columns(self) -> list[Column]:
+        """Returns the columns in the order in which the ring's record holds them."""
+        columns = [Column("timing/dropped_before", "1", "u4"), Column("timing/sync_index", "1", "i8")]
+        columns += [Column(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
+        for port in self.ports:
+            columns += _sample_columns(port) + _balance_columns(port)
+        if self.with_truth:
+            for port in self.ports:
+                columns.append(Column(f"truth/{port.name}/position", port.unit, "f8"))
+                columns += [Column(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
+        return columns
+
+    def ring(self, capacity: int) -> RingShape:
+        """Returns the shape of the ring: every field takes 8 bytes, an integer or a float."""
+        return RingShape(self.record_format(), capacity)
+
+    def record_format(self) -> str:
+        """Returns the struct format of one row in the ring."""
+        return "=" + "".join("d" if column.dtype == "f8" else "q" for column in self.columns())
+
+    def to_json(self) -> str:
+        """Returns the schema as text for the writer process."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return json.dumps(fields)
+
+    @staticmethod
+    def from_json(text: str) -> "LogSchema":
+        """Returns the schema that `to_json` wrote."""
+        fields = json.loads(text)
+        fields["ports"] = tuple(PortDescription(*port) for port in fields["ports"])
+        return LogSchema(**fields)
+
+
+def _sample_columns(port: PortDescription) -> list[Column]:
+    units = {"position": port.unit, "torque_applied": _EFFORT[port.unit]}
+    return [
+        Column("", "1", "i8")  # the SYNC index is in /timing, once for all ports
+        if name == "sync_index"
+        else Column(f"ports/{port.name}/{name}", units.get(name, "1"), _INTEGERS.get(name, "f8"))
+        for name in Sample._fields
+    ]
+
+
+def _balance_columns(port: PortDescription) -> list[Column]:
+    units = {
+        "torque": _EFFORT[port.unit],
+        "damping_rendered": _DAMPING[port.unit],
+        "state": port.unit,
+        "branch": "1",
+        "certificate": "1",
+    }
+    return [
+        Column(f"ports/{port.name}/{_BALANCE_NAMES.get(name, name)}", units.get(name, "J"), _INTEGERS.get(name, "f8"))
+        for name in EnergyBalance._fields
+    ]

@@ -1,0 +1,93 @@
+"""The writer process: `python -m canhaptic.logs.writer DESCRIPTOR`, its job as JSON on standard input.
+
+It takes records out of the shared ring and puts them into a file, in ordinary priority, away from the control thread.
+It ends when the producer says so, or when the producer is gone: then everything still in the ring is written first.
+"""
+
+import json
+import os
+import sys
+import threading
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from canhaptic.logs.ring import AreaState, RingShape, SharedArea
+
+FAILED: Final = (
+    74  # exit status when the file cannot be written (EX_IOERR of sysexits.h); starting again would not help
+)
+_PAUSE: Final = 0.01  # [s] between two looks at the ring
+_INTERRUPTED: Final = "interrupted: the controlling process ended without closing the log"
+
+
+class Sink(Protocol):
+    """Where the records of an area go."""
+
+    def open(self, restart: bool) -> None:
+        """Makes the file ready; after a restart, continues the one that a killed writer left."""
+
+    def drain(self, heads: list[int], final: bool) -> None:
+        """Writes records up to `heads`; may keep an incomplete block for later unless `final`."""
+
+    def finish(self, status: str) -> None:
+        """Completes and closes the file."""
+
+
+def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, Sink]:
+    """Returns the shared area and the sink that a job describes; imports only what it needs."""
+    area = SharedArea(descriptor, [RingShape(*shape) for shape in job["shapes"]])
+    if job["kind"] == "energy":
+        from canhaptic.logs.energy_sink import EnergySink
+        from canhaptic.logs.schema import LogSchema
+
+        return area, EnergySink(Path(job["path"]), LogSchema.from_json(job["schema"]), area)
+    from canhaptic.logs.bus_sink import BusSink
+
+    return area, BusSink(Path(job["path"]), job["channel"], area, job["file_size"], job["files"])
+
+
+def serve(area: SharedArea, sink: Sink, parent: int) -> None:
+    """Writes until the producer closes or is gone.
+
+    A head is acted on one look after it was first seen: by then the record behind it has reached this processor too,
+    on machines that reorder stores as on those that do not.
+    """
+    pause = threading.Event()
+    seen = [ring.tail for ring in area.rings]
+    while True:
+        gone = os.getppid() != parent
+        ending = gone or area.state == AreaState.CLOSING
+        heads = [ring.head for ring in area.rings]
+        sink.drain(seen, final=False)
+        if ending and seen == heads:
+            break
+        seen = heads
+        pause.wait(_PAUSE)
+    sink.drain(heads, final=True)
+    sink.finish(area.text("status") or (_INTERRUPTED if gone else "complete"))
+
+
+def become_ordinary() -> None:
+    """Gives up real-time priority and processor pinning inherited from the controlling process."""
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))
+
+
+def main() -> None:
+    """Reads the job, says `ready` once the file is open, and serves."""
+    become_ordinary()
+    job = json.load(sys.stdin)
+    area, sink = make_sink(job, int(sys.argv[1]))
+    try:
+        sink.open(job["restart"])
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        serve(area, sink, job["parent"])
+    except (OSError, ValueError, RuntimeError) as error:  # h5py raises all three for one full disk
+        area.set_text("failure", f"{job['path']}: {error}")
+        os._exit(FAILED)  # the library would try to write again while closing, and can hang on a full disk
+
+
+if __name__ == "__main__":
+    main()

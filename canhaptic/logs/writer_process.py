@@ -1,0 +1,129 @@
+"""The control side of a writer process: starts it, waits until it is ready, and replaces it when it is killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.errors import LogWriteError
+from canhaptic.logs.ring import AreaState, Ring, RingShape, SharedArea, allocate, size_of
+from canhaptic.logs.writer import FAILED
+
+_RESTARTS: Final = 5  # a writer that is killed more often than this has a reason
+
+
+class WriterProcess:
+    """A running writer and the memory shared with it.
+
+    The constructor returns when the file is open, so that nothing slow is left for the cycle. A thread sleeps in
+    `waitpid` and starts another writer if this one is killed; the control thread spends nothing on it.
+
+    Args:
+        job: What the writer shall do (`canhaptic.logs.writer.make_sink`).
+        shapes: The rings to share.
+
+    Raises:
+        LogWriteError: The file cannot be made.
+    """
+
+    def __init__(self, job: dict[str, Any], shapes: Iterable[RingShape]) -> None:
+        shapes = tuple(shapes)
+        self._job = {**job, "shapes": shapes, "parent": os.getpid()}
+        self.failure = ""
+        """Why writing ended before it was asked to; empty while all is well."""
+        self.restarts = 0
+        self._descriptor = _allocate(size_of(shapes), job["path"])
+        self._area = SharedArea(self._descriptor, shapes)
+        self._process = self._spawn(restart=False)
+        self._await_ready()
+        self._supervisor = threading.Thread(target=self._supervise, name="log supervisor", daemon=True)
+        self._supervisor.start()
+
+    @property
+    def rings(self) -> list[Ring]:
+        """The rings, in the order of `shapes`."""
+        return self._area.rings
+
+    @property
+    def pid(self) -> int:
+        """Process id of the writer at work."""
+        return self._process.pid
+
+    def close(self, status: str) -> None:
+        """Lets the writer finish everything that is in the rings, and waits for it.
+
+        Args:
+            status: How the run ended, kept in the file.
+
+        Raises:
+            LogWriteError: The file is not complete.
+        """
+        self._area.set_text("status", status)
+        self._area.state = AreaState.CLOSING
+        self._supervisor.join()
+        self._let_go()
+        if self.failure:
+            raise LogWriteError(self.failure)
+
+    def _let_go(self) -> None:
+        self._area.close()
+        os.close(self._descriptor)
+
+    def _spawn(self, restart: bool) -> "subprocess.Popen[str]":
+        process = subprocess.Popen(
+            [sys.executable, "-m", "canhaptic.logs.writer", str(self._descriptor)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL if restart else subprocess.PIPE,
+            pass_fds=(self._descriptor,),
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            start_new_session=True,  # Ctrl-C in the terminal is for the controller, which then closes the log
+            text=True,
+        )
+        if process.stdin is not None:
+            process.stdin.write(json.dumps({**self._job, "restart": restart}))
+            process.stdin.close()
+        return process
+
+    def _await_ready(self) -> None:
+        output = self._process.stdout
+        if output is None:
+            return
+        answer = output.readline()
+        output.close()
+        if not answer:
+            code = self._process.wait()
+            reason = self._area.text("failure") or f"the writer process ended with status {code} before it was ready"
+            self._let_go()
+            raise LogWriteError(f"cannot write the log: {reason}; choose a folder that exists and may be written")
+
+    def _supervise(self) -> None:
+        while True:
+            code = self._process.wait()
+            if code == 0:
+                return
+            if code == FAILED or self.restarts == _RESTARTS:
+                self.failure = f"log stopped: {self._area.text('failure') or _ending(code)}"
+                return
+            self.restarts += 1
+            try:
+                self._process = self._spawn(restart=True)
+            except OSError as error:
+                self.failure = f"log stopped: {_ending(code)} and no other could be started: {error}"
+                return
+
+
+def _allocate(size: int, path: str | Path) -> int:
+    try:
+        return allocate(size)
+    except OSError as error:
+        raise LogWriteError(f"{path}: {error}") from error
+
+
+def _ending(code: int) -> str:
+    how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+    return f"the writer process was {how}"

@@ -1,0 +1,90 @@
+import os
+from pathlib import Path
+
+import can
+import pytest
+
+from canhaptic.errors import LogWriteError, ParameterError
+from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.logs.bus_sink import aside_files
+
+FRAMES = [
+    (0, 0x000, b"\x80\x00", False),
+    (1_000_999, 0x080, b"", False),
+    (1_001_000, 0x181, bytes.fromhex("3712A0860100E803"), True),
+    (1_700_000_000_123_456_789, 0x18FF1234, b"\x01", True),
+]
+TEXT = (
+    b"(0000000000.000000) can0 000#8000 T\n"
+    b"(0000000000.001000) can0 080# T\n"
+    b"(0000000000.001001) can0 181#3712A0860100E803 R\n"
+    b"(1700000000.123456) can0 18FF1234#01 R\n"
+)
+
+
+def write(path: Path, frames: list[tuple[int, int, bytes, bool]]) -> None:
+    log = BusLogWriter(path, "can0", pace="free")
+    for frame in frames:
+        log(*frame)
+    log.close()
+
+
+def test_frames_are_candump_lines_byte_for_byte(tmp_path: Path) -> None:
+    write(tmp_path / "a.log", FRAMES)
+    assert (tmp_path / "a.log").read_bytes() == TEXT
+
+
+def test_python_can_reads_back_every_frame(tmp_path: Path) -> None:
+    write(tmp_path / "a.log", FRAMES)
+    with can.LogReader(tmp_path / "a.log") as reader:
+        messages = list(reader)
+    assert [(m.arbitration_id, bytes(m.data), m.is_rx) for m in messages] == [frame[1:] for frame in FRAMES]
+    assert [m.is_extended_id for m in messages] == [False, False, False, True]
+    assert messages[2].timestamp == pytest.approx(1.001e-3, abs=1e-9)
+
+
+def test_more_frames_than_the_ring_holds_all_arrive_in_order_at_free_pace(tmp_path: Path) -> None:
+    frames = [(k * 1000, 0x181, k.to_bytes(8, "little"), True) for k in range(150_000)]
+    write(tmp_path / "a.log", frames)
+    lines = (tmp_path / "a.log").read_bytes().splitlines()
+    assert len(lines) == len(frames)
+    assert all(line.endswith(f"181#{k.to_bytes(8, 'little').hex().upper()} R".encode()) for k, line in enumerate(lines))
+
+
+def test_a_series_of_files_never_exceeds_its_number_and_size_and_keeps_the_newest(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    log = BusLogWriter(path, "can0", pace="free", file_size=300_000, files=3)
+    for k in range(100_000):
+        log(k * 1000, 0x181, k.to_bytes(8, "little"), True)
+    log.close()
+    files = [*aside_files(path), path]
+    assert len(files) == 3
+    assert len(list(tmp_path.iterdir())) == 3
+    lines = b"".join(file.read_bytes() for file in files).splitlines()
+    kept = range(100_000 - len(lines), 100_000)
+    assert all(
+        f"181#{k.to_bytes(8, 'little').hex().upper()}".encode() in line for k, line in zip(kept, lines, strict=True)
+    )
+
+
+def test_a_killed_writer_is_replaced_and_no_line_is_lost_doubled_or_torn(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    log = BusLogWriter(path, "can0", pace="free")
+    for k in range(120_000):
+        if k in {20_000, 90_000}:
+            os.kill(log.writer_pid, 9)
+        log(k * 1000, 0x181, k.to_bytes(8, "little"), True)
+    log.close()
+    lines = path.read_bytes().splitlines()
+    assert len(lines) == 120_000
+    assert all(f"181#{k.to_bytes(8, 'little').hex().upper()} ".encode() in line for k, line in enumerate(lines))
+
+
+def test_a_missing_folder_is_one_error(tmp_path: Path) -> None:
+    with pytest.raises(LogWriteError, match="No such file"):
+        BusLogWriter(tmp_path / "no" / "a.log", "can0")
+
+
+def test_a_channel_with_a_space_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="channel"):
+        BusLogWriter(tmp_path / "a.log", "can 0")

@@ -1,0 +1,224 @@
+import os
+import struct
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
+
+from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
+from canhaptic.haptics.balance import EnergyBalance
+from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of
+from canhaptic.logs.schema import PortDescription
+
+ROWS = 5000
+
+
+def read_all(path: Path) -> None:
+    with EnergyLog.open(path) as log:
+        for port in log.ports.values():
+            list(port.values())
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "run.h5"
+    writer = EnergyLogWriter(
+        path,
+        PORTS,
+        {"config": "bus: {}\n", "config_hash": "abc", "bitrate": 1_000_000, "credit": 1e-3},
+        sample_time_ns=SAMPLE_TIME_NS,
+        with_truth=True,
+        pace="free",
+        ring_rows=512,  # smaller than the run: at free pace the producer waits
+    )
+    for k in range(ROWS):
+        append(writer, k, ports=2)
+    writer.event(17, "emcy", "handle", "0x7500 communication \u00e4")
+    writer.event(18, "stop", "", "x" * 1000)
+    writer.close("complete")
+    return path
+
+
+def test_every_quantity_of_every_row_is_read_back_as_it_was_written(finished: Path) -> None:
+    with EnergyLog.open(finished) as log:
+        assert log.rows == ROWS
+        for number, name in enumerate(("handle", "knob")):
+            port = log.ports[name]
+            for k in (0, 1, 511, 512, 513, 4095, 4096, ROWS - 1):
+                s, b, t = sample(k, number), balance(k, number), truth(k, number)
+                assert port["position"][k] == s.position
+                assert port["torque_applied"][k] == s.torque_applied
+                assert port["statusword"][k] == s.statusword
+                assert port["fresh"][k] == s.fresh
+                assert port["torque_command"][k] == b.torque
+                for field in EnergyBalance._fields[1:]:
+                    assert port[field][k] == getattr(b, field), field
+                assert log.truth[name]["position"][k] == t.position
+                assert log.truth[name]["stored"][k] == t.energy.stored
+                assert log.timing["send"][k] == timing(k).send
+            assert np.array_equal(port["h_i"], [balance(k, number).h_i for k in range(ROWS)])
+        assert np.array_equal(log.timing["sync_index"], np.arange(ROWS))
+        assert log.time[-1] == pytest.approx(ROWS * 1e-3 - 1e-3, abs=1e-12)
+
+
+def test_units_follow_the_motion_of_the_axis(finished: Path) -> None:
+    with EnergyLog.open(finished) as log:
+        names = ("position", "torque_applied", "torque_command", "damping_rendered", "h_i", "branch", "state")
+        assert [log.ports["handle"].unit(n) for n in names] == ["m", "N", "N", "N*s/m", "J", "1", "m"]
+        assert [log.ports["knob"].unit(n) for n in names] == ["rad", "N*m", "N*m", "N*m*s/rad", "J", "1", "rad"]
+        assert log.timing.unit("send") == "ns"
+
+
+def test_attributes_events_and_status_are_kept_and_long_texts_are_cut(finished: Path) -> None:
+    with EnergyLog.open(finished) as log:
+        assert log.attributes == {"config": "bus: {}\n", "config_hash": "abc", "bitrate": 1_000_000, "credit": 1e-3}
+        assert log.status == "complete"
+        assert log.sample_time_ns == SAMPLE_TIME_NS
+        first, second = log.events
+        assert first == (17, "emcy", "handle", "0x7500 communication \u00e4")
+        assert second.text == "x" * 208
+
+
+def test_a_finished_log_opens_in_plain_h5py_with_the_documented_names(finished: Path) -> None:
+    with h5py.File(finished, "r") as file:
+        assert set(file) == {"ports", "truth", "timing", "events"}
+        dataset = file["ports/handle/h_r"]
+        assert dataset.shape == (ROWS,)
+        assert dataset.dtype == np.float64
+        assert dataset.attrs["unit"] == "J"
+        assert "fallback" in file["ports/handle/branch"].attrs["meaning"]
+
+
+def test_a_finished_log_is_at_most_a_fifth_larger_than_its_raw_data(finished: Path) -> None:
+    with EnergyLog.open(finished) as log:
+        columns = [q[name] for q in (*log.ports.values(), *log.truth.values(), log.timing) for name in q]
+        raw = sum(column.nbytes for column in columns)
+    assert finished.stat().st_size <= 1.2 * raw
+
+
+def test_noise_that_cannot_be_compressed_still_stays_within_the_size_limit(tmp_path: Path) -> None:
+    path = tmp_path / "noise.h5"
+    noise = np.random.default_rng(1).standard_normal((3000, 13)).tolist()
+    writer = EnergyLogWriter(path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, pace="real")
+    for k, row in enumerate(noise):
+        writer.append(k, [sample(k)], [EnergyBalance(*row[:11], 1, row[11], 0, row[12])], timing(k))
+    assert writer.dropped == 0
+    writer.close()
+    assert path.stat().st_size <= 1.2 * 3000 * (15 * 8 + 5 + 4 + 5 * 8)
+
+
+def test_a_full_ring_at_real_pace_drops_counts_and_flags_without_waiting(tmp_path: Path) -> None:
+    path = tmp_path / "full.h5"
+    writer = EnergyLogWriter(path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, ring_rows=64)
+    os.kill(writer.writer_pid, 19)  # SIGSTOP: the disk stalls
+    for k in range(100):
+        append(writer, k)
+    assert writer.dropped == 36
+    os.kill(writer.writer_pid, 18)  # SIGCONT
+    k = 100
+    before = writer.dropped
+    while True:  # until there is room again; every try is a cycle
+        append(writer, k)
+        if writer.dropped == before:
+            break
+        before = writer.dropped
+        k += 1
+    writer.close()
+    with EnergyLog.open(path) as log:
+        flags = log.timing["dropped_before"]
+        assert log.rows == 65
+        assert not flags[:64].any()
+        assert flags[64] == k - 64
+        assert log.timing["sync_index"][64] == k
+        assert log.dropped == writer.dropped
+
+
+def test_a_log_can_be_read_while_it_is_written(tmp_path: Path) -> None:
+    writer = EnergyLogWriter(tmp_path / "live.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
+    for k in range(1000):
+        append(writer, k)
+    rows = 0
+    for _ in range(500):
+        with EnergyLog.open(writer.path) as log:
+            rows = log.rows
+            assert log.status == "running"
+            if rows:
+                assert log.ports["handle"]["h_i"][rows - 1] == balance(rows - 1).h_i
+        if rows == 1000:
+            break
+    writer.close()
+    assert rows == 1000
+
+
+def test_closing_twice_is_harmless_and_an_empty_log_is_a_log(tmp_path: Path) -> None:
+    writer = EnergyLogWriter(tmp_path / "empty.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS)
+    writer.close("drive absent")
+    writer.close()
+    with EnergyLog.open(writer.path) as log:
+        assert (log.rows, log.status, log.events, log.dropped) == (0, "drive absent", [], 0)
+
+
+def test_a_missing_folder_is_one_error_before_the_cycle(tmp_path: Path) -> None:
+    with pytest.raises(LogWriteError, match="choose a folder that exists"):
+        EnergyLogWriter(tmp_path / "no" / "run.h5", PORTS, {}, sample_time_ns=SAMPLE_TIME_NS)
+
+
+@pytest.mark.parametrize("names", [["a", "a"], ["a/b"], [""]])
+def test_port_names_that_the_file_cannot_hold_are_refused(tmp_path: Path, names: list[str]) -> None:
+    with pytest.raises(ParameterError, match="rename"):
+        EnergyLogWriter(tmp_path / "x.h5", [PortDescription(n, "m") for n in names], {}, sample_time_ns=1)
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x89HDF\r\n\x1a\n" + bytes(200)])
+def test_what_is_no_energy_log_is_one_clear_error(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.h5"
+    path.write_bytes(content)
+    with pytest.raises(LogFormatError, match=r"x\.h5"):
+        EnergyLog.open(path)
+
+
+def test_foreign_and_newer_files_are_named_as_such(tmp_path: Path, finished: Path) -> None:
+    foreign = tmp_path / "foreign.h5"
+    with h5py.File(foreign, "w") as file:
+        file["x"] = [1.0]
+    with pytest.raises(LogFormatError, match="no energy log"):
+        EnergyLog.open(foreign)
+    newer = tmp_path / "newer.h5"
+    newer.write_bytes(finished.read_bytes())
+    with h5py.File(newer, "r+") as file:
+        file.attrs["format_version"] = 2
+    with pytest.raises(LogFormatError, match="version 2, this program reads up to 1"):
+        EnergyLog.open(newer)
+
+
+@pytest.mark.parametrize("kept", [0.05, 0.3, 0.6, 0.95])
+def test_a_truncated_log_is_an_error_or_a_part_never_a_crash(tmp_path: Path, finished: Path, kept: float) -> None:
+    path = tmp_path / "cut.h5"
+    whole = finished.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * kept)])
+    with pytest.raises(LogFormatError):
+        read_all(path)
+
+
+def test_the_ring_keeps_order_across_its_end_and_refuses_when_full() -> None:
+    shapes = [RingShape("=qd", 8), RingShape("=4s", 2)]
+    descriptor = allocate(size_of(shapes))
+    producer, consumer = SharedArea(descriptor, shapes), SharedArea(descriptor, shapes)
+    ring = producer.rings[0]
+    for k in range(20):
+        assert ring.push((k, k / 2))
+        if k >= 5:
+            got = struct.unpack("=qdqd", consumer.rings[0].read(k - 5, 2))
+            assert got == (k - 5, (k - 5) / 2, k - 4, (k - 4) / 2)
+            consumer.rings[0].release(k - 4)
+    assert [ring.push((0, 0.0)) for _ in range(4)] == [True, True, True, False]
+    producer.set_text("failure", "no space")
+    assert consumer.text("failure") == "no space"
+    assert consumer.text("status") == ""
+    producer.close()
+    consumer.close()
+    os.close(descriptor)

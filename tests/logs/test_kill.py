@@ -1,0 +1,153 @@
+import contextlib
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from log_rows import PORTS, SAMPLE_TIME_NS, append, balance
+
+from canhaptic.errors import LogWriteError
+from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.energy_reader import EnergyLog
+
+CONTROLLER = """
+import sys, threading
+sys.path.insert(0, {folder!r})
+from log_rows import *
+writer = EnergyLogWriter({path!r}, PORTS[:1], {{}}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
+pause = threading.Event()
+k = 0
+while True:
+    append(writer, k)
+    sys.stdout.write(f"{{k}}\\n")
+    sys.stdout.flush()
+    k += 1
+    if k % 50 == 0:
+        pause.wait(0.005)
+"""
+
+
+def wait_for(condition: object, seconds: float = 20.0) -> None:
+    pause = threading.Event()
+    for _ in range(int(seconds / 0.01)):
+        if condition():  # type: ignore[operator]
+            return
+        pause.wait(0.01)
+    raise AssertionError("waited in vain")
+
+
+def kill(writer: EnergyLogWriter) -> None:
+    with contextlib.suppress(ProcessLookupError):  # the last one is dead and the next not yet started
+        os.kill(writer.writer_pid, signal.SIGKILL)
+
+
+def status_of(path: Path) -> str:
+    with EnergyLog.open(path) as log:
+        return log.status
+
+
+def assert_rows_are_right(path: Path, at_least: int) -> None:
+    with EnergyLog.open(path) as log:
+        assert log.rows >= at_least
+        assert np.array_equal(log.timing["sync_index"], np.arange(log.rows))
+        assert np.array_equal(log.ports["handle"]["h_i"], [balance(k).h_i for k in range(log.rows)])
+
+
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(n, marks=pytest.mark.slow) for n in range(3, 20))])
+def test_killing_the_controller_at_any_moment_loses_no_row(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "run.h5"
+    program = CONTROLLER.format(folder=str(Path(__file__).parent), path=str(path))
+    kill_after = random.Random(seed).randrange(1, 3000)
+    last = -1
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as controller:
+        assert controller.stdout is not None
+        for line in controller.stdout:
+            last = int(line) if line.endswith("\n") else last
+            if last == kill_after:
+                controller.kill()
+    wait_for(lambda: status_of(path) != "running")
+    assert status_of(path).startswith("interrupted")
+    assert last >= kill_after
+    assert_rows_are_right(path, at_least=last + 1)
+    with h5py.File(path) as file:  # plain h5py opens it too
+        assert file["timing/sync_index"].shape[0] >= last + 1
+
+
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 20))])
+def test_killing_the_writer_loses_no_row_because_another_takes_over(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "run.h5"
+    generator = random.Random(seed)
+    kills = {generator.randrange(0, 20_000) for _ in range(3)}
+    writer = EnergyLogWriter(path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, pace="free")
+    for k in range(20_000):
+        if k in kills:
+            kill(writer)
+        append(writer, k)
+    writer.event(3, "note", "", "still here")
+    writer.close()
+    assert_rows_are_right(path, at_least=20_000)
+    with EnergyLog.open(path) as log:
+        assert (log.status, log.rows_lost, len(log.events)) == ("complete", 0, 1)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.h5"]
+
+
+def test_a_writer_killed_again_and_again_is_given_up_with_one_message(tmp_path: Path) -> None:
+    writer = EnergyLogWriter(tmp_path / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
+    while not writer.failure:
+        killed = writer.writer_pid
+        kill(writer)
+        wait_for(lambda seen=killed: writer.failure or writer.writer_pid != seen)
+    append(writer, 0)  # the cycle goes on
+    with pytest.raises(LogWriteError, match="killed by SIGKILL"):
+        writer.close()
+
+
+@pytest.fixture
+def small_files() -> object:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (9_000_000, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(tmp_path: Path, small_files: object) -> None:
+    # A limit on the file size, inherited by the writer, stands for the full disk; the ring itself must fit below it.
+    small_files()  # type: ignore[operator]
+    noise = np.random.default_rng(1).standard_normal((4096, 11)).tolist()
+    writer = EnergyLogWriter(tmp_path / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
+    k = 0
+    while not writer.failure:
+        append_noise(writer, k, noise[k % 4096])
+        k += 1
+    for extra in range(20_000):
+        append_noise(writer, k + extra, noise[extra % 4096])
+    assert writer.dropped > 0
+    with pytest.raises(LogWriteError, match=r"run\.h5"):
+        writer.close("complete")
+
+
+def append_noise(writer: EnergyLogWriter, k: int, row: list[float]) -> None:
+    from log_rows import sample, timing, truth
+
+    from canhaptic.haptics.balance import EnergyBalance
+
+    writer.append(k, [sample(k)], [EnergyBalance(*row, 1, 2.0, 0, 3.0)], timing(k), [truth(k)])
+
+
+def test_a_vanished_folder_is_reported_when_the_log_is_closed(tmp_path: Path) -> None:
+    folder = tmp_path / "stick"
+    folder.mkdir()
+    writer = EnergyLogWriter(folder / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
+    for k in range(500):
+        append(writer, k)
+    for file in folder.iterdir():
+        file.unlink()
+    folder.rmdir()
+    with pytest.raises(LogWriteError, match=r"run\.h5"):
+        writer.close()
