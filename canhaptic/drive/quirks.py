@@ -13,18 +13,14 @@ class Quirks(Parameters):
     """Type of an event-driven RPDO: 255 (device profile) or 254 (manufacturer)."""
     writes_interpolation_period: bool = True
     """Whether 0x60C2 is written where the dictionary allows it; some drives want it for cyclic modes."""
-    shows_mode_when_enabled: bool = False
-    """0x6061 follows 0x6060 only in OPERATION ENABLED; it is then confirmed at the first enabled SYNC."""
     abort_connection_option: int = 1
     """Value of 0x6007 for a lost master: 1 fault, 2 disable voltage, 3 quick stop."""
 
 
 QUIRKS: Final[dict[str, Quirks]] = {
     "generic": Quirks(),
-    "epos4": Quirks(writes_interpolation_period=False),  # 0x60C2 is for its interpolated modes alone
-    "elmo_gold": Quirks(),
-    "kollmorgen_rgm": Quirks(),
-    "zeroerr_erob": Quirks(),
+    "manufacturer_event": Quirks(event_transmission_type=254),
+    "no_interpolation_period": Quirks(writes_interpolation_period=False),
 }
 
 

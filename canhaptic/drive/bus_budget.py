@@ -1,0 +1,133 @@
+"""Worst-case load of one CAN bus, computed from the configuration before anything is sent (classic CAN, 11-bit).
+
+A data frame of n bytes takes at most 47 + 8 n bits and floor((34 + 8 n - 1) / 4) stuff bits, interframe space included
+(Davis et al. 2007, eq. 1). One cycle holds SYNC, every TPDO, the host's latency, every RPDO, one blocking frame that
+had just begun, every heartbeat and the EMCY reserve.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.pdo_map import TORQUE_DEMAND, AxisMap
+from canhaptic.errors import BusBudgetError
+
+_LONGEST_DATA: Final = 8
+_HEARTBEAT_LENGTH: Final = 1
+_BIT_RATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
+_ROUND_RATES: Final = tuple(m * 10**e for e in range(5) for m in (1, 2, 4, 5, 8))
+
+
+def worst_case_bits(length: int) -> int:
+    """Returns the most bits that a frame of `length` data bytes can take on the wire, interframe space included."""
+    return 47 + 8 * length + (34 + 8 * length - 1) // 4
+
+
+class BudgetRow(NamedTuple):
+    """One line of the arithmetic."""
+
+    what: str
+    frames: int
+    bits_each: int
+
+    @property
+    def bits(self) -> int:
+        """Bits of the line."""
+        return self.frames * self.bits_each
+
+
+@dataclass(frozen=True, slots=True)
+class BusBudget:
+    """The arithmetic of one cycle."""
+
+    rows: tuple[BudgetRow, ...]
+    bitrate: int
+    compute_latency: float
+    sample_time: float
+
+    @property
+    def worst_cycle(self) -> float:
+        """The longest cycle [s]."""
+        return sum(row.bits for row in self.rows) / self.bitrate + self.compute_latency
+
+    @property
+    def periodic_load(self) -> float:
+        """Part of the bus that SYNC and PDOs take in every cycle, 0 to 1."""
+        bits = sum(row.bits for row in self.rows if row.what in ("SYNC", "TPDO", "RPDO"))
+        return bits / self.bitrate / self.sample_time
+
+    @property
+    def fits(self) -> bool:
+        """Whether the worst cycle is no longer than the sample time."""
+        return self.worst_cycle <= self.sample_time * (1.0 + 1e-12)
+
+    def arithmetic(self) -> str:
+        """Returns the sum, written out."""
+        terms = " + ".join(f"{row.frames} {row.what} x {row.bits_each}" for row in self.rows if row.frames)
+        bits = sum(row.bits for row in self.rows)
+        return (
+            f"{terms} = {bits} bits at {self.bitrate / 1000:g} kbit/s = {bits / self.bitrate * 1e6:.0f} us, "
+            f"+ {self.compute_latency * 1e6:.0f} us host = {self.worst_cycle * 1e6:.0f} us "
+            f"of {self.sample_time * 1e6:.0f} us"
+        )
+
+
+def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
+    """Returns the worst cycle of a bus that carries these axes."""
+    rows = [BudgetRow("SYNC", 1, worst_case_bits(0))]
+    for what, lengths in (
+        ("TPDO", [tpdo.length for axis in maps for tpdo in axis.tpdos]),
+        ("RPDO", [axis.rpdo.length for axis in maps]),
+    ):
+        rows += [BudgetRow(what, lengths.count(n), worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]
+    rows.append(BudgetRow("blocking frame", 1, worst_case_bits(_LONGEST_DATA)))
+    rows.append(BudgetRow("heartbeat", len(maps) + 1, worst_case_bits(_HEARTBEAT_LENGTH)))
+    rows.append(BudgetRow("EMCY", bus.emcy_reserve, worst_case_bits(_LONGEST_DATA)))
+    return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)
+
+
+def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
+    """Returns the budget of a bus whose cycle fits.
+
+    Raises:
+        BusBudgetError: It does not; shows the arithmetic and what would fit.
+    """
+    budget = bus_budget(bus, maps)
+    if not budget.fits:
+        raise BusBudgetError(
+            f"the cycle does not fit the bus: {budget.arithmetic()}; what fits: {'; '.join(_ways_out(bus, maps))}"
+        )
+    return budget
+
+
+def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
+    """Returns what to change, nearest first."""
+    budget = bus_budget(bus, maps)
+    ways = [f"rate: {_nearest_rate(1.0 / budget.worst_cycle)}"]
+    smaller = _without_read_back(budget, maps)
+    if smaller is not None and smaller <= budget.sample_time:
+        ways.append(f"read_back: none on every axis ({smaller * 1e6:.0f} us; the energy is then believed, not exact)")
+    for bitrate in _BIT_RATES:
+        if bitrate > bus.bitrate and bus_budget(bus.model_copy(update={"bitrate": bitrate}), maps).fits:
+            ways.append(f"bitrate: {bitrate}")
+            break
+    if len(maps) > 1:
+        half = bus_budget(bus, maps[: (len(maps) + 1) // 2])
+        ways.append(f"two buses ({half.worst_cycle * 1e6:.0f} us each)" if half.fits else "more buses and a lower rate")
+    return ways
+
+
+def _nearest_rate(limit: float) -> str:
+    """Returns the highest round rate [Hz] that is not above `limit`."""
+    return f"{max((r for r in _ROUND_RATES if r <= limit), default=1):g} (at most {limit:.0f} Hz)"
+
+
+def _without_read_back(budget: BusBudget, maps: Sequence[AxisMap]) -> float | None:
+    """Returns the worst cycle [s] with the torque left out of every TPDO; None if no map of ours carries it."""
+    saved = 0
+    for axis in maps:
+        if axis.read_back != "none" and len(axis.tpdos) == 1 and axis.tpdos[0].is_written:
+            length = axis.tpdos[0].length
+            saved += worst_case_bits(length) - worst_case_bits(length - TORQUE_DEMAND.bits // 8)
+    return budget.worst_cycle - saved / budget.bitrate if saved else None

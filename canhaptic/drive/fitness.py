@@ -1,0 +1,175 @@
+"""Whether an object dictionary is fit for cyclic torque, judged before any drive is asked.
+
+A refusal rests only on what the dictionary states. An object listed without a default, and a rated torque of 0, are
+`unknown`: the live value decides at the start.
+"""
+
+from enum import Enum
+from typing import Final, NamedTuple
+
+from canopen import ObjectDictionary
+
+from canhaptic import object_dictionary as od
+from canhaptic.drive.parameters import AxisParameters
+from canhaptic.drive.pdo_map import choose_map
+from canhaptic.errors import DictionaryError
+
+_RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
+_MILLI: Final = 1e-3
+
+
+class Verdict(Enum):
+    """What a finding means for cyclic torque."""
+
+    FIT = "fit"
+    UNKNOWN = "unknown"
+    REFUSED = "refused"
+
+
+class Finding(NamedTuple):
+    """One statement of a dictionary, judged."""
+
+    item: str  # object or part, as `0x6502 supported drive modes`
+    verdict: Verdict
+    text: str  # value seen, value expected, what to do
+
+
+def check_dictionary(dictionary: ObjectDictionary, axis: AxisParameters) -> list[Finding]:
+    """Returns what a dictionary says about its fitness for cyclic torque, refusals included."""
+    return [
+        _device_type(dictionary),
+        _target_torque(dictionary),
+        _drive_modes(dictionary),
+        _rated_torque(dictionary, axis),
+        _max_torque(dictionary, axis),
+        _heartbeat(dictionary),
+        _watchdog(dictionary, axis),
+        _map(dictionary, axis),
+    ]
+
+
+def require_fit(dictionary: ObjectDictionary, axis: AxisParameters) -> None:
+    """Returns when nothing in the dictionary speaks against cyclic torque.
+
+    Raises:
+        DictionaryError: Something does; lists every reason.
+    """
+    refused = [finding for finding in check_dictionary(dictionary, axis) if finding.verdict is Verdict.REFUSED]
+    if refused:
+        lines = "; ".join(f"{finding.item}: {finding.text}" for finding in refused)
+        raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for cyclic torque: {lines}")
+
+
+def configured_rated_torque(axis: AxisParameters, rated_torque_milli_nm: int | None) -> float:
+    """Returns the rated torque of the axis [N*m or N] from the drive (0x6076) and the configuration.
+
+    Args:
+        axis: May state `rated_torque`.
+        rated_torque_milli_nm: 0x6076 of the motor; None or 0 when the drive does not know it.
+
+    Raises:
+        DictionaryError: Neither knows it, or they disagree.
+    """
+    if not rated_torque_milli_nm:
+        if axis.rated_torque is None:
+            seen = "is 0" if rated_torque_milli_nm == 0 else "is not stated"
+            raise DictionaryError(
+                f"{axis.name}: rated torque: 0x6076 {seen} by the drive and the configuration has none; "
+                "set rated_torque (torque of the axis at 1000 per mille)"
+            )
+        return axis.rated_torque
+    stated = rated_torque_milli_nm * _MILLI * axis.transmission
+    configured = axis.rated_torque
+    if configured is not None and abs(configured - stated) > _RATED_TORQUE_TOLERANCE * stated:
+        raise DictionaryError(
+            f"{axis.name}: rated_torque: got {configured:g}, but the drive states 0x6076 = {rated_torque_milli_nm}, "
+            f"which is {stated:g} with transmission {axis.transmission:g}; correct one of them or leave rated_torque out"
+        )
+    return stated
+
+
+def _stated(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int | None:
+    variable = dictionary.get_variable(index, subindex)
+    default = None if variable is None else variable.default
+    return default if isinstance(default, int) else None
+
+
+def _device_type(dictionary: ObjectDictionary) -> Finding:
+    stated = _stated(dictionary, od.DEVICE_TYPE)
+    item = "0x1000 device type"
+    if stated is None:
+        return Finding(item, Verdict.UNKNOWN, "not stated; read from the drive")
+    if stated & 0xFFFF != od.CIA402_PROFILE:
+        return Finding(item, Verdict.REFUSED, f"got {stated:#010x}, expected the low word 0x0192 of a CiA 402 drive")
+    return Finding(item, Verdict.FIT, f"{stated:#010x}, a CiA 402 drive")
+
+
+def _target_torque(dictionary: ObjectDictionary) -> Finding:
+    if od.TARGET_TORQUE not in dictionary:
+        return Finding("0x6071 target torque", Verdict.REFUSED, "missing; this drive takes no cyclic torque")
+    return Finding("0x6071 target torque", Verdict.FIT, "listed")
+
+
+def _drive_modes(dictionary: ObjectDictionary) -> Finding:
+    stated = _stated(dictionary, od.SUPPORTED_DRIVE_MODES)
+    item = "0x6502 supported drive modes"
+    if stated is None:
+        return Finding(item, Verdict.UNKNOWN, "not stated; read from the drive, and 0x6061 must confirm mode 10")
+    if not stated & od.CYCLIC_SYNC_TORQUE_BIT:
+        return Finding(item, Verdict.REFUSED, f"got {stated:#06x}, expected bit 9 (cyclic synchronous torque) set")
+    return Finding(item, Verdict.FIT, f"{stated:#06x}, bit 9 is set")
+
+
+def _rated_torque(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
+    item = "0x6076 rated torque"
+    stated = _stated(dictionary, od.RATED_TORQUE)
+    if axis.rated_torque is not None:
+        return Finding(item, Verdict.FIT, f"{axis.rated_torque:g} from the configuration, compared with the drive")
+    if od.RATED_TORQUE not in dictionary:
+        return Finding(item, Verdict.REFUSED, "missing, and the configuration has no rated_torque; set it")
+    if not stated:
+        return Finding(item, Verdict.UNKNOWN, "not stated; read from the drive, or set rated_torque")
+    return Finding(item, Verdict.UNKNOWN, f"{stated} mN*m by default; the live value counts")
+
+
+def _max_torque(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
+    item = "0x6072 max torque"
+    variable = dictionary.get_variable(od.MAX_TORQUE, 0)
+    if variable is None:
+        return Finding(
+            item, Verdict.UNKNOWN, f"missing; the limit of {axis.torque_limit:g} is kept by the master alone"
+        )
+    if not variable.writable:
+        return Finding(item, Verdict.UNKNOWN, f"read-only; the limit of {axis.torque_limit:g} is kept by the master")
+    return Finding(item, Verdict.FIT, f"written from torque_limit {axis.torque_limit:g}")
+
+
+def _heartbeat(dictionary: ObjectDictionary) -> Finding:
+    if od.PRODUCER_HEARTBEAT_TIME not in dictionary:
+        text = "missing; without a heartbeat no NMT state can be confirmed"
+        return Finding("0x1017 producer heartbeat", Verdict.REFUSED, text)
+    return Finding("0x1017 producer heartbeat", Verdict.FIT, "listed")
+
+
+def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
+    item = "0x1016 consumer heartbeat"
+    if not axis.watchdog:
+        return Finding(item, Verdict.UNKNOWN, "not armed (watchdog: false); a killed master leaves the torque on")
+    if dictionary.get_variable(od.CONSUMER_HEARTBEAT_TIME, 1) is None:
+        text = "missing; the drive cannot notice a killed master; set watchdog: false to accept that"
+        return Finding(item, Verdict.REFUSED, text)
+    return Finding(item, Verdict.FIT, "armed at the start")
+
+
+def _map(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
+    try:
+        chosen = choose_map(dictionary, axis)
+    except DictionaryError as error:
+        return Finding("PDO map", Verdict.REFUSED, str(error))
+    parts = [
+        f"{pdo.name} {pdo.cob_id:#05x} {'written' if pdo.is_written else 'fixed'} "
+        f"[{', '.join(str(entry) for entry in pdo.entries)}]"
+        for pdo in (chosen.rpdo, *chosen.tpdos)
+    ]
+    note = {"demand": "", "actual": "; energy from the measured torque 0x6077", "none": "; energy is believed"}
+    return Finding("PDO map", Verdict.FIT, "; ".join(parts) + note[chosen.read_back])

@@ -1,0 +1,241 @@
+"""Chooses the PDOs of one axis from its object dictionary and configuration. Pure: nothing is sent here.
+
+Preferred: one TPDO of statusword, position and torque (0x6074, else 0x6077), one RPDO of controlword and target
+torque. Mappings that a drive lets us write are written; fixed ones (`ro`) are selected, several TPDOs if need be.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final, Literal
+
+from canopen import ObjectDictionary
+from canopen.objectdictionary import datatypes
+
+from canhaptic import object_dictionary as od
+from canhaptic.drive.parameters import AxisParameters
+from canhaptic.drive.pdo_codec import MappedObject, decode_entry
+from canhaptic.errors import DictionaryError
+
+_PDO_COUNT: Final = 512
+_MOST_TPDOS: Final = 3  # statusword, position and torque each in a TPDO of its own
+_READABLE_IN_TPDO: Final = ("ro", "rw", "rwr", "const")
+
+CONTROLWORD: Final = MappedObject(od.CONTROLWORD, 0, 16)
+TARGET_TORQUE: Final = MappedObject(od.TARGET_TORQUE, 0, 16, signed=True)
+STATUSWORD: Final = MappedObject(od.STATUSWORD, 0, 16)
+POSITION: Final = MappedObject(od.POSITION_ACTUAL, 0, 32, signed=True)
+TORQUE_DEMAND: Final = MappedObject(od.TORQUE_DEMAND, 0, 16, signed=True)
+TORQUE_ACTUAL: Final = MappedObject(od.TORQUE_ACTUAL, 0, 16, signed=True)
+_SIGNED: Final = frozenset(o.index for o in (TARGET_TORQUE, POSITION, TORQUE_DEMAND, TORQUE_ACTUAL))
+_RPDO_OBJECTS: Final = (CONTROLWORD, TARGET_TORQUE)
+
+ReadBack = Literal["demand", "actual", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class PdoPlan:
+    """One PDO as it shall be: where it is configured, its COB-ID, what it carries."""
+
+    kind: Literal["RPDO", "TPDO"]
+    number: int
+    cob_id: int
+    entries: tuple[MappedObject, ...]
+    is_written: bool  # False: the mapping is fixed in the drive and only checked
+    cob_id_is_written: bool
+
+    @property
+    def communication_index(self) -> int:
+        """Index of the communication parameters (0x1400.., 0x1800..)."""
+        return (od.RPDO_COMMUNICATION if self.kind == "RPDO" else od.TPDO_COMMUNICATION) + self.number - 1
+
+    @property
+    def mapping_index(self) -> int:
+        """Index of the mapping parameters (0x1600.., 0x1A00..)."""
+        return (od.RPDO_MAPPING if self.kind == "RPDO" else od.TPDO_MAPPING) + self.number - 1
+
+    @property
+    def length(self) -> int:
+        """Bytes of the PDO."""
+        return sum(entry.bits for entry in self.entries) // 8
+
+    @property
+    def name(self) -> str:
+        """`TPDO3`."""
+        return f"{self.kind}{self.number}"
+
+
+@dataclass(frozen=True, slots=True)
+class AxisMap:
+    """The PDOs of one axis."""
+
+    rpdo: PdoPlan
+    tpdos: tuple[PdoPlan, ...]
+    read_back: ReadBack
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A PDO that the dictionary has."""
+
+    kind: Literal["RPDO", "TPDO"]
+    number: int
+    fixed: tuple[MappedObject, ...] | None  # None: the mapping can be written
+    room: int  # entries
+
+
+def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
+    """Returns the PDOs to use for one axis.
+
+    Raises:
+        DictionaryError: No map carries what cyclic torque needs; names what is missing.
+    """
+    for needed in (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION):
+        if dictionary.get_variable(needed.index, needed.subindex) is None:
+            raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; cyclic torque cannot do without")
+    read_back, torque = _read_back(dictionary, axis)
+    wanted = [STATUSWORD, POSITION] + ([torque] if torque else [])
+    rpdo = _choose_rpdo(dictionary, axis)
+    tpdos = _choose_tpdos(dictionary, axis, wanted)
+    plans, taken = [], set(axis.pdo_cob_ids.values())
+    for candidate, entries in [(rpdo, _RPDO_OBJECTS), *tpdos]:
+        plan = _plan(dictionary, axis, candidate, tuple(candidate.fixed or entries), taken)
+        taken.add(plan.cob_id)
+        plans.append(plan)
+    _refuse_shared_cob_ids(axis, plans)
+    return AxisMap(plans[0], tuple(plans[1:]), read_back)
+
+
+def pdo_numbers(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[int]:
+    """Returns the numbers of all PDOs whose communication parameters the dictionary lists."""
+    first = od.RPDO_COMMUNICATION if kind == "RPDO" else od.TPDO_COMMUNICATION
+    return [index - first + 1 for index in sorted(dictionary) if first <= index < first + _PDO_COUNT]
+
+
+def is_writable(dictionary: ObjectDictionary, index: int, subindex: int) -> bool:
+    """Whether the dictionary lists the object as writable."""
+    variable = dictionary.get_variable(index, subindex)
+    return variable is not None and bool(variable.writable)
+
+
+# --- the objects ------------------------------------------------------------------------------------------------
+
+
+def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
+    asked = axis.read_back
+    if asked in ("auto", "demand") and _is_mappable(dictionary, TORQUE_DEMAND):
+        return "demand", TORQUE_DEMAND
+    if asked in ("auto", "actual") and _is_mappable(dictionary, TORQUE_ACTUAL):
+        return "actual", TORQUE_ACTUAL
+    if asked in ("auto", "none"):
+        return "none", None
+    wanted = TORQUE_DEMAND if asked == "demand" else TORQUE_ACTUAL
+    raise DictionaryError(
+        f"{axis.name}: read_back is {asked!r}, but {axis.eds} does not let {wanted} be mapped; use read_back: auto"
+    )
+
+
+def _is_mappable(dictionary: ObjectDictionary, wanted: MappedObject) -> bool:
+    """Whether an object may go into a TPDO: stated as mappable, or part of a fixed map."""
+    variable = dictionary.get_variable(wanted.index, wanted.subindex)
+    if variable is not None and variable.pdo_mappable and variable.access_type in _READABLE_IN_TPDO:
+        return True
+    return any(wanted.entry == e.entry for c in _candidates(dictionary, "TPDO") for e in c.fixed or ())
+
+
+def _mapped(dictionary: ObjectDictionary, entry: int) -> MappedObject:
+    found = decode_entry(entry)
+    variable = dictionary.get_variable(found.index, found.subindex)
+    signed = found.index in _SIGNED or (variable is not None and variable.data_type in datatypes.SIGNED_TYPES)
+    return replace(found, signed=signed)
+
+
+# --- the PDOs that a dictionary has -------------------------------------------------------------------------------
+
+
+def _candidates(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> Iterator[_Candidate]:
+    first = od.RPDO_MAPPING if kind == "RPDO" else od.TPDO_MAPPING
+    for number in pdo_numbers(dictionary, kind):
+        members = getattr(dictionary.get(first + number - 1), "subindices", {})
+        subindices = sorted(members)
+        if not subindices:
+            continue
+        room = len(subindices) - 1
+        if is_writable(dictionary, first + number - 1, 0) and is_writable(dictionary, first + number - 1, 1):
+            yield _Candidate(kind, number, None, room)
+            continue
+        count = members[0].default if 0 in members else None
+        values = [members[s].default for s in subindices if 0 < s <= (count or 0)]
+        if values and len(values) == count and all(isinstance(v, int) and v for v in values):
+            yield _Candidate(kind, number, tuple(_mapped(dictionary, v) for v in values), room)
+
+
+def _choose_rpdo(dictionary: ObjectDictionary, axis: AxisParameters) -> _Candidate:
+    candidates = [c for c in _candidates(dictionary, "RPDO") if axis.rpdo_number in (None, c.number)]
+    needed = {entry.entry for entry in _RPDO_OBJECTS}
+    for candidate in candidates:
+        if candidate.fixed is None and candidate.room >= len(_RPDO_OBJECTS):
+            return candidate
+    for candidate in candidates:
+        if {entry.entry for entry in candidate.fixed or ()} == needed:
+            return candidate
+    raise DictionaryError(
+        f"{axis.name}: {axis.eds}: no RPDO{axis.rpdo_number or ''} can carry {CONTROLWORD} and {TARGET_TORQUE}; "
+        "the drive needs a writable mapping (0x1600..) or a fixed one with exactly these two"
+    )
+
+
+def _choose_tpdos(
+    dictionary: ObjectDictionary, axis: AxisParameters, wanted: Sequence[MappedObject]
+) -> list[tuple[_Candidate, Sequence[MappedObject]]]:
+    candidates = [c for c in _candidates(dictionary, "TPDO") if c.number in (axis.tpdo_numbers or (c.number,))]
+    for candidate in candidates:
+        if candidate.fixed is None and candidate.room >= len(wanted):
+            return [(candidate, wanted)]
+    needed = {entry.entry for entry in wanted}
+    fixed = [c for c in candidates if c.fixed]
+    for count in range(1, _MOST_TPDOS + 1):
+        covers = [g for g in combinations(fixed, count) if needed <= {e.entry for c in g for e in c.fixed or ()}]
+        if covers:
+            best = min(covers, key=lambda group: sum(e.bits for c in group for e in c.fixed or ()))
+            return [(candidate, ()) for candidate in best]
+    names = ", ".join(str(entry) for entry in wanted)
+    raise DictionaryError(
+        f"{axis.name}: {axis.eds}: no writable or fixed TPDO carries {names}; set tpdo_numbers or read_back: none"
+    )
+
+
+# --- the COB-IDs --------------------------------------------------------------------------------------------------
+
+
+def _plan(
+    dictionary: ObjectDictionary,
+    axis: AxisParameters,
+    candidate: _Candidate,
+    entries: tuple[MappedObject, ...],
+    taken: set[int],
+) -> PdoPlan:
+    is_rpdo = candidate.kind == "RPDO"
+    index = (od.RPDO_COMMUNICATION if is_rpdo else od.TPDO_COMMUNICATION) + candidate.number - 1
+    can_write = is_writable(dictionary, index, 1)
+    bases = od.RPDO_BASE if is_rpdo else od.TPDO_BASE
+    predefined = [base + axis.node_id for base in bases]
+    if not can_write:
+        stated = getattr(dictionary.get_variable(index, 1), "default", None)
+        cob_id = stated & 0x7FF if isinstance(stated, int) else predefined[min(candidate.number, len(bases)) - 1]
+    elif index in axis.pdo_cob_ids:
+        cob_id = axis.pdo_cob_ids[index]
+    elif candidate.number <= len(bases):
+        cob_id = predefined[candidate.number - 1]
+    else:  # all other PDOs of this node get disabled, so its predefined COB-IDs are free
+        cob_id = next((c for c in predefined if c not in taken), predefined[0])
+    return PdoPlan(candidate.kind, candidate.number, cob_id, entries, candidate.fixed is None, can_write)
+
+
+def _refuse_shared_cob_ids(axis: AxisParameters, plans: Sequence[PdoPlan]) -> None:
+    for first, second in combinations(plans, 2):
+        if first.cob_id == second.cob_id:
+            raise DictionaryError(
+                f"{axis.name}: {first.name} and {second.name} would share COB-ID {first.cob_id:#x}; set pdo_cob_ids: "
+                f"{{{second.communication_index:#06x}: ...}}"
+            )
