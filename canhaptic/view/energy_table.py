@@ -1,0 +1,187 @@
+"""The account of a run as tables for a terminal, from the same dictionary that `run --json` prints."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from canhaptic.view.si import si
+
+PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
+PORTS_PER_TABLE: Final = 4
+PASSIVE_TOLERANCE: Final = 1e-6  # [J] below zero that still counts as zero
+
+Result = Mapping[str, Any]
+_Row = tuple[str, Callable[[Result], str | Text]]
+
+
+def make_console(**options: Any) -> Console:
+    """Returns a console on standard output; 100 columns wide where there is no terminal."""
+    console = Console(highlight=False, **options)
+    return console if console.is_terminal else Console(highlight=False, width=PLAIN_WIDTH, **options)
+
+
+def print_energy(result: Result, console: Console | None = None) -> None:
+    """Prints the account of a run.
+
+    Args:
+        result: As `run --json` prints it.
+        console: Where to; standard output by default.
+    """
+    (console or make_console()).print(energy_report(result))
+
+
+def energy_report(result: Result) -> RenderableType:
+    """Returns energy table, timing line, link line and method line of a run."""
+    names = list(result.get("ports", {}))
+    parts: list[RenderableType] = [_heading(result)]
+    for start in range(0, len(names), PORTS_PER_TABLE):
+        parts.append(_energy_table(result, names[start : start + PORTS_PER_TABLE]))
+    for name in ("timing", "link", "method"):
+        if result.get(name):
+            parts.append(_line(name, result[name]))
+    return Group(*parts)
+
+
+def _heading(result: Result) -> Text:
+    status = str(result.get("status", "unknown"))
+    text = Text(" ")
+    text.append(status, style="bold green" if status in {"ok", "complete", "completed"} else "bold yellow")
+    if "cycles" in result:
+        text.append(f"   {result['cycles']} cycles")
+    if result.get("config_hash"):
+        text.append(f"   configuration {str(result['config_hash'])[:12]}", style="dim")
+    return text
+
+
+def _energy_table(result: Result, names: list[str]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=True)
+    table.add_column("energy account", no_wrap=True)
+    for name in names:
+        table.add_column(Text(name), justify="right", no_wrap=True, max_width=18, overflow="ellipsis")
+    for label, cell in _PORT_ROWS:
+        table.add_row(label, *(_cell(cell, result["ports"][name]) for name in names))
+    branches = [name for name in _branch_names(result, names) if any(_count(result, port, name) for port in names)]
+    for branch in branches:
+        table.add_row(f"holds booked as {branch}", *(f"{_count(result, port, branch)}   " for port in names))
+    truth = result.get("truth") or {}
+    if any(name in truth for name in names):
+        table.add_section()
+        for label, cell in _TRUTH_ROWS:
+            table.add_row(label, *(_cell(cell, truth[name]) if name in truth else "-" for name in names))
+    return table
+
+
+def _cell(cell: Callable[[Result], str | Text], port: Result) -> str | Text:
+    try:
+        return cell(port)
+    except (KeyError, TypeError):  # a result from another version, or a quantity that this run did not have
+        return "-"
+
+
+def _branch_names(result: Result, names: list[str]) -> list[str]:
+    return list(dict.fromkeys(branch for port in names for branch in result["ports"][port].get("branches", {})))
+
+
+def _count(result: Result, port: str, branch: str) -> int:
+    return int(result["ports"][port].get("branches", {}).get(branch, 0))
+
+
+def energy(value: float) -> str:
+    """Returns an energy [J] with its unit padded, so that numbers in a column line up."""
+    number, _, unit = si(value, "J").partition(" ")
+    return f"{number} {unit:<2}"
+
+
+def _margin(port: Result) -> Text:
+    margin = port["margin"]
+    return Text(energy(margin["value"]), style="green" if margin["value"] >= -PASSIVE_TOLERANCE else "red")
+
+
+def _margin_place(port: Result) -> str:
+    margin = port["margin"]
+    return f"{margin['time']:.4g} s " if margin["value"] < 0.0 else "never below 0  "
+
+
+def _passive(port: Result) -> Text:
+    least = port["least_interaction"]
+    return Text("yes   ", style="bold green") if least >= -PASSIVE_TOLERANCE else Text("NO   ", style="bold red")
+
+
+def _damping(port: Result) -> str:
+    rendered = port["damping_rendered"]
+    unit = {"m": "N*s/m", "rad": "N*m*s/rad"}.get(port.get("unit", ""), "SI")
+    least, most = rendered["least"], rendered["most"]
+    return f"{least:.4g} {unit}" if least == most else f"{least:.3g}..{most:.3g} {unit}"
+
+
+def _surplus(which: str) -> Callable[[Result], str]:
+    return lambda port: energy(port["surplus"][which])
+
+
+def _plain(name: str) -> Callable[[Result], str]:
+    return lambda port: energy(port[name])
+
+
+_PORT_ROWS: Final[tuple[_Row, ...]] = (
+    ("in", _plain("in")),
+    ("out", _plain("out")),
+    ("dissipated", _plain("dissipated")),
+    ("stored at the end", _plain("stored")),
+    ("surplus at the end", _surplus("end")),
+    ("surplus at most", _surplus("max")),
+    ("recovered by the damper", _plain("recovered")),
+    ("leaked", _plain("leaked")),
+    ("deficit", _plain("deficit")),
+    ("least sum of interaction", _plain("least_interaction")),
+    ("passive (eq. 3)", _passive),
+    ("least margin (eq. 4)", _margin),
+    ("  reached at", _margin_place),
+    ("damping rendered", _damping),
+    ("weakest certificate", lambda port: str(port["certificate"]).replace("_", " ") + "   "),
+)
+_TRUTH_ROWS: Final[tuple[_Row, ...]] = (
+    ("true interaction", _plain("interaction")),
+    ("least true interaction", _plain("least_interaction")),
+    ("believed minus true, at most", _plain("believed_error")),
+)
+
+
+def _line(name: str, content: Any) -> Padding:
+    """One part of the result in words: nested mappings are quantiles of durations [s]."""
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, style="bold", width=7)
+    if not isinstance(content, Mapping):
+        table.add_column()
+        table.add_row(name, str(content))
+        return Padding(table, (0, 1))
+    nested = {key: value for key, value in content.items() if isinstance(value, Mapping)}
+    words = [_words(key, value) for key, value in content.items() if key not in nested]
+    table.add_column()
+    label = name
+    if words:
+        table.add_row(label, ", ".join(words))
+        label = ""
+    for key, values in nested.items():
+        quantiles = "   ".join(f"{quantile} {_value(key, value):>9}" for quantile, value in values.items())
+        table.add_row(label, f"{key.replace('_', ' '):<17}  {quantiles}")
+        label = ""
+    return Padding(table, (0, 1))
+
+
+def _words(name: str, value: Any) -> str:
+    return f"{name.replace('_', ' ')} {_value(name, value)}"
+
+
+def _value(name: str, value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if not isinstance(value, float):
+        return str(value)
+    if name.endswith(("rate", "ratio", "share", "load")):
+        return f"{100.0 * value:.6g} %" if value <= 1.0 else f"{value:.4g}"
+    return f"{value:.6g}" if "per_second" in name or abs(value) >= 1000.0 else si(value, "s", 3)

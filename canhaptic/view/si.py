@@ -1,0 +1,39 @@
+"""Numbers for people: SI prefixes, a fixed number of digits."""
+
+import math
+from typing import Final
+
+_PREFIXES: Final = {-15: "f", -12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+_UNPREFIXED: Final = {"1", "", "%", "rad"}  # units that do not take a prefix well
+
+
+def si(value: float, unit: str, digits: int = 4) -> str:
+    """Returns a value with a prefixed unit, such as `12.34 mJ`.
+
+    Args:
+        value: In the unit.
+        unit: A unit, "1" or "" for a pure number.
+        digits: Significant digits.
+    """
+    if unit in _UNPREFIXED:
+        return f"{value:.{digits}g}" + (f" {unit}" if unit not in {"1", ""} else "")
+    value = value + 0.0  # no minus zero
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g} {unit}"
+    exponent = 3 * math.floor(math.floor(math.log10(abs(value))) / 3)
+    exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
+    number = f"{value / 10.0**exponent:.{digits}g}"
+    if abs(float(number)) >= 1000.0 and exponent < max(_PREFIXES):  # 999.96 rounded up
+        exponent += 3
+        number = f"{value / 10.0**exponent:.{digits}g}"
+    if "e" in number:  # below the smallest prefix
+        return f"{value:.{digits - 1}e} {unit}"
+    return f"{_pad_digits(number, digits)} {_PREFIXES[exponent]}{unit}"
+
+
+def _pad_digits(number: str, digits: int) -> str:
+    """Keeps trailing zeros, so that a column of numbers reads at one glance: 1.5 -> 1.500."""
+    shown = sum(letter.isdigit() for letter in number.lstrip("-0."))
+    if shown >= digits:
+        return number
+    return number + ("" if "." in number else ".") + "0" * (digits - shown)

@@ -1,0 +1,118 @@
+import io
+
+import pytest
+from rich.console import Console
+
+from canhaptic.view.energy_table import energy_report, make_console, print_energy
+from canhaptic.view.si import si
+
+
+def port(factor: float = 1.0) -> dict[str, object]:
+    return {
+        "in": 0.0123456 * factor,
+        "out": 0.0021 * factor,
+        "dissipated": 9.99996e-4,
+        "stored": 0.0,
+        "surplus": {"end": 0.0, "max": 3.2e-7},
+        "recovered": 1e-9,
+        "leaked": 5e-5,
+        "deficit": 1.5e-3,
+        "margin": {"value": -2.2e-3 * factor, "cycle": 123, "time": 0.123},
+        "least_interaction": -3e-3 * factor,
+        "certificate": "hand_force",
+        "branches": {"free": 100, "exact": 1200, "sticky": 0},
+        "damping_rendered": {"least": 4.0, "most": 10.0},
+        "unit": "m",
+    }
+
+
+def result(names: list[str]) -> dict[str, object]:
+    return {
+        "status": "ok",
+        "config_hash": "ab12cd34ef56ab12",
+        "cycles": 8000,
+        "ports": {name: port(number) for number, name in enumerate(names)},
+        "truth": {names[-1]: {"interaction": 0.0102, "least_interaction": 0.0, "believed_error": 3e-17}},
+        "timing": {
+            "cycles_per_second": 9123.4,
+            "deadlines_missed": 0,
+            "compute": {"p50": 7e-6, "p99": 9e-6, "p99.9": 2e-5, "max": 1e-4},
+        },
+        "link": {"success_rate": 0.99987, "missing": 1},
+        "method": "exact between SYNCs",
+    }
+
+
+def printed(content: dict[str, object], width: int = 100) -> str:
+    stream = io.StringIO()
+    Console(file=stream, width=width, highlight=False).print(energy_report(content))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (0.0123456, "J", "12.35 mJ"),
+        (9.99996e-4, "J", "1.000 mJ"),
+        (-3.2e-7, "J", "-320.0 nJ"),
+        (0.0, "J", "0 J"),
+        (-0.0, "J", "0 J"),
+        (1.0, "J", "1.000 J"),
+        (999.96, "N", "1.000 kN"),
+        (1e-30, "J", "1.000e-30 J"),
+        (1e13, "J", "1.000e+13 J"),
+        (float("inf"), "J", "inf J"),
+        (0.25, "1", "0.25"),
+        (1.5, "rad", "1.5 rad"),
+    ],
+)
+def test_numbers_get_the_prefix_that_leaves_one_to_three_digits(value: float, unit: str, text: str) -> None:
+    assert si(value, unit) == text
+
+
+def test_every_part_of_the_result_is_in_the_report() -> None:
+    text = printed(result(["still", "handle"]))
+    for words in (
+        "ok   8000 cycles   configuration ab12cd34ef56",
+        "12.35 mJ",
+        "-2.200 mJ",
+        "0.123 s",
+        "4..10 N*s/m",
+        "hand force",
+        "holds booked as exact",
+        "true interaction",
+        "success rate 99.987 %, missing 1",
+        "cycles per second 9123.4, deadlines missed 0",
+        "p50   7.00 us",
+        "exact between SYNCs",
+    ):
+        assert words in text
+    assert "sticky" not in text
+
+
+def test_a_port_that_gave_energy_away_is_marked() -> None:
+    lines = {
+        line.split("  ")[1].strip(): line for line in printed(result(["still", "handle"])).splitlines() if "  " in line
+    }
+    assert lines["passive (eq. 3)"].split()[-2:] == ["yes", "NO"]
+
+
+@pytest.mark.parametrize("ports", [1, 3, 4, 9])
+def test_no_line_is_longer_than_a_hundred_columns_and_none_wraps(ports: int) -> None:
+    names = [f"a_rather_long_axis_name_{number}" for number in range(ports)]
+    text = printed(result(names))
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
+    assert len(text.splitlines()) == len(printed(result(names), width=200).splitlines())
+
+
+def test_a_result_with_missing_parts_still_prints() -> None:
+    assert "handle" in printed({"ports": {"handle": {}}})
+    assert "failed" in printed({"status": "failed"})
+
+
+def test_without_a_terminal_the_table_is_plain_text_a_hundred_columns_wide(capsys: pytest.CaptureFixture[str]) -> None:
+    assert make_console().width == 100
+    print_energy(result(["handle"]))
+    text = capsys.readouterr().out
+    assert "\x1b" not in text
+    assert "energy account" in text
