@@ -5,7 +5,7 @@ Keys are kept as the text that was written, so that `0x6076` stays the name of a
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import yaml
@@ -72,6 +72,10 @@ class MarkedList(list[Any]):
         """Appends one entry with its place."""
         self.append(value)
         self.values_at.append(value_at)
+
+    def items_at(self) -> Iterator[tuple[Any, Mark]]:
+        """Yields every entry with its place."""
+        return zip(self, self.values_at, strict=True)
 
 
 class _Loader(yaml.SafeLoader):

@@ -49,7 +49,7 @@ def read_section(
     """
     try:
         with axis_motion(motion):
-            return model.model_validate(dict(section))
+            return model.model_validate(_numbered_keys(model, section))
     except ValidationError as error:
         for fault in error.errors(include_url=False):
             _note(model, section, fault, faults, motion, tuple(also))
@@ -128,7 +128,7 @@ def _note(
     elif kind in _NUMBER_FAULTS and expected:
         faults.add(value_at, f"got {shown(fault.get('input'))}, expected {expected}")
     else:
-        message = fault["msg"].replace("Input should be", "expected")
+        message = fault["msg"].replace("Input should be", "expected").split(", unable to parse")[0]
         faults.add(value_at, f"got {shown(fault.get('input'))}, {message[:1].lower()}{message[1:]}")
 
 
@@ -137,7 +137,7 @@ def _places(section: MarkedMapping, location: tuple[int | str, ...]) -> tuple[Ma
     container: Any = section
     value_at = key_at = section.mark
     for part in location:
-        name = str(part)
+        name = _key_of(container, part)
         if isinstance(container, MarkedMapping) and name in container:
             value_at, key_at = container.values_at[name], container.keys_at[name]
             container = container[name]
@@ -149,6 +149,30 @@ def _places(section: MarkedMapping, location: tuple[int | str, ...]) -> tuple[Ma
         else:  # a part of pydantic's own, such as a branch of a union
             break
     return value_at, key_at
+
+
+def _key_of(container: Any, part: int | str) -> str:
+    """Returns the key as it was written; pydantic names a numbered one by its number."""
+    if isinstance(container, MarkedMapping) and str(part) not in container:
+        return next((key for key in container if str(_number_of(key)) == str(part)), str(part))
+    return str(part)
+
+
+def _numbered_keys(model: type[BaseModel], section: MarkedMapping) -> dict[str, Any]:
+    """Returns the section with the keys of every field that maps numbers (`0x1404: 0x205`) turned into numbers."""
+    values = dict(section)
+    for name, field in model.model_fields.items():
+        keys = typing.get_args(field.annotation)[:1] if typing.get_origin(field.annotation) is dict else ()
+        if keys == (int,) and isinstance(values.get(name), dict):
+            values[name] = {_number_of(key): value for key, value in values[name].items()}
+    return values
+
+
+def _number_of(key: str) -> int | str:
+    try:
+        return int(key, 0)
+    except ValueError:
+        return key  # pydantic says what is wrong with it
 
 
 def _inner(annotation: Any) -> Iterator[Any]:

@@ -1,0 +1,231 @@
+"""One axis of a scene: its own keys laid over the shared sections, each part validated by the model that owns it."""
+
+from collections.abc import Mapping
+from typing import Any, Final, get_args
+
+from canhaptic.drive.parameters import AxisParameters, BusParameters
+from canhaptic.errors import ParameterError
+from canhaptic.haptics.environments import ENVIRONMENTS
+from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.parameters import Motion, Parameters
+from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.eds_path import find_dictionary
+from canhaptic.scene.faults import Faults
+from canhaptic.scene.models import AxisScene, AxisSimulation, Typed
+from canhaptic.scene.section import read_list, read_mapping, read_section, shown
+from canhaptic.sim.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.effects import EFFECTS
+from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.user import UserParameters
+from canhaptic.tables import load
+
+LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")
+"""Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
+OWN_SECTIONS: Final = ("environment", "passivity")
+"""Shared sections of which an axis may have its own."""
+SCALING_KEYS: Final = ("counts_per_unit", "rated_torque")
+"""Keys of an axis that its simulated drive takes over unless `simulation.drive` has its own."""
+SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects")
+"""Parts of `simulation` that `simulation.axes.NAME` may have its own of."""
+
+
+def read_axis(
+    section: MarkedMapping, shared: MarkedMapping, bus: BusParameters | None, seed: int, faults: Faults
+) -> AxisScene | None:
+    """Returns one axis; None when it has faults, which are all noted.
+
+    Args:
+        section: Its entry of `axes`.
+        shared: The whole scene, for the sections that all axes share.
+        bus: The bus, None when it has faults.
+        seed: Of everything random in its simulation.
+        faults: Receives one line per fault.
+    """
+    motion = _motion(section)
+    own = find_dictionary(section.without(*OWN_SECTIONS), faults)
+    parameters = read_section(AxisParameters, own, faults, motion, also=OWN_SECTIONS)
+    environment = _environment(overlay(shared, section, "environment", "type", faults), faults, motion)
+    passivity_section = overlay(shared, section, "passivity", "algorithm", faults)
+    passivity = _passivity(passivity_section, faults, motion)
+    loop = _loop(passivity_section, parameters, bus, faults, motion)
+    simulation_section = _simulation_of(shared, str(section.get("name")), faults)
+    simulation = simulation_section and _simulation(simulation_section, own, seed, faults, motion)
+    if parameters is None or environment is None or passivity is None or loop is None:
+        return None
+    if simulation_section is not None and simulation is None:
+        return None
+    return AxisScene(parameters, environment, passivity, loop, simulation or None)
+
+
+def overlay(shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Faults) -> MarkedMapping:
+    """Returns a section of an axis: its own keys over the shared ones, unless it names another type."""
+    below: MarkedMapping | None = None
+    for owner in (shared, own):
+        value = owner.get(name)
+        if value is None:
+            continue
+        section = read_mapping(value, owner.value_at(name), faults, f"{selector} and its parameters")
+        if section is None:
+            continue
+        if below is None or section.get(selector, below.get(selector)) != below.get(selector):
+            below = section
+        else:
+            below = laid_over(section, below)
+    if below is None:
+        if shared.get(name) is None and own.get(name) is None:
+            faults.add(shared.value_at(name), f"missing; give it here or in the axis, with {selector}")
+        return MarkedMapping(shared.value_at(name))
+    return below
+
+
+def laid_over(upper: MarkedMapping, lower: MarkedMapping) -> MarkedMapping:
+    """Returns the entries of both; the upper's win, and its place stands for the whole."""
+    result = upper.copy()
+    for key in lower.keys() - upper.keys():
+        result.put(key, lower[key], lower.keys_at[key], lower.values_at[key])
+    return result
+
+
+def _motion(section: MarkedMapping) -> Motion | None:
+    field = AxisParameters.model_fields["unit"]
+    unit = section.get("unit", None if field.is_required() else field.default)
+    return unit if unit in get_args(Motion) else None
+
+
+def _typed(
+    section: MarkedMapping,
+    selector: str,
+    kind: str,
+    table: Mapping[str, str],
+    faults: Faults,
+) -> tuple[str, type[Any]] | None:
+    """Returns (name, class) of a section that chooses from a table; None, with a fault, when it does not."""
+    if not section:
+        return None  # noted where the section was looked up
+    name, at = section.get(selector), section.value_at(selector)
+    if not isinstance(name, str):
+        seen = "missing" if name is None else f"got {shown(name)}"
+        faults.add(at, f"{seen}, expected one of: {', '.join(sorted(table))}")
+        return None
+    try:
+        return name, load(table, name, kind)
+    except ParameterError as error:
+        faults.add(at, str(error))
+    except ImportError as error:
+        faults.add(at, f"got {name!r}, a {kind} that this installation lacks a module for ({error})")
+    return None
+
+
+def _environment(section: MarkedMapping, faults: Faults, motion: Motion | None) -> Typed | None:
+    found = _typed(section, "type", "environment", ENVIRONMENTS, faults)
+    if found is None:
+        return None
+    name, model = found
+    parameters = read_section(model, section.without("type"), faults, motion, also=("type",))
+    return None if parameters is None else Typed(name, parameters)
+
+
+def _passivity(section: MarkedMapping, faults: Faults, motion: Motion | None) -> Typed | None:
+    found = _typed(section, "algorithm", "passivity algorithm", ALGORITHMS, faults)
+    if found is None:
+        return None
+    name, algorithm = found
+    model: type[Parameters] = algorithm.parameters_type
+    own = section.without("algorithm", *(key for key in LOOP_KEYS if key not in model.model_fields))
+    parameters = read_section(model, own, faults, motion, also=("algorithm", *LOOP_KEYS))
+    return None if parameters is None else Typed(name, parameters)
+
+
+def _loop(
+    section: MarkedMapping,
+    axis: AxisParameters | None,
+    bus: BusParameters | None,
+    faults: Faults,
+    motion: Motion | None,
+) -> LoopProperties | None:
+    """Returns what the scene says of the loop around the controller; what it does not say stays unknown."""
+    loop = section.without(*(key for key in section if key not in LOOP_KEYS))
+    at = section.mark
+    derived: dict[str, Any] = {"sample_time": bus.sample_time_ns * 1e-9 if bus else 1e-3}
+    if bus is not None:
+        derived["delay"] = 1 if bus.rpdo == "synchronous" else 0
+    if axis is not None:
+        derived["encoder_count"] = 1.0 / abs(axis.counts_per_unit)
+        derived["torque_limit"] = axis.torque_limit
+        if axis.rated_torque is not None:
+            derived["torque_quantum"] = axis.rated_torque / 1000.0
+    for key, value in derived.items():
+        if loop.get(key) is None:
+            loop.put(key, value, at, at)
+    return read_section(LoopProperties, loop, faults, motion)
+
+
+def _simulation_of(shared: MarkedMapping, name: str, faults: Faults) -> MarkedMapping | None:
+    """Returns the parts of `simulation` for one axis, its own laid over the shared; None when nothing is simulated."""
+    section = shared.get("simulation")
+    if not isinstance(section, MarkedMapping):
+        return None  # absent, or a fault noted by the reader of the whole scene
+    parts = section.without(*(key for key in section if key not in SIMULATION_PARTS))
+    axes = section.get("axes")
+    own = axes.get(name) if isinstance(axes, MarkedMapping) else None
+    if own is not None:
+        own = read_mapping(own, section["axes"].value_at(name), faults, ", ".join(SIMULATION_PARTS))
+    return parts if own is None else _parts_laid_over(own, parts)
+
+
+def _parts_laid_over(own: MarkedMapping, shared: MarkedMapping) -> MarkedMapping:
+    """Returns the shared parts with an axis's own laid over: key by key where both are mappings."""
+    result = shared.copy()
+    for key, value in own.items():
+        below = shared.get(key)
+        if isinstance(value, MarkedMapping) and isinstance(below, MarkedMapping):
+            value = laid_over(value, below)
+        result.put(key, value, own.keys_at[key], own.values_at[key])
+    return result
+
+
+def _simulation(
+    section: MarkedMapping, axis: MarkedMapping, seed: int, faults: Faults, motion: Motion | None
+) -> AxisSimulation | None:
+    before = len(faults)
+    drive = read_section(SimulatedDriveParameters, _drive(section, axis, faults), faults, motion)
+    plant = read_section(PlantParameters, _part(section, "plant", faults), faults, motion)
+    user = None
+    if section.get("user") is not None:
+        user = read_section(UserParameters, _part(section, "user", faults), faults, motion)
+    effects = _effects(section, faults, motion)
+    if len(faults) > before or drive is None or plant is None:
+        return None
+    return AxisSimulation(drive, plant, user, effects, seed)
+
+
+def _part(section: MarkedMapping, name: str, faults: Faults) -> MarkedMapping:
+    absent = MarkedMapping(section.value_at(name))
+    if section.get(name) is None:
+        return absent
+    return read_mapping(section[name], section.value_at(name), faults, "its parameters") or absent
+
+
+def _drive(section: MarkedMapping, axis: MarkedMapping, faults: Faults) -> MarkedMapping:
+    """Returns the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
+    drive = _part(section, "drive", faults).copy()
+    for key in SCALING_KEYS:
+        if key not in drive and axis.get(key) is not None:
+            drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
+    return drive
+
+
+def _effects(section: MarkedMapping, faults: Faults, motion: Motion | None) -> tuple[Typed, ...]:
+    value = section.get("effects")
+    if value is None:
+        return ()
+    entries = read_list(value, section.value_at("effects"), faults, "effects, each with type")
+    effects = []
+    for entry, at in entries.items_at() if entries is not None else ():
+        effect = read_mapping(entry, at, faults, "type and its parameters")
+        found = None if effect is None else _typed(effect, "type", "effect", EFFECTS, faults)
+        if effect is not None and found is not None:
+            parameters = read_section(found[1], effect.without("type"), faults, motion, also=("type",))
+            effects += [Typed(found[0], parameters)] if parameters is not None else []
+    return tuple(effects)

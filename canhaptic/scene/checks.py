@@ -1,0 +1,106 @@
+"""Checks that need more than one section of a scene."""
+
+from collections import Counter
+
+from canhaptic.dictionary import read_dictionary
+from canhaptic.drive.bus_budget import require_budget
+from canhaptic.drive.pdo_map import AxisMap, choose_map
+from canhaptic.drive.quirks import quirks_of
+from canhaptic.errors import BusBudgetError, DictionaryError, InputError, ParameterError
+from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.faults import Faults, Mark
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.parts import build_axis_controller, build_plant
+
+
+def cross_check(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+    """Notes what is wrong between the sections of a scene whose sections are right on their own."""
+    _check_unique(scene, sections["axes"], faults)
+    _check_somebody_answers(scene, sections, faults)
+    maps = []
+    for axis, entry in zip(scene.axes, sections["axes"], strict=True):
+        _check_loop(axis, _own_or_shared(entry, sections, "passivity"), scene, faults)
+        maps.append(_check_parts(axis, entry, sections, scene, faults))
+    if None not in maps:
+        _check_budget(scene, [m for m in maps if m is not None], sections["bus"], faults)
+
+
+def _own_or_shared(entry: MarkedMapping, sections: MarkedMapping, name: str) -> MarkedMapping:
+    owner = entry if isinstance(entry.get(name), MarkedMapping) else sections
+    section: MarkedMapping = owner[name]
+    return section
+
+
+def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Faults) -> None:
+    for key in ("name", "node_id"):
+        values = [getattr(axis.parameters, key) for axis in scene.axes]
+        for value, count in Counter(values).items():
+            places = [entry.value_at(key) for entry, seen in zip(entries, values, strict=True) if seen == value]
+            for place in places[1:count]:
+                faults.add(place, f"got {value!r}, which is the {key} of another axis already ({places[0].where})")
+    for axis, entry in zip(scene.axes, entries, strict=True):
+        if axis.parameters.node_id == scene.bus.master_id:
+            at = entry.value_at("node_id")
+            faults.add(at, f"got {axis.parameters.node_id}, which is the node ID of the master (bus.master_id)")
+
+
+def _check_somebody_answers(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+    if scene.bus.interface == "virtual" and scene.simulation is None and scene.bus.channel is None:
+        at: Mark = sections["bus"].value_at("interface")
+        faults.add(
+            at,
+            "interface 'virtual' reaches no drive outside this process, and the scene has no `simulation`; "
+            "add one, or name the interface and channel of the real bus (interface: socketcan, channel: can0)",
+        )
+
+
+def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults: Faults) -> None:
+    """Compares what a scene claims of the loop with what its bus makes of it."""
+    claimed_delay = axis.loop.delay
+    least_delay = 1 if scene.bus.rpdo == "synchronous" else 0
+    if claimed_delay < least_delay:
+        faults.add(
+            passivity.value_at("delay"),
+            f"got {claimed_delay}, but bus.rpdo: {scene.bus.rpdo} delays the torque by {least_delay} hold; "
+            "leave it out, or set rpdo: event",
+        )
+    if abs(axis.loop.sample_time - scene.bus.sample_time) > 1e-9:
+        faults.add(
+            passivity.value_at("sample_time"),
+            f"got {axis.loop.sample_time:g} s, but bus.rate of {scene.bus.rate:g} Hz makes it "
+            f"{scene.bus.sample_time:g} s; leave it out",
+        )
+
+
+def _check_budget(scene: Scene, maps: list[AxisMap], bus: MarkedMapping, faults: Faults) -> None:
+    try:
+        require_budget(scene.bus, maps)
+    except BusBudgetError as error:
+        faults.add(bus.value_at("rate"), str(error))
+
+
+def _check_parts(
+    axis: AxisScene, entry: MarkedMapping, sections: MarkedMapping, scene: Scene, faults: Faults
+) -> AxisMap | None:
+    """Makes the parts once and lets them say what they cannot do; returns the PDO map that the dictionary permits."""
+    try:
+        quirks_of(axis.parameters.drive)
+    except ParameterError as error:
+        faults.add(entry.value_at("drive"), str(error))
+    try:
+        build_axis_controller(axis)
+    except ParameterError as error:
+        faults.add(_own_or_shared(entry, sections, "passivity").mark, str(error))
+    if axis.simulation is not None:
+        try:
+            build_plant(axis.simulation, scene.bus.sample_time_ns)
+        except ParameterError as error:
+            faults.add(sections["simulation"].value_at("plant"), str(error))
+    try:
+        dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
+        return choose_map(dictionary, axis.parameters)
+    except DictionaryError as error:
+        faults.add(entry.value_at("eds"), str(error))
+    except InputError as error:
+        faults.add(entry.mark, str(error))
+    return None

@@ -1,0 +1,43 @@
+"""Where the object dictionary of an axis is: beside the scene, or among those that come with the package."""
+
+from pathlib import Path
+from typing import Final
+
+import canhaptic
+from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.faults import Faults, Mark
+
+SHIPPED: Final = Path(canhaptic.__file__).resolve().parent.parent / "eds"
+
+
+def find_dictionary(section: MarkedMapping, faults: Faults) -> MarkedMapping:
+    """Returns the axis's section with the path of its EDS or DCF found; a fault when there is no such file.
+
+    A relative path is looked for beside the scene file (one given in an override: in the current folder), then in
+    `eds/`.
+    """
+    text = section.get("eds")
+    if not isinstance(text, str):
+        return section  # missing or of another type: noted by the model
+    at = section.value_at("eds")
+    folders = _folders(at)
+    for folder in folders:
+        if _is_file(folder / text):
+            found = section.copy()
+            found.put("eds", str(folder / text), section.keys_at["eds"], at)
+            return found
+    looked = "" if Path(text).is_absolute() else f" in {' or '.join(str(folder) for folder in folders)}"
+    faults.add(at, f"got {text!r}, no such file{looked}; give the path of the drive's EDS or DCF")
+    return section
+
+
+def _folders(at: Mark) -> list[Path]:
+    beside = Path(at.source).parent if at.line else Path()
+    return [beside, SHIPPED]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, or with a NUL
+        return False

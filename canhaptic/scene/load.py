@@ -1,0 +1,153 @@
+"""A scene file to a `Scene`: read, laid over with overrides, validated section by section, cross-checked.
+
+Every fault found on the way is noted with its line; all of them are raised together, before anything is built.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.errors import SceneError
+from canhaptic.scene.axes import SIMULATION_PARTS, read_axis
+from canhaptic.scene.checks import cross_check
+from canhaptic.scene.document import MarkedList, MarkedMapping, mark_plain, parse_yaml
+from canhaptic.scene.faults import Faults, Mark
+from canhaptic.scene.models import AxisScene, LogParameters, RunParameters, Scene, SimulationParameters
+from canhaptic.scene.overrides import apply_overrides
+from canhaptic.scene.section import read_list, read_mapping, read_section, refuse_unknown_keys
+
+MAX_BYTES: Final = 1_000_000
+SECTIONS: Final = ("bus", "axes", "environment", "passivity", "simulation", "log", "duration")
+
+
+def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
+    """Returns the validated scene of a YAML file.
+
+    Args:
+        path: The scene file.
+        overrides: Values laid over it, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
+
+    Raises:
+        SceneError: The file cannot be read, or anything in it is wrong; lists every fault with its line.
+    """
+    source = str(path)
+    text = _text(Path(path), source)
+    faults = Faults()
+    document = parse_yaml(text, source, faults)
+    if len(faults) and not isinstance(document, MarkedMapping):
+        faults.raise_if_any()
+    return _read(document, source, text, overrides, faults)
+
+
+def scene_from_mapping(values: Mapping[str, Any], source: str = "scene", overrides: Sequence[str] = ()) -> Scene:
+    """Returns the validated scene of plain Python values with the keys of a scene file.
+
+    Raises:
+        SceneError: Anything in it is wrong; lists every fault.
+    """
+    return _read(mark_plain(values, source), source, "", overrides, Faults())
+
+
+def _text(path: Path, source: str) -> str:
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError([f"{source}: cannot be read ({reason}); give the path of a scene file (YAML)"]) from error
+    if len(content) > MAX_BYTES:
+        raise SceneError([f"{source}: larger than {MAX_BYTES} bytes; a scene has a few thousand"])
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise SceneError(
+            [f"{source}:{line}: not UTF-8 text (byte 0x{content[error.start]:02x}); save it as UTF-8"]
+        ) from error
+
+
+def _read(document: Any, source: str, text: str, overrides: Sequence[str], faults: Faults) -> Scene:
+    top = Mark(source, 1, 1, ()) if text else Mark(source, 0, 0, ())
+    if document is None:
+        faults.add(top, f"empty, expected a mapping with {', '.join(SECTIONS)}")
+        faults.raise_if_any()
+    sections = read_mapping(document, top, faults, ", ".join(SECTIONS))
+    if sections is None:
+        faults.raise_if_any()
+        raise AssertionError("a section that is no mapping is a fault")
+    apply_overrides(sections, overrides, faults)
+    refuse_unknown_keys(sections, SECTIONS, faults)
+    scene = _sections(sections, source, text, tuple(overrides), faults)
+    faults.raise_if_any()
+    if scene is None:
+        raise AssertionError("a scene that is not complete is a fault")
+    cross_check(scene, sections, faults)
+    faults.raise_if_any()
+    return scene
+
+
+def _sections(
+    sections: MarkedMapping, source: str, text: str, overrides: tuple[str, ...], faults: Faults
+) -> Scene | None:
+    run = read_section(RunParameters, _only(sections, RunParameters), faults)
+    log_section = _section(sections, "log", faults)
+    log = read_section(LogParameters, log_section, faults) if log_section is not None else LogParameters()
+    simulation = _simulation(sections, faults)
+    bus_section = _section(sections, "bus", faults, needed=True)
+    bus = read_section(BusParameters, bus_section, faults) if bus_section is not None else None
+    axes = _axes(sections, bus, simulation.seed if simulation else 0, faults)
+    if run is None or log is None or bus is None or not axes:
+        return None
+    return Scene(source, text, overrides, bus, axes, log, run, simulation)
+
+
+def _only(sections: MarkedMapping, model: type[RunParameters]) -> MarkedMapping:
+    """Returns the entries at the top level that a model owns."""
+    return sections.without(*(key for key in sections if key not in model.model_fields))
+
+
+def _section(sections: MarkedMapping, name: str, faults: Faults, needed: bool = False) -> MarkedMapping | None:
+    """Returns a section; None when it is absent (a fault if it is needed) or no mapping (a fault)."""
+    value = sections.get(name)
+    if value is None and not needed:
+        return None
+    return read_mapping(value, sections.value_at(name), faults, "keys and values")
+
+
+def _simulation(sections: MarkedMapping, faults: Faults) -> SimulationParameters | None:
+    section = _section(sections, "simulation", faults)
+    if section is None:
+        return None
+    names = (*SIMULATION_PARTS, "axes")
+    return read_section(SimulationParameters, section.without(*names), faults, also=names)
+
+
+def _axes(sections: MarkedMapping, bus: BusParameters | None, seed: int, faults: Faults) -> tuple[AxisScene, ...]:
+    at = sections.value_at("axes")
+    entries = read_list(sections.get("axes"), at, faults, "axes, each with name, node_id, eds, ...")
+    if entries is None:
+        return ()
+    if not entries:
+        faults.add(at, "got an empty list, expected at least one axis")
+    axes = []
+    for index, (entry, entry_at) in enumerate(entries.items_at()):
+        section = read_mapping(entry, entry_at, faults, "name, node_id, eds, ...")
+        if section is not None:
+            axes.append(read_axis(section, sections, bus, seed + index, faults))
+    _check_axis_names(sections, entries, faults)
+    return tuple(axis for axis in axes if axis is not None)
+
+
+def _check_axis_names(sections: MarkedMapping, entries: MarkedList, faults: Faults) -> None:
+    """Notes every key of `simulation.axes` that names no axis, and every unknown part below it."""
+    simulation = sections.get("simulation")
+    if not isinstance(simulation, MarkedMapping) or simulation.get("axes") is None:
+        return
+    own = read_mapping(simulation["axes"], simulation.value_at("axes"), faults, "an axis name to its parts")
+    if own is not None:
+        names = [str(entry.get("name")) for entry in entries if isinstance(entry, MarkedMapping)]
+        refuse_unknown_keys(own, names, faults)
+        for parts in own.values():
+            if isinstance(parts, MarkedMapping):
+                refuse_unknown_keys(parts, SIMULATION_PARTS, faults)

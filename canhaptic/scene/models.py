@@ -1,0 +1,131 @@
+"""What a scene file says, validated: one object per part, made by `load_scene` and built by `build`."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field
+
+from canhaptic.drive.parameters import AxisParameters, BusParameters
+from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.user import UserParameters
+
+
+class LogParameters(Parameters):
+    """Where a run is written to; paths are relative to the current folder, and options of `run` win over them."""
+
+    energy: Path | None = None
+    """Energy log (HDF5)."""
+    bus: Path | None = None
+    """Bus log (candump text)."""
+
+
+class RunParameters(Parameters):
+    """Values at the top level of a scene that belong to no part."""
+
+    duration: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
+    """How long a run lasts; None: until it is stopped."""
+
+
+class SimulationParameters(Parameters):
+    """Values of the simulation that belong to no axis."""
+
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    """Of everything random in the simulation."""
+
+
+class Typed(NamedTuple):
+    """Parameters of a thing chosen by name from a table."""
+
+    name: str
+    parameters: Parameters
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSimulation:
+    """The far side of one axis: the simulated drive, the motor, the user's hand and the effects that are named."""
+
+    drive: SimulatedDriveParameters
+    plant: PlantParameters
+    user: UserParameters | None
+    effects: tuple[Typed, ...]
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class AxisScene:
+    """One axis with everything that is rendered on it."""
+
+    parameters: AxisParameters
+    environment: Typed
+    passivity: Typed
+    loop: LoopProperties
+    simulation: AxisSimulation | None
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A whole scene: validated, cross-checked, ready to build."""
+
+    source: str  # the file as given, for messages
+    text: str  # the file as read, for the log
+    overrides: tuple[str, ...]
+    bus: BusParameters
+    axes: tuple[AxisScene, ...]
+    log: LogParameters
+    run: RunParameters
+    simulation: SimulationParameters | None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the drives are simulated inside the process of the master."""
+        return self.bus.interface == "virtual" and self.simulation is not None
+
+    def resolved(self) -> dict[str, Any]:
+        """Returns the configuration in effect, defaults and overrides included, as plain values."""
+        return {
+            "bus": _plain(self.bus),
+            "axes": {axis.parameters.name: _axis(axis) for axis in self.axes},
+            "log": _plain(self.log),
+            "run": _plain(self.run),
+            "simulation": self.simulation and _plain(self.simulation),
+        }
+
+    def config_hash(self) -> str:
+        """Returns the SHA-256 of the configuration in effect; comments, order and log paths do not change it."""
+        resolved = self.resolved()
+        del resolved["log"]
+        canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _plain(parameters: Parameters) -> dict[str, Any]:
+    return parameters.model_dump(mode="json")
+
+
+def _typed(selector: str, typed: Typed) -> dict[str, Any]:
+    return {selector: typed.name, **_plain(typed.parameters)}
+
+
+def _axis(axis: AxisScene) -> Mapping[str, Any]:
+    simulation = axis.simulation
+    return {
+        **_plain(axis.parameters),
+        "environment": _typed("type", axis.environment),
+        "passivity": _typed("algorithm", axis.passivity),
+        "loop": _plain(axis.loop),
+        "simulation": simulation
+        and {
+            "drive": _plain(simulation.drive),
+            "plant": _plain(simulation.plant),
+            "user": simulation.user and _plain(simulation.user),
+            "effects": [_typed("type", effect) for effect in simulation.effects],
+            "seed": simulation.seed,
+        },
+    }
