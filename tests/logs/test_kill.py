@@ -112,7 +112,7 @@ def test_a_writer_killed_again_and_again_is_given_up_with_one_message(tmp_path: 
 @pytest.fixture
 def small_files() -> object:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (9_000_000, hard))
+    yield lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
@@ -120,12 +120,17 @@ def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(tmp_path
     # A limit on the file size, inherited by the writer, stands for the full disk; the ring itself must fit below it.
     small_files()  # type: ignore[operator]
     noise = np.random.default_rng(1).standard_normal((4096, 11)).tolist()
-    writer = EnergyLogWriter(tmp_path / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
+    writer = EnergyLogWriter(
+        tmp_path / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, ring_rows=2048
+    )
+    pause = threading.Event()
     k = 0
     while not writer.failure:
         append_noise(writer, k, noise[k % 4096])
         k += 1
-    for extra in range(20_000):
+        if k % 1000 == 0:
+            pause.wait(0.02)
+    for extra in range(3000):
         append_noise(writer, k + extra, noise[extra % 4096])
     assert writer.dropped > 0
     with pytest.raises(LogWriteError, match=r"run\.h5"):

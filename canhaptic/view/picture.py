@@ -1,0 +1,197 @@
+"""One picture of a run: position and wall, torque, energy in against dissipated, surplus; one column per port.
+
+matplotlib is imported when a picture is drawn, not before. Colours are those of Okabe and Ito, told apart by
+everyone; lines differ in width and style too.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.errors import InputError
+from canhaptic.haptics.balance import Branch
+from canhaptic.logs.energy_reader import EnergyLog, Quantities
+from canhaptic.view.decimate import decimate
+from canhaptic.view.si import si
+
+_BLUE, _VERMILION, _GREEN, _ORANGE, _GREY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#4D4D4D"
+_BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
+_MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
+_FAULTS: Final = frozenset({"fault", "emcy", "stop"})
+_MAX_FAULTS_NAMED: Final = 4
+_STYLE: Final[Any] = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#808080",
+    "axes.grid": True,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "svg.hashsalt": "canhaptic",
+}
+_PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
+
+Array = NDArray[Any]
+
+
+def draw_energy(log: EnergyLog | str | Path, path: str | Path) -> None:
+    """Draws a run into a file; its suffix says how (.png, .svg, .pdf).
+
+    The wall is drawn where the log's attributes `NAME.wall_position` and `NAME.wall_side` say so.
+
+    Args:
+        log: An open energy log, or the path of one.
+        path: The picture.
+
+    Raises:
+        InputError: The log holds no cycle, or matplotlib is not installed.
+    """
+    if not isinstance(log, EnergyLog):
+        with EnergyLog.open(log) as opened:
+            draw_energy(opened, path)
+        return
+    if log.rows == 0:
+        raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
+    try:
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
+    with mpl.rc_context(_STYLE):
+        figure: Any = Figure(figsize=(2.0 + 6.5 * len(log.ports), 9.0), dpi=120, layout="constrained")
+        figure.get_layout_engine().set(hspace=0.04, h_pad=0.06)
+        panels: Any = figure.subplots(4, len(log.ports), sharex=True, squeeze=False, height_ratios=(3, 3, 4, 2))
+        for column, (name, port) in enumerate(log.ports.items()):
+            picture = _PortPicture(log, name, port)
+            picture.draw(panels[:, column])
+            panels[-1, column].set_xlabel("time [s]" + picture.faults())
+        figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
+        figure.savefig(path)
+
+
+def _caption(log: EnergyLog) -> str:
+    parts = [log.path.name, f"{log.rows} cycles at {si(1.0 / log.sample_time, 'Hz', 3)}", log.status]
+    if "config_hash" in log.attributes:
+        parts.insert(1, f"configuration {str(log.attributes['config_hash'])[:12]}")
+    return "   ".join(parts)
+
+
+class _PortPicture:
+    """The four panels of one port."""
+
+    def __init__(self, log: EnergyLog, name: str, port: Quantities) -> None:
+        self._log = log
+        self._name = name
+        self._port = port
+        self._time = log.time
+        self._faults = [e for e in log.events if e.kind in _FAULTS and e.port in {"", name}]
+
+    def draw(self, panels: Any) -> None:
+        """Draws into four axes, top to bottom."""
+        position, torque, energy, surplus = panels
+        self._draw_position(position)
+        self._draw_torque(torque)
+        self._draw_energy(energy)
+        self._draw_surplus(surplus)
+        for axes in panels:
+            self._mark(axes)
+            axes.margins(x=0.0)
+        if len(self._log.ports) > 1:
+            position.set_title(f"{self._name}: position", fontweight="bold")
+
+    def _line(self, axes: Any, values: Array, scale: float, **style: Any) -> None:
+        shown = decimate(values, _BUCKETS)
+        axes.plot(self._time[shown], values[shown] / scale, **style)
+
+    def _draw_position(self, axes: Any) -> None:
+        position = self._port["position"]
+        wall = self._log.attributes.get(f"{self._name}.wall_position")
+        scale, prefix = _prefix(position)
+        self._line(axes, position, scale, color=_BLUE, linewidth=1.3, label="position")
+        if isinstance(wall, int | float):
+            axes.axhline(wall / scale, color=_GREY, linewidth=1.0, linestyle="--", label="wall")
+            low, high = axes.get_ylim()
+            inside = low if self._log.attributes.get(f"{self._name}.wall_side", "below") == "below" else high
+            axes.axhspan(inside, wall / scale, color=_GREY, alpha=0.10, linewidth=0)
+            axes.set_ylim(low, high)
+        _finish(axes, "position", f"{prefix}{self._port.unit('position')}")
+
+    def _draw_torque(self, axes: Any) -> None:
+        command, applied = self._port["torque_command"], self._port["torque_applied"]
+        unit = self._port.unit("torque_applied")
+        scale, prefix = _prefix(np.concatenate((command, applied)))
+        self._line(
+            axes, command, scale, color=_ORANGE, linewidth=2.2, alpha=0.8, drawstyle="steps-post", label="commanded"
+        )
+        self._line(axes, applied, scale, color=_BLUE, linewidth=0.9, drawstyle="steps-pre", label="applied")
+        _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
+
+    def _draw_energy(self, axes: Any) -> None:
+        taken_in, dissipated = np.cumsum(self._port["h_i"]), np.cumsum(self._port["h_r"])
+        margin = taken_in - dissipated
+        scale, prefix = _prefix(np.concatenate((taken_in, dissipated)))
+        shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in (taken_in, dissipated, margin)]))
+        time, upper, lower = self._time[shown], taken_in[shown] / scale, dissipated[shown] / scale
+        axes.fill_between(time, lower, upper, upper >= lower, color=_GREEN, alpha=0.22, linewidth=0, label="margin")
+        if (upper < lower).any():
+            axes.fill_between(time, lower, upper, upper < lower, color=_VERMILION, alpha=0.45, linewidth=0)
+        axes.plot(time, upper, color=_BLUE, linewidth=1.3, label="in")
+        axes.plot(time, lower, color=_VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
+        worst = int(margin.argmin())
+        label = f"least {si(float(margin[worst]), 'J')} at {self._time[worst]:.4g} s"
+        axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
+        _finish(axes, "energy", f"{prefix}J")
+
+    def _draw_surplus(self, axes: Any) -> None:
+        surplus, deficit = self._port["h_dis"], np.cumsum(self._port["deficit"])
+        scale, prefix = _prefix(np.concatenate((surplus, deficit)))
+        self._line(axes, surplus, scale, color=_ORANGE, linewidth=1.3, label="surplus to dissipate")
+        self._line(axes, deficit, scale, color=_VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
+        if not (surplus.any() or deficit.any()):
+            axes.set_ylim(-0.05, 1.0)
+        _finish(axes, "surplus", f"{prefix}J")
+
+    def _mark(self, axes: Any) -> None:
+        """Shades the contacts and marks faults."""
+        for start, end in contacts(self._port["branch"])[:_MAX_CONTACTS_SHADED]:
+            axes.axvspan(self._time[start], self._time[end], color=_GREY, alpha=0.05, linewidth=0, zorder=0)
+        for event in self._faults:
+            axes.axvline(event.sync_index * self._log.sample_time, color=_VERMILION, linewidth=0.9, linestyle=":")
+
+    def faults(self) -> str:
+        """Returns one line of words per marked fault, for below the time axis."""
+        period = self._log.sample_time
+        return "".join(
+            f"\n{event.sync_index * period:.4g} s: {event.kind} {event.text[:60]}"
+            for event in self._faults[:_MAX_FAULTS_NAMED]
+        )
+
+
+def contacts(branch: Array) -> list[tuple[int, int]]:
+    """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`."""
+    touching = np.concatenate(([False], branch != Branch.FREE.value, [False]))
+    edges = np.flatnonzero(touching[1:] != touching[:-1])
+    return [(int(start), int(end) - 1) for start, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _prefix(values: Array) -> tuple[float, str]:
+    """Returns the scale and SI prefix that put the largest value between 1 and 1000."""
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    for scale, prefix in _PREFIXES:
+        if largest >= scale:
+            return scale, prefix
+    return 1.0, ""
+
+
+def _finish(axes: Any, title: str, unit: str) -> None:
+    """Titles at the left, legend at the right of the same line: nothing can lie on the data."""
+    axes.set_title(title, fontweight="bold")
+    axes.set_ylabel(f"[{unit}]")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=5, borderaxespad=0.0, columnspacing=1.2)
