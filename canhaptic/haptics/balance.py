@@ -53,6 +53,8 @@ class EnergyBalance(NamedTuple):
     state: float  # displacement of the storage after this step [m or rad]
 
 
+_OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value)
+
 AT_REST: Final = EnergyBalance(
     torque=0.0,
     h_i=0.0,
@@ -188,7 +190,7 @@ class Ledger:
             self._add_flows(h_i, h_r, cycle)
         if balance.h_pas or balance.leak or balance.deficit or balance.gen:
             self._add_corrections(balance)
-        if balance.branch:
+        if balance.branch not in _OUT_OF_CONTACT:
             rendered = balance.damping_rendered
             self._damping_least = min(self._damping_least, rendered)
             self._damping_most = max(self._damping_most, rendered)
@@ -234,6 +236,6 @@ class Ledger:
             least_interaction=self._least_interaction,
             certificate=Certificate(self._certificate),
             branches={branch.name.lower(): self._branches[branch] for branch in Branch},
-            damping_least=self._damping_least if self._damping_most or any(self._branches[1:]) else 0.0,
+            damping_least=min(self._damping_least, self._damping_most),
             damping_most=self._damping_most,
         )

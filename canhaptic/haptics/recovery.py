@@ -1,6 +1,27 @@
 """Recovery of surplus energy: the modulated damper of eq. 19, with its total capped for the actual delay."""
 
 import math
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from canhaptic.parameters import quantity
+
+
+def _with_unit(value: Any) -> Any:
+    bare = isinstance(value, (int, float)) and value != 0
+    if isinstance(value, str):
+        try:
+            bare = float(value) != 0.0
+        except ValueError:
+            return value
+    if bare:
+        raise ValueError("damping per joule has no natural unit: write it, as in '200 s/m^2' or '5 s/rad^2'")
+    return value
+
+
+Alpha = Annotated[float, quantity("s/m^2", "s/rad^2", ge=0.0), BeforeValidator(_with_unit)]
+"""Modulated damping per joule of surplus (eq. 19). A number other than 0 must come with its unit."""
 
 
 def least_oscillating_damping(delay: int, mass: float, sample_time: float) -> float:
@@ -35,15 +56,30 @@ def damping_cap(delay: int, mass: float | None, sample_time: float) -> float:
     return math.inf if mass is None else least_oscillating_damping(delay, mass, sample_time)
 
 
-def modulated_damping(alpha: float, surplus: float, model_damping: float, cap: float) -> float:
+def modulated_damping(
+    alpha: float,
+    surplus: float,
+    model_damping: float,
+    cap: float,
+    displacement: float = 0.0,
+    sample_time: float = 1.0,
+) -> float:
     """Returns d_pas of eq. 19 [N*s/m or N*m*s/rad]: in proportion to the surplus, the total not above the cap.
+
+    Nor is it more than dissipates the surplus in one hold like the last: eq. 19 alone would take out more than there
+    is where alpha is large, and set up an oscillation of its own.
 
     Args:
         alpha: Damping per joule of surplus [s/m^2 or s/rad^2].
         surplus: Energy still to be dissipated [J]; at or below 0 the damper is off.
         model_damping: Damping that the model itself has inside the same torque [N*s/m or N*m*s/rad].
         cap: Of the total [N*s/m or N*m*s/rad].
+        displacement: Motion of the hold that ended [m or rad]; 0 for no limit by the surplus.
+        sample_time: [s].
     """
     if surplus <= 0.0:
         return 0.0
-    return max(0.0, min(alpha * surplus, cap - model_damping))
+    damping = min(alpha * surplus, cap - model_damping)
+    if damping * displacement * displacement > surplus * sample_time:
+        damping = surplus * sample_time / (displacement * displacement)
+    return max(0.0, damping)

@@ -1,0 +1,106 @@
+"""`original`: the algorithm of ref. [12], dissipation fixed a priori (eqs. 5-7), on the same ledger.
+
+The energy to be dissipated in a hold is T d v^2 with the velocity that was computed before it; what remains of stored
+and received energy gives the next state. Early in a contact that a-priori energy can exceed what the user has put in:
+the store falls instead of rising, and empties. What happens then the text does not print, and on it depends whether
+the failure of Fig. 5 shows. Measured on the wall of Figs. 4-5 (100 N/m, 5 Ns/m; user of 60 N/m, 5 Ns/m, 0.25 kg, 0.1 m
+at 0.5 Hz), force variation over that of the continuous wall's:
+
+    after the store emptied in contact                              40 Hz    100 Hz
+    eq. 14 as printed, v = x / T, when the user pushes inward         0.9       68
+    eq. 14 as printed, at the next sample whatever the motion         1.4       73
+    eq. 14 with the velocity from the displacement                    0.9      1.6
+    not until the contact ends (the user falls through)               0.9      0.6 (33 mm rms)
+
+So the failure at 100 Hz is that of the printed start used deep inside the wall: the whole penetration counts as the
+displacement of one sample, the a-priori dissipation of that velocity empties the store at once, and so on. The default
+is the first line (`rearm: printed`); `rearm: displacement` is the third, and far better than the paper's Fig. 5.
+
+Departures from print: the state of eq. 7 is taken on the side of the contact; a drive switched on inside the contact
+takes its velocity from the displacement, never from the penetration; the velocity of eq. 6 is the one inside the torque
+applied in that very hold; holds are booked to the end as in `internal_dissipation`.
+"""
+
+from typing import ClassVar, Literal
+
+from canhaptic.haptics.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.haptics.passivity.books import Books, Hold
+from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.haptics.passivity.storage import UNTOUCHED, Account, Storage
+from canhaptic.haptics.recovery import Alpha, damping_cap
+from canhaptic.parameters import Parameters
+
+
+class OriginalParameters(Parameters):
+    """What ref. [12] leaves to choose."""
+
+    alpha: Alpha = 0.0
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
+    rearm: Literal["printed", "displacement"] = "printed"
+    """Velocity of the start after the store emptied in contact: x / T as printed (eq. 14), or from the displacement."""
+
+
+class Original:
+    """The predecessor of the paper's algorithm for one axis."""
+
+    parameters_type: ClassVar[type[Parameters]] = OriginalParameters
+
+    def __init__(self, environment: Environment, parameters: OriginalParameters, loop: LoopProperties) -> None:
+        cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
+        self._environment = environment
+        self._damping = min(environment.damping, cap)
+        self._sample_time = loop.sample_time
+        self._rearm_as_printed = parameters.rearm == "printed"
+        self._storage = Storage(environment, loop.sample_time)
+        self._books = Books(
+            delay=loop.delay,
+            sample_time=loop.sample_time,
+            damping=self._damping,
+            damping_cap=cap,
+            alpha=parameters.alpha,
+            certificate=Certificate.NONE.value,
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything: nothing stored, no torque in flight, no last position."""
+        self._books.reset()
+        self._storage.reset()
+        self._met = False
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Books the hold that ended; see `Controller.step`."""
+        hold = self._books.open(position, torque_applied)
+        storage = self._storage
+        if hold is None:
+            storage.begin(position)
+            return AT_REST
+        changed = storage.follow(position, hold.displacement)
+        if storage.zone:
+            account = self._touch(hold, changed)
+        elif changed or hold.h_i != 0.0:
+            account = storage.leave(self._update(hold))
+        else:
+            account = UNTOUCHED
+        effort = self._environment.effort(storage.state)
+        return self._books.close(hold, account, storage.zone != 0, effort, storage.velocity, storage.state, storage.h_s)
+
+    def _touch(self, hold: Hold, entered: bool) -> Account:
+        """Books a hold that ended in contact."""
+        storage = self._storage
+        self._met = self._met or entered
+        if entered or (storage.deadlocked and storage.pushed_inward(hold.displacement)):
+            whole = abs(storage.true) < abs(hold.displacement) or (self._rearm_as_printed and self._met)
+            self._met = True
+            return storage.start(storage.true if whole else hold.displacement, hold.h_i - hold.h_pas)
+        return self._update(hold)
+
+    def _update(self, hold: Hold) -> Account:
+        """Dissipates what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
+        damping = self._damping
+        dissipation = self._sample_time * hold.damper**2 / damping if damping else 0.0
+        account = self._storage.approximate(dissipation, hold.h_i - hold.h_pas)
+        if self._storage.h_s == 0.0:
+            self._storage.empty()
+        return account

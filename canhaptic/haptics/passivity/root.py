@@ -1,0 +1,130 @@
+"""The energy balance of eq. 8 solved for the state change: closed for a linear spring, safeguarded for any other.
+
+Eq. 16 prints dx = (-b - sqrt(b^2 - 4 a c)) / 2 a. That loses all digits where k or the displacement is small, divides
+by zero at k = 0, and needs the other sign for the sticky rule. The root nearest zero in the form
+
+    dx = 2 H / (b + sgn(b) sqrt(b^2 + 2 k H)),    b = k x + f_d,    H = energy received
+
+has none of these faults and covers the sticky rule. Near the double root the discriminant cancels, so it is formed from
+exact products (Dekker 1971) and an exact sum.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+_SPLITTER: Final = 134217729.0  # 2^27 + 1 (Veltkamp)
+_ITERATIONS: Final = 80  # bisection alone reaches the last bit of any bracket of one binade in 53
+
+
+def discriminant(effort: float, product: float, energy: float) -> float:
+    """Returns effort^2 + product * energy, accurate to its last bits although the two terms may cancel."""
+    square = effort * effort
+    other = product * energy
+    total = square + other
+    if total > 0.125 * square and total > 0.125 * abs(other):
+        return total  # three bits lost at most: no help needed, and this is nearly every hold
+    high = _SPLITTER * effort
+    high -= high - effort
+    low = effort - high
+    square_error = ((high * high - square) + 2.0 * high * low) + low * low
+    part = total - square
+    sum_error = (square - (total - part)) + (other - part)
+    return total + (sum_error + (square_error + _product_error(product, energy, other)))
+
+
+def _product_error(a: float, b: float, product: float) -> float:
+    a_high = _SPLITTER * a
+    a_high -= a_high - a
+    b_high = _SPLITTER * b
+    b_high -= b_high - b
+    a_low, b_low = a - a_high, b - b_high
+    return ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def solve_balance(stiffness: float, effort: float, energy: float, displacement: float) -> float | None:
+    """Returns the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or None where no state change balances.
+
+    Args:
+        stiffness: k >= 0 [N/m or N*m/rad].
+        effort: b, the whole effort opposing motion at the old state: k x + f_d [N or N*m].
+        energy: H, what the model received [J].
+        displacement: Measured motion of the hold [m or rad]; its sign decides between two roots equally near, and it
+            is the answer itself where nothing opposes motion and nothing was received (k = b = 0).
+    """
+    if energy == 0.0:
+        return displacement if stiffness == 0.0 and effort == 0.0 else 0.0
+    if effort == 0.0:
+        if stiffness == 0.0 or energy < 0.0:
+            return None
+        return math.copysign(math.sqrt(2.0 * energy / stiffness), displacement)
+    under_root = discriminant(effort, 2.0 * stiffness, energy)
+    if under_root < 0.0:
+        return None
+    return 2.0 * energy / (effort + math.copysign(math.sqrt(under_root), effort))
+
+
+def solve_balance_nonlinear(
+    gain: Callable[[float], float], slope: Callable[[float], float], energy: float, limit: float
+) -> float | None:
+    """Returns the root nearest zero of gain(dx) = H for a nonlinear storage, or None where no state change balances.
+
+    The direction follows from the sign of H and of the slope at 0. Within it the root is bracketed - by the limit, or
+    by the place where the slope turns - and found by Newton steps that fall back to bisection when they leave the
+    bracket; never more than 80 of each.
+
+    Args:
+        gain: Energy that a state change takes up, stored and dissipated [J]; gain(0) = 0.
+        slope: Its derivative [N or N*m].
+        energy: H, what the model received [J].
+        limit: Largest state change to look at, >= 0 [m or rad]. With more received than the limit takes up the answer
+            is the limit, and the caller leaks the rest.
+    """
+    if energy == 0.0 or limit == 0.0:
+        return 0.0 if energy >= 0.0 else None
+    effort = slope(0.0)
+    if effort == 0.0:
+        return None
+    far = math.copysign(limit, energy * effort)
+    if (slope(far) > 0.0) != (effort > 0.0):
+        far = _turning_point(slope, far)
+    if abs(gain(far)) < abs(energy) or (gain(far) > 0.0) != (energy > 0.0):
+        return far if energy > 0.0 else None
+    return _newton(gain, slope, energy, far)
+
+
+def _turning_point(slope: Callable[[float], float], far: float) -> float:
+    """Returns the last place before the slope changes its sign between 0 and `far`."""
+    near, rising = 0.0, slope(0.0) > 0.0
+    for _ in range(_ITERATIONS):
+        middle = 0.5 * (near + far)
+        if middle in (near, far):
+            break
+        if (slope(middle) > 0.0) == rising:
+            near = middle
+        else:
+            far = middle
+    return near
+
+
+def _newton(gain: Callable[[float], float], slope: Callable[[float], float], energy: float, far: float) -> float:
+    """Returns the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
+    near, guess = 0.0, energy / slope(0.0)
+    for _ in range(_ITERATIONS):
+        if not min(near, far) < guess < max(near, far):
+            guess = 0.5 * (near + far)
+            if guess in (near, far):
+                break
+        missing = energy - gain(guess)
+        if missing == 0.0:
+            return guess
+        if (missing > 0.0) == (energy > 0.0):
+            near = guess
+        else:
+            far = guess
+        steep = slope(guess)
+        step = missing / steep if steep else far - near
+        if abs(step) <= 1e-16 * abs(guess):
+            break
+        guess += step
+    return guess
