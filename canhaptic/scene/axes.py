@@ -22,6 +22,7 @@ from canhaptic.tables import load
 
 LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
+_MILLI: Final = 1e-3
 OWN_SECTIONS: Final = ("environment", "passivity")
 """Shared sections of which an axis may have its own."""
 SCALING_KEYS: Final = ("counts_per_unit", "rated_torque")
@@ -213,6 +214,10 @@ def _drive(section: MarkedMapping, axis: MarkedMapping, faults: Faults) -> Marke
     for key in SCALING_KEYS:
         if key not in drive and axis.get(key) is not None:
             drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
+    ratio = axis.get("transmission")
+    if "rated_torque_resolution" not in drive and isinstance(ratio, int | float) and not isinstance(ratio, bool):
+        at = axis.values_at["transmission"]
+        drive.put("rated_torque_resolution", _MILLI * ratio, at, at)  # 0x6076 counts the motor's torque, not the axis's
     return drive
 
 

@@ -4,9 +4,10 @@ from collections import Counter
 
 from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.bus_budget import require_budget
+from canhaptic.drive.fitness import Verdict, check_dictionary
 from canhaptic.drive.pdo_map import AxisMap, choose_map
 from canhaptic.drive.quirks import quirks_of
-from canhaptic.errors import BusBudgetError, DictionaryError, InputError, ParameterError
+from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.models import AxisScene, Scene
@@ -96,11 +97,17 @@ def _check_parts(
             build_plant(axis.simulation, scene.bus.sample_time_ns)
         except ParameterError as error:
             faults.add(sections["simulation"].value_at("plant"), str(error))
+    return _check_dictionary(axis, entry, faults)
+
+
+def _check_dictionary(axis: AxisScene, entry: MarkedMapping, faults: Faults) -> AxisMap | None:
+    """Notes every reason why the drive's dictionary does not serve; returns the PDO map when it does."""
     try:
         dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
-        return choose_map(dictionary, axis.parameters)
     except DictionaryError as error:
         faults.add(entry.value_at("eds"), str(error))
-    except InputError as error:
-        faults.add(entry.mark, str(error))
-    return None
+        return None
+    refusals = [f for f in check_dictionary(dictionary, axis.parameters) if f.verdict is Verdict.REFUSED]
+    for finding in refusals:
+        faults.add(entry.value_at("eds"), f"{axis.parameters.eds}: {finding.item}: {finding.text}")
+    return None if refusals else choose_map(dictionary, axis.parameters)

@@ -35,7 +35,11 @@ class Faults:
     def add(self, mark: Mark, message: str) -> None:
         """Notes a fault as `file:line:column: path: message`."""
         path = f"{'.'.join(mark.path)}: " if mark.path else ""
-        self._lines.setdefault(f"{mark.where}: {path}{message}", (mark.line, mark.column))
+        line = "".join(
+            letter if letter.isprintable() else letter.encode("unicode_escape").decode()
+            for letter in f"{mark.where}: {path}{message}"
+        )
+        self._lines.setdefault(line, (mark.line, mark.column))
 
     def raise_if_any(self) -> None:
         """Raises SceneError with every fault noted so far, in the order of the file; overrides come first."""

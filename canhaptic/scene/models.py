@@ -2,12 +2,9 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
-
-from pydantic import Field
 
 from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.haptics.passivity.protocol import LoopProperties
@@ -36,7 +33,7 @@ class RunParameters(Parameters):
 class SimulationParameters(Parameters):
     """Values of the simulation that belong to no axis."""
 
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    seed: Annotated[int, quantity("1", ge=0, le=1e9)] = 0
     """Of everything random in the simulation."""
 
 
@@ -68,6 +65,10 @@ class AxisScene:
     loop: LoopProperties
     simulation: AxisSimulation | None
 
+    def dictionary_hash(self) -> str:
+        """Returns the SHA-256 of the drive's EDS or DCF."""
+        return hashlib.sha256(self.parameters.eds.read_bytes()).hexdigest()
+
 
 @dataclass(frozen=True, slots=True)
 class Scene:
@@ -98,9 +99,14 @@ class Scene:
         }
 
     def config_hash(self) -> str:
-        """Returns the SHA-256 of the configuration in effect; comments, order and log paths do not change it."""
+        """Returns the SHA-256 of the configuration in effect, dictionaries by content.
+
+        Comments, the order of keys, log paths and the folder of the dictionaries do not change it.
+        """
         resolved = self.resolved()
         del resolved["log"]
+        for axis in self.axes:
+            resolved["axes"][axis.parameters.name]["eds"] = axis.dictionary_hash()
         canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -113,7 +119,7 @@ def _typed(selector: str, typed: Typed) -> dict[str, Any]:
     return {selector: typed.name, **_plain(typed.parameters)}
 
 
-def _axis(axis: AxisScene) -> Mapping[str, Any]:
+def _axis(axis: AxisScene) -> dict[str, Any]:
     simulation = axis.simulation
     return {
         **_plain(axis.parameters),

@@ -113,7 +113,7 @@ def _note(
     motion: Motion | None,
     also: tuple[str, ...],
 ) -> None:
-    value_at, key_at = _places(section, fault["loc"])
+    value, value_at, key_at = _places(section, fault["loc"], fault.get("input"))
     kind = fault["type"]
     if kind == "extra_forbidden":
         owner = _model_at(model, fault["loc"][:-1])
@@ -124,16 +124,19 @@ def _note(
     if kind == "missing":
         faults.add(value_at, f"missing{', expected ' + expected if expected else '; add it'}")
     elif kind == "value_error":
-        faults.add(value_at, f"got {shown(fault.get('input'))}, {fault['ctx']['error']}")
+        faults.add(value_at, f"got {shown(value)}, {fault['ctx']['error']}")
     elif kind in _NUMBER_FAULTS and expected:
-        faults.add(value_at, f"got {shown(fault.get('input'))}, expected {expected}")
+        faults.add(value_at, f"got {shown(value)}, expected {expected}")
     else:
         message = fault["msg"].replace("Input should be", "expected").split(", unable to parse")[0]
-        faults.add(value_at, f"got {shown(fault.get('input'))}, {message[:1].lower()}{message[1:]}")
+        faults.add(value_at, f"got {shown(value)}, {message[:1].lower()}{message[1:]}")
 
 
-def _places(section: MarkedMapping, location: tuple[int | str, ...]) -> tuple[Mark, Mark]:
-    """Returns the marks of the value and of the key at a location; what is missing takes its owner's place."""
+def _places(section: MarkedMapping, location: tuple[int | str, ...], seen: Any) -> tuple[Any, Mark, Mark]:
+    """Returns the value as written and the marks of value and key at a location.
+
+    What is missing takes its owner's place; `seen` stands for a value that is not found.
+    """
     container: Any = section
     value_at = key_at = section.mark
     for part in location:
@@ -145,10 +148,10 @@ def _places(section: MarkedMapping, location: tuple[int | str, ...]) -> tuple[Ma
             value_at = key_at = container.values_at[part]
             container = container[part]
         elif isinstance(container, MarkedMapping):
-            return container.mark.below(name), container.mark.below(name)
+            return seen, container.mark.below(name), container.mark.below(name)
         else:  # a part of pydantic's own, such as a branch of a union
-            break
-    return value_at, key_at
+            return seen, value_at, key_at
+    return container, value_at, key_at
 
 
 def _key_of(container: Any, part: int | str) -> str:

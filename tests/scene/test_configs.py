@@ -1,0 +1,63 @@
+"""The configurations that come with the package."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from scene_text import REPOSITORY
+
+from canhaptic.scene.load import load_scene
+
+CONFIGS = sorted((REPOSITORY / "configs").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_every_shipped_configuration_is_valid(path: Path) -> None:
+    assert load_scene(path).axes
+
+
+def test_the_six_configurations_are_there() -> None:
+    figures = {"paper_fig4_40hz", "paper_fig5_100hz", "paper_fig7_40hz", "paper_fig8_100hz"}
+    assert {"demo", "socketcan_example"} | figures <= {path.stem for path in CONFIGS}
+
+
+def test_the_real_rig_differs_from_the_demo_in_the_bus_and_the_simulation_only() -> None:
+    demo, real = (
+        yaml.safe_load((REPOSITORY / "configs" / f"{name}.yaml").read_text()) for name in ("demo", "socketcan_example")
+    )
+    assert "simulation" not in real
+    del demo["simulation"]
+    bus, real_bus = demo.pop("bus"), real.pop("bus")
+    assert demo == real
+    assert {key for key in bus.keys() | real_bus.keys() if bus.get(key) != real_bus.get(key)} == {
+        "interface",
+        "channel",
+        "bitrate",
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "damping", "surface", "algorithm", "amplitude"),
+    [
+        ("paper_fig4_40hz", 40.0, 5.0, 0.0, "original", 0.1),
+        ("paper_fig5_100hz", 100.0, 5.0, 0.0, "original", 0.1),
+        ("paper_fig7_40hz", 40.0, 10.0, -0.05, "internal_dissipation", 0.15),
+        ("paper_fig8_100hz", 100.0, 10.0, -0.05, "internal_dissipation", 0.15),
+    ],
+)
+def test_the_figures_carry_the_parameters_of_the_paper(
+    name: str, rate: float, damping: float, surface: float, algorithm: str, amplitude: float
+) -> None:
+    scene = load_scene(REPOSITORY / "configs" / f"{name}.yaml")
+    [axis] = scene.axes
+    wall = axis.environment.parameters.model_dump()
+    assert (scene.bus.rate, scene.bus.rpdo) == (rate, "event")
+    assert (wall["stiffness"], wall["damping"], wall["position"]) == (100.0, damping, surface)
+    assert axis.passivity.name == algorithm
+    assert axis.simulation is not None
+    assert (axis.simulation.plant.mass, axis.simulation.plant.damping) == (0.25, 0.1)
+    user = axis.simulation.user
+    assert user is not None
+    assert (user.stiffness, user.damping) == (60.0, 5.0)
+    assert user.motion is not None
+    assert (user.motion.amplitude, user.motion.frequency) == (amplitude, 0.5)

@@ -1,0 +1,416 @@
+"""Scene files that are right, and every class of fault of those that are not."""
+
+from pathlib import Path
+
+import pytest
+from scene_text import REPOSITORY, SCENE, SECOND_AXIS, SHIPPED_EDS, scene_file
+
+from canhaptic.errors import SceneError
+from canhaptic.scene.load import load_scene, scene_from_mapping
+
+Replacement = tuple[str, str]
+
+
+def faults(folder: Path, *replacements: Replacement, overrides: tuple[str, ...] = ()) -> list[str]:
+    """Returns the faults with the folder cut off: `scene.yaml:line:column: ...`."""
+    path = scene_file(folder, *replacements)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, overrides)
+    return [line.replace(f"{folder}/", "") for line in caught.value.faults]
+
+
+def test_a_scene_is_read_in_si(tmp_path: Path) -> None:
+    scene = load_scene(scene_file(tmp_path))
+    assert scene.bus.rate == 1000.0
+    assert scene.bus.sample_time_ns == 1_000_000
+    assert scene.run.duration == 1.0
+    [axis] = scene.axes
+    assert axis.parameters.eds == SHIPPED_EDS
+    assert axis.environment.name == "spring_damper_wall"
+    assert axis.environment.parameters.model_dump()["stiffness"] == 100.0
+    assert axis.loop.sample_time == 1e-3
+    assert axis.loop.delay == 0
+    assert axis.loop.encoder_count == 1e-6
+    assert axis.loop.torque_quantum == 0.01
+    assert axis.loop.torque_limit == 20.0
+    assert axis.simulation is not None
+    assert axis.simulation.drive.counts_per_unit == 1e6
+    assert axis.simulation.drive.rated_torque == 10.0
+    assert axis.simulation.user is not None
+    assert scene.simulated
+
+
+def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
+    assert load_scene(scene_file(tmp_path), ["bus.rpdo=synchronous"]).axes[0].loop.delay == 1
+
+
+@pytest.mark.parametrize(
+    ("replacement", "expected"),
+    [
+        (
+            ("  stiffness: 100 N/m", "  stiffness: -1 N/m"),
+            "scene.yaml:13:14: environment.stiffness: got '-1 N/m', expected 0 <= stiffness <= 1e9 [N/m]",
+        ),
+        (
+            ("  stiffness: 100 N/m", "  stiffness: 100 N*m/rad"),
+            "scene.yaml:13:14: environment.stiffness: got '100 N*m/rad', unit 'N*m/rad' does not fit; expected [N/m]",
+        ),
+        (
+            ("  stiffness:", "  stifness:"),
+            "scene.yaml:13:3: environment.stifness: unknown key; did you mean 'stiffness'?",
+        ),
+        (
+            ("  stiffness: 100 N/m\n", ""),
+            "scene.yaml:12:3: environment.stiffness: missing, expected 0 <= stiffness <= 1e9 [N/m]",
+        ),
+        (
+            ("  damping: 10", "  damping: [1]"),
+            "scene.yaml:14:12: environment.damping: got a list, expected 0 <= damping <= 1e7 [N*s/m]",
+        ),
+        (
+            ("  damping: 10", "  damping: .nan"),
+            "scene.yaml:14:12: environment.damping: got nan, expected 0 <= damping <= 1e7 [N*s/m]",
+        ),
+        (("  damping: 10", "  damping: true"), "scene.yaml:14:12: environment.damping: got true, a truth value is not"),
+        (
+            ("  damping: 10", "  damping: hard"),
+            "scene.yaml:14:12: environment.damping: got 'hard', 'hard' is not a num",
+        ),
+        (("  damping: 10", "  damping:"), "scene.yaml:14:11: environment.damping: got nothing, expected 0 <= damping"),
+        (
+            ("spring_damper_wall", "wall"),
+            "scene.yaml:12:9: environment.type: unknown environment 'wall', expected one of",
+        ),
+        (("  type: spring_damper_wall\n", ""), "scene.yaml:12:3: environment.type: missing, expected one of:"),
+        (
+            ("algorithm: direct", "algorithm: dirct"),
+            "scene.yaml:15:24: passivity.algorithm: unknown passivity algorithm",
+        ),
+        (("algorithm: direct", "algorithm: 5"), "scene.yaml:15:24: passivity.algorithm: got 5, expected one of:"),
+        (
+            ("{algorithm: direct}", "{algorithm: direct, moving_mass: -1}"),
+            "scene.yaml:15:45: passivity.moving_mass: got -1, expected 0 < moving_mass [kg]",
+        ),
+        (
+            ("{algorithm: direct}", "{algorithm: direct, moving_mas: 1}"),
+            "scene.yaml:15:32: passivity.moving_mas: unknown key; did you mean 'moving_mass'?",
+        ),
+        (("passivity: {algorithm: direct}\n", ""), "scene.yaml:1:1: passivity: missing; give it here or in the axis"),
+        (("rpdo: event", "rpdo: evnt"), "scene.yaml:2:46: bus.rpdo: got 'evnt', expected 'synchronous' or 'event'"),
+        (("rate: 1 kHz", "rate: 1 s"), "scene.yaml:2:33: bus.rate: got '1 s', unit 's' does not fit; expected [Hz]"),
+        (("rate: 1 kHz, ", ""), "scene.yaml:2:6: bus.rate: missing, expected 1 <= rate <= 20000 [Hz]"),
+        (("rate: 1 kHz", "rate: 1e9"), "scene.yaml:2:33: bus.rate: got 1000000000.0, expected 1 <= rate <= 20000 [Hz]"),
+        (("node_id: 1", "node_id: 128"), "scene.yaml:5:14: axes.0.node_id: got 128, expected 1 <= node_id <= 127"),
+        (("node_id: 1", "node_id: 1.5"), "scene.yaml:5:14: axes.0.node_id: got 1.5, expected 1 <= node_id <= 127"),
+        (
+            ("node_id: 1", "node_id: 126"),
+            "scene.yaml:5:14: axes.0.node_id: got 126, which is the node ID of the master",
+        ),
+        (("cia402_servo.eds", "none.eds"), "scene.yaml:6:10: axes.0.eds: got 'none.eds', no such file in"),
+        (("cia402_servo.eds", "scene.yaml"), "scene.yaml:6:10: axes.0.eds: scene.yaml: lists no object"),
+        (("unit: m", "unit: mm"), "scene.yaml:7:11: axes.0.unit: got 'mm', expected 'm' or 'rad'"),
+        (
+            ("    counts_per_unit: 1e6\n", ""),
+            "scene.yaml:4:5: axes.0.counts_per_unit: missing, expected 0 < counts_per",
+        ),
+        (("counts_per_unit: 1e6", "counts_per_unit: 0"), "axes.0.counts_per_unit: got 0, expected 0 < counts_per_unit"),
+        (
+            ("unit: m\n", "unit: m\n    drive: eposs\n"),
+            "scene.yaml:8:12: axes.0.drive: drive: got 'eposs', expected one of",
+        ),
+        (
+            ("  plant: {mass: 0.25,", "  plant: {mass: 0,"),
+            "scene.yaml:17:17: simulation.plant.mass: got 0, expected 0 <",
+        ),
+        (
+            ("amplitude: 0.1", "amplitud: 0.1"),
+            "simulation.user.motion.amplitud: unknown key; did you mean 'amplitude'?",
+        ),
+        (("  plant:", "  effects: [{type: jelly}]\n  plant:"), "simulation.effects.0.type: unknown effect 'jelly'"),
+        (("  plant:", "  effects: {type: jelly}\n  plant:"), "simulation.effects: got a mapping, expected a list of"),
+        (("  plant:", "  effects: [5]\n  plant:"), "simulation.effects.0: got 5, expected a mapping of type and"),
+        (("  plant:", "  seed: -1\n  plant:"), "scene.yaml:17:9: simulation.seed: got -1, expected 0 <= seed <= 1e9"),
+        (("  plant:", "  plnt:"), "scene.yaml:17:3: simulation.plnt: unknown key; did you mean 'plant'?"),
+        (
+            ("  plant:", "  axes: {hand: {}}\n  plant:"),
+            "scene.yaml:17:10: simulation.axes.hand: unknown key; did you mean",
+        ),
+        (
+            ("  plant:", "  axes: {handle: {plat: 1}}\n  plant:"),
+            "simulation.axes.handle.plat: unknown key; did you mean",
+        ),
+        (
+            ("  plant:", "  drive: {objects: {x: 1}}\n  plant:"),
+            "simulation.drive.objects: got a mapping, 'x' names no obj",
+        ),
+        (("duration: 1 s", "duration: -1"), "scene.yaml:1:11: duration: got -1, expected 0 < duration <= 1e6 [s]"),
+        (("duration: 1 s", "durations: 1 s"), "scene.yaml:1:1: durations: unknown key; did you mean 'duration'?"),
+        (("duration: 1 s", "log: {enrgy: x.h5}"), "scene.yaml:1:7: log.enrgy: unknown key; did you mean 'energy'?"),
+        (("duration: 1 s", "log: x.h5"), "scene.yaml:1:6: log: got 'x.h5', expected a mapping of keys and values"),
+        (("bus: {", "bus: [] #"), "scene.yaml:2:6: bus: got a list, expected a mapping of keys and values"),
+        (
+            ("{algorithm: direct}", "direct"),
+            "scene.yaml:15:12: passivity: got 'direct', expected a mapping of algorithm",
+        ),
+    ],
+)
+def test_a_fault_is_shown_with_its_place_value_and_limits(
+    tmp_path: Path, replacement: Replacement, expected: str
+) -> None:
+    lines = faults(tmp_path, replacement)
+    assert any(expected in line for line in lines), "\n".join(lines)
+
+
+def test_all_faults_are_shown_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
+    lines = faults(
+        tmp_path,
+        ("rate: 1 kHz", "rate: 0"),
+        ("node_id: 1", "node_id: 0"),
+        ("  stiffness: 100 N/m", "  stifness: 100 N/m"),
+        ("mass: 0.25", "mass: -1"),
+        overrides=("duration=0", "environment.side=left"),
+    )
+    starts = [line.split(": got")[0].split(": unknown")[0].split(": missing")[0] for line in lines]
+    assert starts == [
+        "--set duration=0: duration",
+        "--set environment.side=left: environment.side",
+        "scene.yaml:2:33: bus.rate",
+        "scene.yaml:5:14: axes.0.node_id",
+        "scene.yaml:12:3: environment.stiffness",
+        "scene.yaml:13:3: environment.stifness",
+        "scene.yaml:17:17: simulation.plant.mass",
+    ]
+
+
+def test_a_fault_of_a_shared_section_is_shown_once_for_all_axes(tmp_path: Path) -> None:
+    second = SECOND_AXIS.replace("unit: rad", "unit: m").replace("N*m", "N")
+    lines = faults(tmp_path, ("environment:\n", second + "environment:\n"), ("  damping: 10", "  damping: -10"))
+    assert len(lines) == 1
+
+
+def test_node_ids_and_names_are_unique(tmp_path: Path) -> None:
+    second = SECOND_AXIS.replace("node_id: 2", "node_id: 1").replace("knob", "handle")
+    environment = "    environment: {type: spring_damper_wall, stiffness: 1 N*m/rad}\nenvironment:\n"
+    simulation = ("mass: 0.25, damping: 0.1", "mass: 0.25")
+    lines = faults(tmp_path, ("environment:\n", second + environment), ("100 N/m", "100"), simulation)
+    assert lines == [
+        f"scene.yaml:11:11: axes.1.name: got 'handle', which is the name of another axis already "
+        f"({tmp_path}/scene.yaml:4:11)".replace(f"{tmp_path}/", ""),
+        "scene.yaml:12:14: axes.1.node_id: got 1, which is the node_id of another axis already (scene.yaml:5:14)",
+    ]
+
+
+def test_a_linear_unit_on_a_rotary_axis_is_refused(tmp_path: Path) -> None:
+    lines = faults(tmp_path, ("environment:\n", SECOND_AXIS + "environment:\n"))
+    assert lines == [
+        "scene.yaml:20:14: environment.stiffness: got '100 N/m', unit 'N/m' does not fit; expected [N*m/rad]"
+    ]
+
+
+def test_a_virtual_bus_without_simulation_reaches_nobody(tmp_path: Path) -> None:
+    [line] = faults(tmp_path, overrides=("simulation=null",))
+    assert "bus.interface: interface 'virtual' reaches no drive outside this process" in line
+    assert not load_scene(tmp_path / "scene.yaml", ["simulation=null", "bus.channel=x"]).simulated
+
+
+def test_a_claimed_delay_or_sample_time_must_agree_with_the_bus(tmp_path: Path) -> None:
+    overrides = ("bus.rpdo=synchronous", "passivity.delay=0", "passivity.sample_time=2 ms")
+    lines = faults(tmp_path, overrides=overrides)
+    assert "delays the torque by 1 hold; leave it out, or set rpdo: event" in lines[0]
+    assert "bus.rate of 1000 Hz makes it 0.001 s; leave it out" in lines[1]
+    assert load_scene(tmp_path / "scene.yaml", ["passivity.delay=2"]).axes[0].loop.delay == 2
+
+
+def test_a_bus_that_is_too_slow_is_refused_with_the_arithmetic(tmp_path: Path) -> None:
+    [line] = faults(tmp_path, overrides=("bus.bitrate=125 kbit/s",))
+    assert line.startswith("scene.yaml:2:33: bus.rate: the cycle does not fit the bus: 1 SYNC x 55 + 1 TPDO x 135")
+    assert "what fits: rate: " in line
+
+
+def test_an_unfit_dictionary_is_refused_with_every_reason(tmp_path: Path, vendor_eds: Path) -> None:
+    lines = faults(tmp_path, overrides=(f"axes.0.eds={vendor_eds / 'schunk_prl.dcf'}",))
+    assert any("0x6071 target torque: missing" in line for line in lines)
+    assert any("0x6502 supported drive modes: got 0x0043, expected bit 9" in line for line in lines)
+
+
+@pytest.mark.parametrize("name", ["elmo_gold.dcf", "kollmorgen_rgm.eds", "maxon_epos4.dcf", "zeroerr_erob.eds"])
+def test_the_demo_takes_every_cyclic_torque_dictionary(name: str, vendor_eds: Path) -> None:
+    scene = load_scene(REPOSITORY / "configs" / "demo.yaml", [f"axes.0.eds={vendor_eds / name}"])
+    assert scene.axes[0].parameters.eds == vendor_eds / name
+
+
+# --- sections of an axis ------------------------------------------------------------------------------------------
+
+
+def test_an_axis_lays_its_own_keys_over_the_shared_ones(tmp_path: Path) -> None:
+    own = "    environment: {stiffness: 500}\n    passivity: {moving_mass: 0.2}\nenvironment:\n"
+    [axis] = load_scene(scene_file(tmp_path, ("environment:\n", own))).axes
+    assert axis.environment.parameters.model_dump(include={"stiffness", "damping"}) == {
+        "stiffness": 500.0,
+        "damping": 10.0,
+    }
+    assert axis.passivity.name == "direct"
+    assert axis.loop.moving_mass == 0.2
+
+
+def test_an_axis_that_names_another_type_inherits_nothing(tmp_path: Path) -> None:
+    own = "    environment: {type: cushion}\nenvironment:\n"
+    lines = faults(tmp_path, ("environment:\n", own))
+    assert len(lines) == 1
+    assert "axes.0.environment.type: unknown environment 'cushion'" in lines[0]
+
+
+def test_simulation_of_an_axis_is_laid_over_the_shared_one(tmp_path: Path) -> None:
+    own = "  axes:\n    handle:\n      plant: {mass: 0.5}\n      user: null\n  plant:"
+    [axis] = load_scene(scene_file(tmp_path, ("  plant:", own))).axes
+    assert axis.simulation is not None
+    assert (axis.simulation.plant.mass, axis.simulation.plant.damping) == (0.5, 0.1)
+    assert axis.simulation.user is None
+
+
+def test_every_axis_has_its_own_seed(tmp_path: Path) -> None:
+    second = SECOND_AXIS.replace("unit: rad", "unit: m").replace("N*m", "N")
+    path = scene_file(tmp_path, ("environment:\n", second + "environment:\n"), ("  plant:", "  seed: 7\n  plant:"))
+    seeds = [axis.simulation.seed for axis in load_scene(path, ["bus.rate=500"]).axes if axis.simulation]
+    assert seeds == [7, 8]
+
+
+# --- overrides ----------------------------------------------------------------------------------------------------
+
+
+def test_overrides_are_laid_over_in_order(tmp_path: Path) -> None:
+    overrides = [
+        "axes.0.node_id=5",
+        "axes.handle.node_id=6",
+        "environment.stiffness=1e-3 kN/m",
+        "log.energy=x.h5",
+        'simulation.drive.objects."0x6091.1"=3',
+        "simulation.user.motion={amplitude: 0.2, frequency: 2 Hz}",
+    ]
+    scene = load_scene(scene_file(tmp_path), overrides)
+    [axis] = scene.axes
+    assert axis.parameters.node_id == 6
+    assert axis.environment.parameters.model_dump()["stiffness"] == 1.0
+    assert scene.log.energy == Path("x.h5")
+    assert axis.simulation is not None
+    assert axis.simulation.drive.object_values() == {(0x6091, 1): 3}
+    assert axis.simulation.user is not None
+    assert axis.simulation.user.motion is not None
+    assert axis.simulation.user.motion.amplitude == 0.2
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("axes.0.node_id", "got no PATH=VALUE"),
+        ("=5", "got no PATH=VALUE"),
+        ("axes..x=5", "got no PATH=VALUE"),
+        ("axes.3.node_id=5", "axes.3: got index '3', expected 0 to 0 or a name"),
+        ("axes.hande.node_id=5", "axes.hande: got index 'hande', expected 0 to 0 or a name; did you mean 'handle'?"),
+        ("axes.-1.node_id=5", "axes.-1: got index '-1'"),
+        ("axes.٣.node_id=5", "axes.٣: got index '٣'"),
+        ("duration.x=5", "duration: got '1 s', which has no entry 'x'"),
+        ("bus.rate=[1", "bus.rate: not valid YAML"),
+        ("bus.rate={a: 1, a: 2}", "bus.rate.a: key 'a' is given twice"),
+        ("bus=5", "bus: got 5, expected a mapping"),
+        ("axes=5", "axes: got 5, expected a list of axes"),
+        ("axes=[]", "axes: got an empty list, expected at least one axis"),
+        ("axes.0=5", "axes.0: got 5, expected a mapping of name, node_id"),
+    ],
+)
+def test_a_fault_of_an_override_names_the_override(tmp_path: Path, override: str, expected: str) -> None:
+    lines = faults(tmp_path, overrides=(override,))
+    assert any(line.startswith(f"--set {override}: {expected}") for line in lines), "\n".join(lines)
+
+
+def test_a_dictionary_in_an_override_is_relative_to_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.eds").write_bytes(SHIPPED_EDS.read_bytes())
+    path = scene_file(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert load_scene(path, ["axes.0.eds=own.eds"]).axes[0].parameters.eds == Path("own.eds")
+    monkeypatch.chdir("/")
+    with pytest.raises(SceneError, match="no such file"):
+        load_scene(path, ["axes.0.eds=own.eds"])
+
+
+# --- files --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "scene.yaml: empty, expected a mapping with bus, axes"),
+        (b"# nothing\n", "scene.yaml:1:1: empty, expected a mapping with bus, axes"),
+        (b"- 1\n", "scene.yaml:1:1: got a list, expected a mapping"),
+        (b"hello", "scene.yaml:1:1: got 'hello', expected a mapping"),
+        (b"a: [1", "scene.yaml:1:6: not valid YAML"),
+        (b"x: 1\nname: caf\xe9\n", "scene.yaml:2: not UTF-8 text (byte 0xe9)"),
+        ("bus: 1".encode("utf-16"), "not UTF-8 text"),
+        (b"\x00\x01", "not valid YAML"),
+        (b"#" * 1_000_001, "larger than 1000000 bytes"),
+    ],
+)
+def test_a_file_that_is_no_scene_is_one_clear_error(tmp_path: Path, content: bytes, expected: str) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(content)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert expected in str(caught.value)
+    assert len(caught.value.faults) == 1
+
+
+def test_a_missing_file_or_a_folder_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"cannot be read \(No such file or directory\)"):
+        load_scene(tmp_path / "none.yaml")
+    with pytest.raises(SceneError, match=r"cannot be read \(Is a directory\)"):
+        load_scene(tmp_path)
+    with pytest.raises(SceneError, match="cannot be read"):
+        load_scene("a\0b")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_scene(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(b"\xef\xbb\xbf" + SCENE.encode())
+    assert load_scene(path).bus.rate == 1000.0
+
+
+# --- without a file -----------------------------------------------------------------------------------------------
+
+
+def test_a_scene_can_be_made_of_plain_values() -> None:
+    values = {
+        "bus": {"interface": "virtual", "rate": 500},
+        "axes": [
+            {
+                "name": "knob",
+                "node_id": 3,
+                "eds": str(SHIPPED_EDS),
+                "counts_per_unit": 1000,
+                "rated_torque": 1.0,
+                "torque_limit": 2.0,
+            }
+        ],
+        "environment": {"type": "spring_damper_wall", "stiffness": "1 N*m/rad"},
+        "passivity": {"algorithm": "direct"},
+        "simulation": {"plant": {"mass": 1e-3}},
+    }
+    assert scene_from_mapping(values).axes[0].parameters.unit == "rad"
+    values["bus"] = {"rate": -1}
+    with pytest.raises(SceneError, match=r"^scene: bus.rate: got -1, expected 1 <= rate <= 20000 \[Hz\]$"):
+        scene_from_mapping(values)
+
+
+# --- the configuration in effect ----------------------------------------------------------------------------------
+
+
+def test_the_hash_ignores_comments_order_and_folder_but_no_value(tmp_path: Path) -> None:
+    path = scene_file(tmp_path)
+    first = load_scene(path).config_hash()
+    path.write_text("# a comment\n" + "duration: 1000 ms\n" + SCENE.replace("duration: 1 s\n", ""), encoding="utf-8")
+    (tmp_path / "cia402_servo.eds").write_bytes(SHIPPED_EDS.read_bytes())
+    assert load_scene(path, ["log.energy=x.h5"]).config_hash() == first
+    assert load_scene(path, ["environment.damping=11"]).config_hash() != first
+    (tmp_path / "cia402_servo.eds").write_bytes(SHIPPED_EDS.read_bytes() + b"\n; another file\n")
+    assert load_scene(path).config_hash() != first
