@@ -216,6 +216,11 @@ class Ledger:
             self._least_margin = margin
             self._least_margin_cycle = cycle
 
+    @property
+    def interaction(self) -> float:
+        """Sum of h_i so far [J]."""
+        return self._interaction.value
+
     def summary(self) -> LedgerSummary:
         """Returns the account so far."""
         energy_in = self._in.value

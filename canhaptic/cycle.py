@@ -1,0 +1,162 @@
+"""The route of the signal, once per SYNC. Read this file first.
+
+    SYNC -> position TPDO -> displacement -> energy balance -> torque -> RPDO -> drive -> motor + user
+            `drive/`         `haptics/`                       `drive/`        `sim/` (or real hardware)
+
+One thread walks it. Whatever goes wrong on the way, zero torque is sent first and the exception is raised second.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from canhaptic.drive.rig import Rig
+from canhaptic.errors import ControlError, RigError
+from canhaptic.haptics.balance import EnergyBalance, Ledger
+from canhaptic.haptics.passivity.protocol import Controller
+from canhaptic.signals import CycleTiming, Sample, Truth
+from canhaptic.timing import DurationHistogram
+
+
+class CycleLog(Protocol):
+    """Where cycles are written to; `append` must not block the control thread."""
+
+    def append(
+        self,
+        sync_index: int,
+        samples: Sequence[Sample],
+        balances: Sequence[EnergyBalance],
+        timing: CycleTiming,
+        truths: Sequence[Truth] | None = None,
+    ) -> None:
+        """Takes one cycle."""
+
+    def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
+        """Takes something that happened once."""
+
+
+class Cycle:
+    """A rig, its controllers and their accounts; one `step` per SYNC.
+
+    Args:
+        rig: Started by `run`.
+        controllers: One per axis of the rig, in its order.
+        log: Where every cycle goes; None for none.
+        truths: What the simulated axes really did, read right after their SYNC; None with real drives.
+
+    Attributes:
+        ledgers: The account of each axis.
+        judge: What the simulated plant says of them; None without truth.
+        timing: Durations of each part of the cycle.
+        cycles: Cycles completed.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        controllers: Sequence[Controller],
+        log: CycleLog | None = None,
+        truths: Callable[[], Sequence[Truth]] | None = None,
+    ) -> None:
+        self.rig = rig
+        self.controllers = tuple(controllers)
+        self.ledgers = [Ledger() for _ in self.controllers]
+        self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
+        self.judge = TruthJudge(len(self.controllers)) if truths is not None else None
+        self.cycles = 0
+        self._log = log
+        self._truths = truths
+
+    def step(self) -> None:
+        """Walks the route once.
+
+        Raises:
+            RigError: Drive, link or controller failed.
+        """
+        rig = self.rig
+        samples = rig.sync()  # SYNC out, position TPDOs in            [rad or m]
+        truths = self._truths() if self._truths is not None else None
+        balances = [  # displacement -> energy balance                 [J]
+            controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
+            for controller, sample in zip(self.controllers, samples, strict=True)
+        ]
+        rig.write_torques([balance.torque for balance in balances])  # RPDOs out, held until the next SYNC [N*m or N]
+        self._account(samples, balances, truths)
+
+    def _account(
+        self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
+    ) -> None:
+        """Everything that may happen after the torque is on its way."""
+        index = samples[0].sync_index
+        for ledger, balance in zip(self.ledgers, balances, strict=True):
+            ledger.add(balance, index)
+        if self.judge is not None and truths is not None:
+            self.judge.compare(self.ledgers, truths)
+        timing = self.rig.timing
+        for histogram, duration in zip(self.timing.values(), timing, strict=True):
+            histogram.add(duration)
+        if self._log is not None:
+            self._log.append(index, samples, balances, timing, truths)
+        self.cycles += 1
+
+
+class TruthJudge:
+    """Compares the energy each ledger believes in with the energy the simulated plant really took or gave.
+
+    Attributes:
+        least: Least true sum of h_i after any hold, per axis [J].
+        interaction: True sum of h_i, per axis [J].
+        believed_error: Largest |believed - true| sum of h_i after any hold, per axis [J].
+    """
+
+    def __init__(self, axes: int) -> None:
+        self.least = [0.0] * axes
+        self.interaction = [0.0] * axes
+        self.believed_error = [0.0] * axes
+
+    def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth]) -> None:
+        """Takes the truth of the SYNC whose balances the ledgers have just taken."""
+        for axis, (ledger, truth) in enumerate(zip(ledgers, truths, strict=True)):
+            true = -truth.energy.motor
+            self.interaction[axis] = true
+            if true < self.least[axis]:
+                self.least[axis] = true
+            error = abs(ledger.interaction - true)
+            if error > self.believed_error[axis]:
+                self.believed_error[axis] = error
+
+
+def run(
+    cycle: Cycle,
+    cycles: int | None = None,
+    stop_requested: Callable[[], bool] = lambda: False,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Starts the rig, walks the route, and stops the rig on every way out.
+
+    Args:
+        cycle: The rig and its controllers.
+        cycles: How many cycles to walk; None: until stopped.
+        stop_requested: Asked before each cycle; True ends the run by the operator's stop.
+        progress: Told the number of completed cycles, once per cycle; must be cheap.
+
+    Raises:
+        RigError: Drive, link or controller failed; every drive has zero torque and is disabled, and the error carries
+            the last records.
+    """
+    rig = cycle.rig
+    rig.start()
+    try:
+        while (cycles is None or cycle.cycles < cycles) and not stop_requested():
+            cycle.step()
+            if progress is not None:
+                progress(cycle.cycles)
+    except Exception as error:
+        rig.stop(ramp=False)
+        if isinstance(error, RigError):
+            error.records = error.records or tuple(rig.records)
+            raise
+        raise ControlError(f"the cycle failed, torque is zero: {type(error).__name__}: {error}", rig.records) from error
+    except BaseException:
+        rig.stop(ramp=False)
+        raise
+    rig.stop()
