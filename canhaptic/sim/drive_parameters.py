@@ -1,0 +1,65 @@
+"""What the simulated drive needs to know beyond its dictionary. Nothing that a dictionary lacks is assumed."""
+
+import re
+from typing import Annotated, Final, Literal
+
+from pydantic import Field, field_validator
+
+from canhaptic.parameters import Parameters, quantity
+
+_PLACE: Final = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:(?:\.|sub)(?:0x)?([0-9a-f]{1,2}))?", re.IGNORECASE)
+
+
+def parse_place(key: str | int) -> tuple[int, int]:
+    """Returns (index, subindex) of `0x6502`, `"6502"`, `"0x1018.1"` or `"1018sub1"`; texts are hexadecimal.
+
+    Raises:
+        ValueError: The key names no object.
+    """
+    if isinstance(key, int):
+        place = (key, 0)
+    elif match := _PLACE.fullmatch(key.strip()):
+        place = (int(match.group(1), 16), int(match.group(2) or "0", 16))
+    else:
+        raise ValueError(f"{key!r} names no object, expected a key like 0x6502 or 0x1018.1")
+    if not 0 < place[0] <= 0xFFFF:
+        raise ValueError(f"index {key!r} does not exist, expected 0x0001..0xFFFF")
+    return place
+
+
+class SimulatedDriveParameters(Parameters):
+    """A simulated drive.
+
+    Attributes:
+        counts_per_unit: Encoder counts of 0x6064 per m or rad, at the axis.
+        rated_torque: Torque of 1000 per mille [N or N*m]; from 0x6076 of the dictionary when not given.
+        rated_torque_resolution: One count of 0x6076 [N or N*m]; milli by the standard, micro on some drives.
+        torque_limit: Limit of the drive besides 0x6072 [N or N*m]; none when not given.
+        objects: Object -> value, for what the dictionary lists without a value, or in place of its value. Keys are
+            `0x6502` or `"0x1018.1"` (index.subindex, hexadecimal).
+        encoder: How the position becomes counts: to the nearest, or down to the last line passed.
+        torque_read_back: Whether 0x6074 and 0x6077 of a SYNC show the hold that ended, or already the next torque.
+        sdo_size_indicated: False for a drive that leaves out the length of expedited answers.
+        sync_losses_to_fault: Communication cycle periods (0x1006) without SYNC until the drive faults.
+    """
+
+    counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0, le=1e12)]
+    rated_torque: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
+    rated_torque_resolution: Annotated[float, quantity("N", "N*m", gt=0.0, le=1.0)] = 1e-3
+    torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
+    objects: dict[str | int, int | float | str] = Field(default_factory=dict)
+    encoder: Literal["round", "floor"] = "round"
+    torque_read_back: Literal["before_update", "after_update"] = "before_update"
+    sdo_size_indicated: bool = True
+    sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
+
+    @field_validator("objects")
+    @classmethod
+    def _check_places(cls, objects: dict[str | int, int | float | str]) -> dict[str | int, int | float | str]:
+        for key in objects:
+            parse_place(key)
+        return objects
+
+    def object_values(self) -> dict[tuple[int, int], int | float | str]:
+        """Returns `objects` by (index, subindex)."""
+        return {parse_place(key): value for key, value in self.objects.items()}

@@ -1,0 +1,242 @@
+"""The object store of the simulated drive: every object of its dictionary, with access, type and range checks.
+
+Built from any EDS or DCF. An object without a value answers "no data" (SDO abort 0x08000024): nothing is made up.
+Objects that the drive needs for itself but its dictionary does not list are kept here too, invisible to SDO and PDO.
+"""
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
+
+from canhaptic.errors import ParameterError
+from canhaptic.object_dictionary import SdoAbort
+
+Value = int | float | bytes
+
+_INTEGERS: Final[dict[int, tuple[int, bool]]] = {  # data type -> (bytes, signed); CiA 301, 7.4
+    datatypes.BOOLEAN: (1, False),
+    datatypes.INTEGER8: (1, True),
+    datatypes.INTEGER16: (2, True),
+    datatypes.INTEGER24: (3, True),
+    datatypes.INTEGER32: (4, True),
+    datatypes.INTEGER40: (5, True),
+    datatypes.INTEGER48: (6, True),
+    datatypes.INTEGER56: (7, True),
+    datatypes.INTEGER64: (8, True),
+    datatypes.UNSIGNED8: (1, False),
+    datatypes.UNSIGNED16: (2, False),
+    datatypes.UNSIGNED24: (3, False),
+    datatypes.UNSIGNED32: (4, False),
+    datatypes.UNSIGNED40: (5, False),
+    datatypes.UNSIGNED48: (6, False),
+    datatypes.UNSIGNED56: (7, False),
+    datatypes.UNSIGNED64: (8, False),
+}
+_REALS: Final = {datatypes.REAL32: struct.Struct("<f"), datatypes.REAL64: struct.Struct("<d")}
+_PDO_CODES: Final = {(1, True): "b", (2, True): "h", (4, True): "i", (8, True): "q"}
+_COUNTING_OBJECTS: Final = (range(0x1003, 0x1004), range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+
+
+class Entry:
+    """One variable of the store.
+
+    Attributes:
+        size: Length [bytes]; 0 when it varies (strings, domains).
+        code: Its `struct` code in a PDO; empty when it cannot be part of one.
+        low: Least value allowed, of the type or of the dictionary; a real number has none unless stated.
+        high: Largest value allowed.
+        value: None while the object has no value.
+        check: Called with a value before it is stored by SDO; returns the abort code or None.
+        changed: Called after a value was stored by SDO.
+        refresh: Called before a value is read by SDO.
+    """
+
+    __slots__ = (
+        *("index", "subindex", "data_type", "size", "code", "readable", "writable", "receivable", "transmittable"),
+        *("low", "high", "initial", "value", "check", "changed", "refresh"),
+    )
+
+    def __init__(
+        self, index: int, subindex: int, data_type: int, access: str = "rw", is_mappable: bool = False
+    ) -> None:
+        self.index, self.subindex, self.data_type = index, subindex, data_type
+        size, is_signed = _INTEGERS.get(data_type, (0, False))
+        self.low: float = -(1 << (8 * size - 1)) if is_signed else 0
+        self.high: float = (1 << (8 * size - is_signed)) - 1 if data_type != datatypes.BOOLEAN else 1
+        self.size = size
+        signed_code = _PDO_CODES.get((size, True), "") if data_type != datatypes.BOOLEAN else ""
+        self.code = signed_code if is_signed else signed_code.upper()
+        if data_type in _REALS:
+            self.size, self.low, self.high = _REALS[data_type].size, float("-inf"), float("inf")
+            self.code = _REALS[data_type].format[-1]
+        self.readable = access != "wo"
+        self.writable = access not in ("ro", "const")
+        self.receivable = is_mappable and access in ("rw", "rww", "wo")
+        is_dummy = index < 0x20  # a data type that an RPDO maps to skip bytes (CiA 301, 7.4.7)
+        self.receivable = is_dummy or self.receivable
+        self.transmittable = not is_dummy and is_mappable and access in ("ro", "rw", "rwr", "const")
+        self.initial: Value | None = None
+        self.value: Value | None = None
+        self.check: Callable[[int], SdoAbort | None] | None = None
+        self.changed: Callable[[], None] | None = None
+        self.refresh: Callable[[], None] | None = None
+
+    @property
+    def number(self) -> int:
+        """The value as an integer; 0 while there is none."""
+        return self.value if isinstance(self.value, int) else 0
+
+    def encode(self, value: Value) -> bytes:
+        """Returns the bytes of a value on the bus.
+
+        Raises:
+            ValueError: The value does not fit the type.
+        """
+        if isinstance(value, bytes):
+            return value
+        try:
+            if self.data_type in _REALS:
+                return _REALS[self.data_type].pack(value)
+            return int(value).to_bytes(self.size, "little", signed=self.low < 0)
+        except (OverflowError, struct.error) as error:
+            raise ValueError(f"{value} does not fit {self.size} bytes") from error
+
+    def decode(self, content: bytes) -> Value:
+        """Returns the value of bytes that have the right length."""
+        if self.data_type in _REALS:
+            return float(_REALS[self.data_type].unpack(content)[0])
+        if self.size:
+            return int.from_bytes(content, "little", signed=_INTEGERS[self.data_type][1])
+        return content
+
+
+class ObjectStore:
+    """Every object of one simulated drive.
+
+    Args:
+        dictionary: As read from its EDS or DCF.
+        values: (index, subindex) -> value, for objects without value or in place of theirs.
+
+    Raises:
+        ParameterError: `values` names an object that the dictionary lacks, or a value that does not fit.
+    """
+
+    def __init__(self, dictionary: ObjectDictionary, values: Mapping[tuple[int, int], int | float | str]) -> None:
+        self._entries: dict[tuple[int, int], Entry] = {}
+        self._hidden: dict[tuple[int, int], Entry] = {}
+        for item in dictionary.values():
+            members = (item,) if isinstance(item, ODVariable) else tuple(item.subindices.values())
+            for variable in members:
+                self._entries[variable.index, variable.subindex] = _entry(variable)
+        self._indices = {index for index, _ in self._entries}
+        self._fill_counts()
+        for place, value in values.items():
+            self._override(place, value)
+        self.reset()
+
+    def entry(self, index: int, data_type: int, subindex: int = 0) -> Entry:
+        """Returns an object of the dictionary; one that only the drive itself sees when the dictionary lacks it."""
+        place = (index, subindex)
+        if place in self._entries:
+            return self._entries[place]
+        return self._hidden.setdefault(place, Entry(index, subindex, data_type, access="ro"))
+
+    def find(self, index: int, subindex: int = 0) -> Entry | None:
+        """Returns an object of the dictionary, or None."""
+        return self._entries.get((index, subindex))
+
+    def reset(self, indices: range = range(0x10000)) -> None:
+        """Sets the objects of a range of indices to their initial values."""
+        for entry in (*self._entries.values(), *self._hidden.values()):
+            if entry.index in indices:
+                entry.value = entry.initial
+
+    def read(self, index: int, subindex: int) -> bytes | SdoAbort:
+        """Returns the bytes that an SDO upload answers, or the code it is aborted with."""
+        entry = self._entries.get((index, subindex))
+        if entry is None:
+            return self._absent(index)
+        if not entry.readable:
+            return SdoAbort.WRITE_ONLY
+        if entry.refresh is not None:
+            entry.refresh()
+        return SdoAbort.NO_DATA if entry.value is None else entry.encode(entry.value)
+
+    def may_write(self, index: int, subindex: int) -> SdoAbort | None:
+        """Returns why an object cannot be written at all, or None."""
+        entry = self._entries.get((index, subindex))
+        if entry is None:
+            return self._absent(index)
+        return None if entry.writable else SdoAbort.READ_ONLY
+
+    def write(self, index: int, subindex: int, content: bytes) -> SdoAbort | None:
+        """Stores what an SDO download brought; returns the code it is aborted with, or None."""
+        if (abort := self.may_write(index, subindex)) is not None:
+            return abort
+        entry = self._entries[index, subindex]
+        if entry.size and len(content) != entry.size:
+            return SdoAbort.LENGTH_TOO_HIGH if len(content) > entry.size else SdoAbort.LENGTH_TOO_LOW
+        value = entry.decode(content)
+        if not isinstance(value, bytes):
+            if not value <= entry.high:
+                return SdoAbort.VALUE_TOO_HIGH
+            if value < entry.low:
+                return SdoAbort.VALUE_TOO_LOW
+            if entry.check is not None and (refusal := entry.check(int(value))) is not None:
+                return refusal
+        entry.value = value
+        if entry.changed is not None:
+            entry.changed()
+        return None
+
+    def _absent(self, index: int) -> SdoAbort:
+        return SdoAbort.NO_SUBINDEX if index in self._indices else SdoAbort.NO_OBJECT
+
+    def _fill_counts(self) -> None:
+        """Gives subindex 0 of arrays and records its meaning (highest subindex) where the dictionary states none."""
+        for index in self._indices:
+            count = self._entries.get((index, 0))
+            highest = max(subindex for i, subindex in self._entries if i == index)
+            if count is None or count.initial is not None or highest == 0 or any(index in r for r in _COUNTING_OBJECTS):
+                continue
+            count.initial = highest
+
+    def _override(self, place: tuple[int, int], value: int | float | str) -> None:
+        name = f"objects.0x{place[0]:04X}.{place[1]}"
+        entry = self._entries.get(place)
+        if entry is None:
+            raise ParameterError(f"{name}: got {value!r}, but the dictionary lists no such object; remove the entry")
+        entry.initial = _typed(entry.data_type, value)
+        try:
+            entry.encode(_require(entry.initial))
+        except (ValueError, TypeError) as error:
+            raise ParameterError(f"{name}: got {value!r}, expected a value of type 0x{entry.data_type:04X}") from error
+
+
+def _require(value: Value | None) -> Value:
+    if value is None:
+        raise ValueError("no value")
+    return value
+
+
+def _entry(variable: ODVariable) -> Entry:
+    data_type = variable.data_type if variable.data_type is not None else datatypes.DOMAIN
+    entry = Entry(variable.index, variable.subindex, data_type, variable.access_type, variable.pdo_mappable)
+    if entry.size:
+        entry.low = entry.low if variable.min is None else max(entry.low, variable.min)
+        entry.high = entry.high if variable.max is None else min(entry.high, variable.max)
+    entry.initial = _typed(data_type, variable.default if variable.value is None else variable.value)
+    return entry
+
+
+def _typed(data_type: int, value: int | float | str | bytes | None) -> Value | None:
+    """Returns a value of a dictionary or scene as the store keeps it; None when it has another type."""
+    if isinstance(value, str):
+        value = value.encode("utf-16-le" if data_type == datatypes.UNICODE_STRING else "latin-1", errors="replace")
+    if data_type in _INTEGERS:
+        return int(value) if isinstance(value, int) else None
+    if data_type in _REALS:
+        return float(value) if isinstance(value, int | float) else None
+    return value if isinstance(value, bytes) else None

@@ -1,0 +1,55 @@
+"""The timers of one simulated node, on integer nanoseconds that its owner supplies."""
+
+from collections.abc import Callable
+from typing import Final
+
+NEVER: Final = 1 << 62  # [ns], later than any clock
+
+
+class Timers:
+    """Due times with an action each.
+
+    Restarting a timer costs a comparison: a deadline that every cycle pushes on is only looked at when the oldest
+    that it had would have come.
+    """
+
+    def __init__(self) -> None:
+        self._due: list[int] = []
+        self._actions: list[Callable[[int], None]] = []
+        self.earliest = NEVER  # no timer is due before this [ns]
+
+    def add(self, action: Callable[[int], None]) -> int:
+        """Returns the number of a new, stopped timer; the action is called with the time it was due [ns]."""
+        self._due.append(NEVER)
+        self._actions.append(action)
+        return len(self._due) - 1
+
+    def start(self, timer: int, due: int) -> None:
+        """Sets a timer to `due` [ns], in place of what it was set to."""
+        self._due[timer] = due
+        self.earliest = min(self.earliest, due)
+
+    def stop(self, timer: int) -> None:
+        """Sets a timer to never."""
+        self._due[timer] = NEVER
+
+    def stop_all(self) -> None:
+        """Sets every timer to never."""
+        self._due = [NEVER] * len(self._due)
+        self.earliest = NEVER
+
+    def is_running(self, timer: int) -> bool:
+        """Returns whether the timer is set."""
+        return self._due[timer] != NEVER
+
+    def next_due(self) -> int:
+        """Returns when the next timer is due [ns]; `NEVER` when none is set."""
+        return min(self._due, default=NEVER)
+
+    def fire(self, now: int) -> None:
+        """Calls the action of every timer due up to `now` [ns], in order of time; each timer is stopped first."""
+        while (due := self.next_due()) <= now:
+            timer = self._due.index(due)
+            self._due[timer] = NEVER
+            self._actions[timer](due)
+        self.earliest = self.next_due()
