@@ -15,7 +15,6 @@ from canhaptic.drive.pdo_map import choose_map
 from canhaptic.errors import DictionaryError
 
 _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
-_MILLI: Final = 1e-3
 
 
 class Verdict(Enum):
@@ -60,30 +59,31 @@ def require_fit(dictionary: ObjectDictionary, axis: AxisParameters) -> None:
         raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for cyclic torque: {lines}")
 
 
-def configured_rated_torque(axis: AxisParameters, rated_torque_milli_nm: int | None) -> float:
-    """Returns the rated torque of the axis [N*m or N] from the drive (0x6076) and the configuration.
+def agreed_rated_torque(axis: AxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
+    """Returns the rated torque of the axis [N*m or N] on which drive and configuration agree.
 
     Args:
         axis: May state `rated_torque`.
-        rated_torque_milli_nm: 0x6076 of the motor; None or 0 when the drive does not know it.
+        counts: 0x6076 of the motor; None or 0 when the drive does not know it.
+        resolution: Newton metres (or newtons) per count of 0x6076.
 
     Raises:
         DictionaryError: Neither knows it, or they disagree.
     """
-    if not rated_torque_milli_nm:
+    if not counts:
         if axis.rated_torque is None:
-            seen = "is 0" if rated_torque_milli_nm == 0 else "is not stated"
+            seen = "is 0" if counts == 0 else "is not stated"
             raise DictionaryError(
                 f"{axis.name}: rated torque: 0x6076 {seen} by the drive and the configuration has none; "
                 "set rated_torque (torque of the axis at 1000 per mille)"
             )
         return axis.rated_torque
-    stated = rated_torque_milli_nm * _MILLI * axis.transmission
+    stated = counts * resolution * axis.transmission
     configured = axis.rated_torque
     if configured is not None and abs(configured - stated) > _RATED_TORQUE_TOLERANCE * stated:
         raise DictionaryError(
-            f"{axis.name}: rated_torque: got {configured:g}, but the drive states 0x6076 = {rated_torque_milli_nm}, "
-            f"which is {stated:g} with transmission {axis.transmission:g}; correct one of them or leave rated_torque out"
+            f"{axis.name}: rated_torque: got {configured:g}, but the drive states 0x6076 = {counts}, which is "
+            f"{stated:g} with transmission {axis.transmission:g}; correct one of them or leave rated_torque out"
         )
     return stated
 

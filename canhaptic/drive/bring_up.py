@@ -1,0 +1,279 @@
+"""The fail-closed start of one drive by SDO, in NMT pre-operational (design 3.3): every step confirmed or refused."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from canhaptic import object_dictionary as od
+from canhaptic.drive.cia402 import TORQUE_FREE, DriveState, drive_state
+from canhaptic.drive.fitness import agreed_rated_torque
+from canhaptic.drive.pdo_map import is_writable
+from canhaptic.drive.pdo_setup import write_map
+from canhaptic.drive.scaling import AxisScaling, torque_limit_per_mille
+from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
+from canhaptic.object_dictionary import Controlword, NmtCommand, NmtState
+
+REMEDIES: Final = {
+    "presence": "check power, node ID, bit rate and cable",
+    "heartbeat": "the drive must produce heartbeats (0x1017); check that it accepts NMT commands",
+    "identity": "this is not the drive of the configuration; check node_id, vendor_id and product_code",
+    "device type": "only CiA 402 drives are supported; check node_id",
+    "drive modes": "this drive has no cyclic synchronous torque mode; choose another drive or firmware",
+    "drive state": "find and remove the cause, then reset the fault (reset_fault: true or the vendor's tool)",
+    "rated torque": "correct rated_torque and transmission, or the drive's 0x6076",
+    "torque limit": "lower torque_limit, or raise the drive's own limit with the vendor's tool",
+    "watchdog": "set watchdog: false only if a killed master may leave the torque on",
+    "interpolation period": "use a rate whose period the drive accepts, or drive: no_interpolation_period",
+    "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers)",
+    "mode of operation": "the drive refuses cyclic synchronous torque; check its licence, firmware and settings",
+    "zero torque": "another master may be writing to this drive",
+    "NMT operational": "the drive stays out of OPERATIONAL; check its EMCY and its configuration",
+    "PDO exchange": "the drive sends no TPDO on SYNC; check 0x1005 and the transmission types",
+    "position": "the map or counts may be wrong, or the axis was moved by force during the start",
+    "enable": "check the safety inputs (STO), the supply of the power stage and the drive's error code",
+    "bus": "check the interface, cable and termination",
+}
+
+_POWERED: Final = (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE)
+_POLL_PERIOD: Final = 2_000_000  # [ns] between two of them
+_LARGEST_U16: Final = 0xFFFF
+_PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: some drives take milliseconds alone
+
+
+class BringUp:
+    """Configures one drive, step by step."""
+
+    def __init__(self, drive: ServoDrive) -> None:
+        self._drive = drive
+        self._sdo = drive.sdo
+        self._clock = drive.link.clock
+
+    def configure(self) -> None:
+        """Takes the drive from wherever it is to pre-operational, identified, limited, mapped, in mode 10, disabled.
+
+        Raises:
+            StartError: A step was refused or not confirmed.
+        """
+        self._presence()
+        self._heartbeat()
+        self._identity()
+        self._drive_modes()
+        self._drive_state()
+        self._zero_torque()
+        self._rated_torque()
+        self._torque_limit()
+        self._watchdog()
+        self._interpolation_period()
+        self._map()
+        self._mode()
+
+    # --- the tools ------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def step(self, name: str, expected: str = "the drive to accept it") -> Iterator[None]:
+        """Turns what goes wrong inside into a StartError of this step."""
+        try:
+            yield
+        except SdoError as error:
+            seen = str(error).removeprefix(f"{self._drive.axis.name}: ")
+            raise self.refusal(name, seen, expected if error.code is not None else "an answer") from error
+        except DictionaryError as error:
+            raise self.refusal(name, str(error).removeprefix(f"{self._drive.axis.name}: "), expected) from error
+        except LinkError as error:
+            raise self.refusal(name, str(error), "a working bus") from error
+
+    def refusal(self, name: str, seen: str, expected: str) -> StartError:
+        """Returns the error of a step."""
+        return StartError(self._drive.axis.name, name, seen, expected, REMEDIES[name])
+
+    def _expect(self, name: str) -> Callable[[str, int, int], None]:
+        def expect(item: str, seen: int, expected: int) -> None:
+            if seen != expected:
+                raise self.refusal(name, f"{item} = {seen:#x}", f"{expected:#x} (as written)")
+
+        return expect
+
+    def _write_confirmed(self, name: str, index: int, subindex: int, value: int) -> None:
+        with self.step(name):
+            self._sdo.write(index, subindex, value)
+            self._expect(name)(
+                f"{self._sdo.describe(index, subindex)} read back", self._sdo.read(index, subindex), value
+            )
+
+    def _await(self, read: Callable[[], bool]) -> bool:
+        """Polls until `read()` holds; returns False when the drive takes too long."""
+        deadline = self._clock.now() + round(self._drive.axis.step_timeout * 1e9)
+        while not read():
+            if self._clock.now() >= deadline:
+                return False
+            self._drive.link.pump(self._clock.now() + _POLL_PERIOD)
+        return True
+
+    # --- the steps --------------------------------------------------------------------------------------------------
+
+    def _presence(self) -> None:
+        drive = self._drive
+        with self.step("bus"):
+            drive.link.send(od.NMT_COB_ID, bytes([NmtCommand.PRE_OPERATIONAL, drive.axis.node_id]))
+        with self.step("presence"):
+            device_type = self._sdo.read(od.DEVICE_TYPE)
+        drive.answers = True
+        if device_type & 0xFFFF != od.CIA402_PROFILE:
+            seen = f"0x1000 = {device_type:#010x}"
+            raise self.refusal("device type", seen, f"low word {od.CIA402_PROFILE:#06x}")
+
+    def _heartbeat(self) -> None:
+        drive = self._drive
+        period = max(1, min(_LARGEST_U16, round(drive.bus.heartbeat_period * 1e3)))
+        drive.nmt_state = None
+        self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, period)
+        timeout = round(drive.axis.step_timeout * 1e9) + period * 1_000_000
+        with self.step("heartbeat"):
+            confirmed = drive.link.wait_for(lambda: drive.nmt_state == NmtState.PRE_OPERATIONAL, timeout)
+        if not confirmed:
+            raise self.refusal("heartbeat", nmt_name(drive.nmt_state), "a heartbeat with PRE_OPERATIONAL")
+
+    def _identity(self) -> None:
+        axis = self._drive.axis
+        for subindex, wanted in ((1, axis.vendor_id), (2, axis.product_code)):
+            if wanted is not None:
+                with self.step("identity"):
+                    self._expect("identity")(f"0x1018:{subindex:02x}", self._sdo.read(od.IDENTITY, subindex), wanted)
+
+    def _drive_modes(self) -> None:
+        if od.SUPPORTED_DRIVE_MODES not in self._drive.dictionary:
+            return  # then 0x6061 alone must confirm the mode
+        with self.step("drive modes"):
+            modes = self._sdo.read(od.SUPPORTED_DRIVE_MODES)
+        if not modes & od.CYCLIC_SYNC_TORQUE_BIT:
+            raise self.refusal("drive modes", f"0x6502 = {modes:#x}", "bit 9 (cyclic synchronous torque) set")
+
+    def _drive_state(self) -> None:
+        """Leaves the drive without torque whatever ran before; a fault is reset only if the configuration says so."""
+        with self.step("drive state"):
+            if self._state() in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+                if not self._drive.axis.reset_fault:
+                    raise self.refusal("drive state", self.fault_text(), "a drive without fault")
+                self.reset_fault()
+            if self._state() in _POWERED:
+                self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
+            if not self._await(lambda: self._state() in TORQUE_FREE):
+                raise self.refusal("drive state", self._state().value, "a state without torque")
+
+    def reset_fault(self) -> None:
+        """Resets a fault by the rising edge of bit 7 and leaves the drive disabled; never enables it.
+
+        Raises:
+            StartError: The fault stays.
+        """
+        with self.step("drive state"):
+            self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
+            self._sdo.write(od.CONTROLWORD, 0, Controlword.FAULT_RESET)
+            gone = self._await(lambda: self._state() is not DriveState.FAULT)
+            self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
+        if not gone:
+            raise self.refusal("drive state", f"{self.fault_text()} after a fault reset", "the fault gone")
+        self._drive.emergency = None
+
+    def _state(self) -> DriveState:
+        return drive_state(self._sdo.read(od.STATUSWORD))
+
+    def fault_text(self) -> str:
+        """Returns the state with the drive's own error code, as far as it tells."""
+        text = self._state().value
+        if od.ERROR_CODE in self._drive.dictionary:
+            try:
+                text += f" with error code 0x603F = {self._sdo.read(od.ERROR_CODE):#06x}"
+            except SdoError:
+                text += " (0x603F cannot be read)"
+        return text + (f", {self._drive.emergency}" if self._drive.emergency else "")
+
+    def _zero_torque(self) -> None:
+        self._write_confirmed("zero torque", od.TARGET_TORQUE, 0, 0)
+
+    def _rated_torque(self) -> None:
+        drive = self._drive
+        counts: int | None = None
+        with self.step("rated torque", "a rated torque on which drive and configuration agree"):
+            if od.RATED_TORQUE in drive.dictionary:
+                counts = self._sdo.read(od.RATED_TORQUE)
+            rated_torque = agreed_rated_torque(drive.axis, counts, drive.quirks.rated_torque_resolution)
+        drive.scaling = AxisScaling(drive.axis.counts_per_unit, rated_torque, drive.axis.direction)
+
+    def _torque_limit(self) -> None:
+        drive = self._drive
+        limit = drive.axis.torque_limit
+        if limit > drive.scaling.largest_torque:
+            expected = f"at most {drive.scaling.largest_torque:g} (32767 per mille of the rated torque)"
+            raise self.refusal("torque limit", f"torque_limit {limit:g}", expected)
+        if is_writable(drive.dictionary, od.MAX_TORQUE, 0):
+            per_mille = torque_limit_per_mille(limit, drive.scaling.rated_torque)
+            self._write_confirmed("torque limit", od.MAX_TORQUE, 0, per_mille)
+
+    def _watchdog(self) -> None:
+        """Lets the drive notice a dead master: 0x6007 says what it then does, 0x1016 arms it.
+
+        A consumer begins to count at the first heartbeat it hears (CiA 301, 7.2.8.3.2.2), which the cycle sends.
+        """
+        drive = self._drive
+        if not drive.axis.watchdog:
+            return
+        if is_writable(drive.dictionary, od.ABORT_CONNECTION_OPTION, 0):
+            self._write_confirmed("watchdog", od.ABORT_CONNECTION_OPTION, 0, drive.quirks.abort_connection_option)
+        milliseconds = drive.bus.master_silence_ns // 1_000_000
+        if milliseconds > _LARGEST_U16:
+            raise self.refusal("watchdog", f"{milliseconds} ms", f"at most {_LARGEST_U16} ms (0x1016 is 16 bits)")
+        self._write_confirmed("watchdog", od.CONSUMER_HEARTBEAT_TIME, 1, drive.bus.master_id << 16 | milliseconds)
+
+    def disarm(self) -> None:
+        """Switches the drive's watchdog off, so that the end of our heartbeats is no fault.
+
+        Raises:
+            SdoError: The drive refused or did not answer.
+        """
+        if self._drive.axis.watchdog:
+            self._sdo.write(od.CONSUMER_HEARTBEAT_TIME, 1, 0)
+
+    def _interpolation_period(self) -> None:
+        drive = self._drive
+        index = od.INTERPOLATION_PERIOD
+        if not (drive.quirks.writes_interpolation_period and is_writable(drive.dictionary, index, 1)):
+            return
+        period = _decimal_period(drive.bus.sample_time_ns)
+        if period is not None:
+            if is_writable(drive.dictionary, index, 2):
+                self._write_confirmed("interpolation period", index, 2, period[1])
+            self._write_confirmed("interpolation period", index, 1, period[0])
+
+    def _map(self) -> None:
+        drive = self._drive
+        rpdo_type = (
+            od.SYNCHRONOUS_EVERY_SYNC if drive.bus.rpdo == "synchronous" else drive.quirks.event_transmission_type
+        )
+        with self.step("PDO map"):
+            write_map(self._sdo, drive.map, rpdo_type, self._expect("PDO map"))
+
+    def _mode(self) -> None:
+        with self.step("mode of operation"):
+            self._sdo.write(od.MODES_OF_OPERATION, 0, od.CYCLIC_SYNC_TORQUE)
+            confirmed = self._await(lambda: self._sdo.read(od.MODES_OF_OPERATION_DISPLAY) == od.CYCLIC_SYNC_TORQUE)
+            if not confirmed:
+                seen = self._sdo.read(od.MODES_OF_OPERATION_DISPLAY)
+                raise self.refusal("mode of operation", f"0x6061 = {seen}", f"{od.CYCLIC_SYNC_TORQUE}")
+
+
+def nmt_name(state: int | None) -> str:
+    """Returns the name of an NMT state as a heartbeat gave it."""
+    if state is None:
+        return "no heartbeat"
+    return NmtState(state).name if state in NmtState.__members__.values() else f"NMT state {state:#04x}"
+
+
+def _decimal_period(sample_time_ns: int) -> tuple[int, int] | None:
+    """Returns (value, exponent) of 0x60C2 for a sample time; None if no value of one byte has it exactly."""
+    for exponent in _PERIOD_EXPONENTS:
+        value, rest = divmod(sample_time_ns, 10 ** (9 + exponent))
+        if rest == 0 and 1 <= value <= 255:
+            return value, exponent
+    return None

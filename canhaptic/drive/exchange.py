@@ -1,0 +1,115 @@
+"""One SYNC on every bus of a rig: the wait, the frame, the TPDOs that answer it, the next deadline.
+
+Deadlines are absolute. One that is missed is skipped and counted, never caught up: a burst of SYNCs would make drives
+sample and hold at intervals that nobody computed with.
+"""
+
+from collections.abc import Sequence
+
+from canhaptic.drive.link import Link
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.servo_drive import ServoDrive, SyncWindow
+from canhaptic.object_dictionary import HEARTBEAT_BASE, SYNC_FRAME_COB_ID, NmtState
+
+_HEARTBEAT = bytes([NmtState.OPERATIONAL])
+
+
+class Exchange:
+    """The pace of a rig and what goes over its buses in one cycle.
+
+    Args:
+        links: The buses; the first sets the clock.
+        drives: All drives, each on one of the links.
+        bus: Rate, windows, heartbeat.
+
+    Attributes:
+        periods: Sample times between the last two SYNCs; more than 1 after a skip.
+        skipped: Deadlines missed and left out since `begin`.
+        deadline: Of the last SYNC [ns].
+        synced: When it had been sent [ns].
+        heard: When the last TPDO had come, or the window had closed [ns].
+    """
+
+    def __init__(self, links: Sequence[Link], drives: Sequence[ServoDrive], bus: BusParameters) -> None:
+        self.links = tuple(links)
+        self.drives = tuple(drives)
+        self.bus = bus
+        self.clock = self.links[0].clock
+        self._period = bus.sample_time_ns
+        self._window_ns = round(bus.tpdo_timeout * self._period)
+        self._heartbeat_cob_id = HEARTBEAT_BASE + bus.master_id
+        self._heartbeat_cycles = bus.heartbeat_cycles
+        self._buses = []
+        for link in self.links:
+            group = tuple(drive for drive in self.drives if drive.link is link)
+            window = SyncWindow()
+            for drive in group:
+                drive.window = window
+            self._buses.append((link, window, group))
+        self.begin()
+
+    def begin(self) -> None:
+        """Lets the next SYNC go out at once and counts from there."""
+        self.periods = 1
+        self.skipped = 0
+        self._since_heartbeat = self._heartbeat_cycles
+        self._next = self.deadline = self.synced = self.heard = self.clock.now()
+
+    def sync(self) -> None:
+        """Waits for the deadline, sends SYNC on every bus and takes the TPDOs until all came or their time is over.
+
+        Raises:
+            LinkError: A bus failed.
+        """
+        clock, links = self.clock, self.links
+        links[0].pump(self._next)
+        for link in links[1:]:
+            link.drain()
+        for link, window, group in self._buses:
+            window.is_open = True
+            window.pending = len(group)
+            for drive in group:
+                drive.expect_tpdos()
+            link.send(SYNC_FRAME_COB_ID, b"")
+        self.synced = synced = clock.now()
+        end = synced + self._window_ns
+        for link, window, _ in self._buses:
+            while window.pending and link.poll(end):
+                pass
+            window.is_open = False
+        self.heard = now = clock.now()
+        self._advance(now)
+
+    def _advance(self, now: int) -> None:
+        """Sets the next deadline: one period on, or as many as have gone by already."""
+        due, period = self._next, self._period
+        self.periods = (due - self.deadline) // period or 1
+        self.deadline = due
+        due += period
+        if due < now:
+            skipped = -(-(now - due) // period)
+            self.skipped += skipped
+            due += skipped * period
+        self._next = due
+
+    def write_zero(self) -> None:
+        """Sends every drive its controlword with zero torque.
+
+        Raises:
+            LinkError: A frame could not be sent.
+        """
+        for drive in self.drives:
+            drive.write(0)
+        self.beat()
+
+    def beat(self) -> None:
+        """Sends the master's heartbeat when its number of cycles has gone by.
+
+        Raises:
+            LinkError: It could not be sent.
+        """
+        self._since_heartbeat += 1
+        if self._since_heartbeat >= self._heartbeat_cycles:
+            self._since_heartbeat = 0
+            for link in self.links:
+                link.send(self._heartbeat_cob_id, _HEARTBEAT)

@@ -1,0 +1,248 @@
+"""Several drives, one SYNC: start, cyclic exchange, stop. One thread; whoever calls `sync` pumps the bus.
+
+    rig.start()
+    samples = rig.sync()               # SYNC out, position TPDOs in
+    rig.write_torques(torques)         # RPDOs out
+    rig.stop()
+
+Whatever goes wrong in here, zero torque is sent first, the drives are disabled second, the exception is raised third.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Final, NamedTuple, Self
+
+from canhaptic.drive import rig_start, rig_stop
+from canhaptic.drive.bus_budget import BusBudget, require_budget
+from canhaptic.drive.exchange import Exchange
+from canhaptic.drive.link import Link
+from canhaptic.drive.link_policy import STOP_TABLE, StopReason
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.errors import ControlError, InputError, LinkError, RigError
+from canhaptic.signals import CycleTiming, Sample
+
+_RECORDS_KEPT: Final = 1000
+
+
+class CycleRecord(NamedTuple):
+    """One cycle as kept for a fault report."""
+
+    samples: list[Sample]
+    torques_per_mille: list[int]  # commanded in answer, per axis
+
+
+class Rig:
+    """The drives of one or several buses, run by one SYNC.
+
+    Args:
+        link: The bus, or the buses.
+        drives: One per axis, in the order of samples and torques.
+        bus: Rate, link policy and the rest; the same for all buses.
+
+    Attributes:
+        budgets: The worst cycle of each bus.
+        sync_index: Index of the last SYNC; 0 is the first that found every drive enabled, -1 before it.
+        stop_reason: Why the rig stopped; NONE while it runs.
+        records: The last cycles, newest last.
+
+    Raises:
+        InputError: Two drives share a node ID on one bus.
+        BusBudgetError: The frames of one cycle do not fit a bus.
+    """
+
+    def __init__(self, link: Link | Sequence[Link], drives: Sequence[ServoDrive], bus: BusParameters) -> None:
+        self.links = (link,) if isinstance(link, Link) else tuple(link)
+        self.drives = tuple(drives)
+        self.bus = bus
+        self.clock = self.links[0].clock
+        self.budgets = [_budget([d for d in self.drives if d.link is link], bus) for link in self.links]
+        self._exchange = Exchange(self.links, self.drives, bus)
+        self._reset()
+
+    def _reset(self) -> None:
+        self.sync_index = -1
+        self.stop_reason = StopReason.NONE
+        self.records: deque[CycleRecord] = deque(maxlen=_RECORDS_KEPT)
+        self._is_running = False
+        self._first_samples: list[Sample] | None = None
+        self._samples: list[Sample] = []
+        self._computed = self._sent = 0
+
+    def start(self) -> None:
+        """Brings every drive from wherever it is to OPERATION ENABLED with zero torque, each step confirmed.
+
+        Raises:
+            StartError: A step was not confirmed; all drives are left disabled.
+        """
+        self._reset()
+        try:
+            rig_start.start(self._exchange)
+        except BaseException:
+            self.stop_reason = StopReason.EXCEPTION
+            rig_stop.disable(self._exchange)
+            raise
+        self._exchange.skipped = 0
+        self.sync_index = 0
+        self._is_running = True
+        for drive in self.drives:
+            drive.begin_run()
+        self._first_samples = [drive.sample(0) for drive in self.drives]
+
+    # --- the cycle ----------------------------------------------------------------------------------------------------
+
+    def sync(self) -> list[Sample]:
+        """Waits for the next deadline, sends SYNC, takes the TPDOs and returns one sample per axis.
+
+        The first call after `start` returns the samples of SYNC 0, which `start` has sent.
+
+        Raises:
+            LinkError: A drive went unheard beyond the link policy, or the bus failed; the rig has stopped.
+            DriveFaultError: A drive reported a fault or left its state; the rig has stopped.
+        """
+        self._require_running()
+        if self._first_samples is not None:
+            self._samples, self._first_samples = self._first_samples, None
+            return self._samples
+        exchange = self._exchange
+        try:
+            exchange.sync()
+        except LinkError as error:
+            raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
+        self.sync_index = index = self.sync_index + 1
+        self._samples = samples = [drive.sample(index, exchange.periods) for drive in self.drives]
+        for drive in self.drives:
+            reason = drive.fault(exchange.heard)
+            if reason:
+                raise self._stopped(reason, self._describe(drive, reason))
+        return samples
+
+    def write_torques(self, torques: Sequence[float]) -> None:
+        """Sends one torque [N*m or N] per axis, after link policy and limiter, and the master's heartbeat when due.
+
+        Raises:
+            ControlError: A torque is not finite; zero was sent and the rig has stopped.
+            LinkError: A frame could not be sent; the rig has stopped.
+        """
+        self._require_running()
+        self._computed = self.clock.now()
+        try:
+            commands = [drive.command_per_mille(t) for drive, t in zip(self.drives, torques, strict=True)]
+            for drive, command in zip(self.drives, commands, strict=True):
+                drive.write(command)
+            self._exchange.beat()
+        except ControlError as error:
+            raise self._stopped(StopReason.CONTROLLER, str(error)) from error
+        except LinkError as error:
+            raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
+        except BaseException:
+            self._stopped(StopReason.EXCEPTION, "")
+            raise
+        self.records.append(CycleRecord(self._samples, commands))
+        self._sent = self.clock.now()
+
+    def _require_running(self) -> None:
+        if not self._is_running:
+            raise RigError(f"the rig is not running (last stop: {self.stop_reason.name}); call start()", self.records)
+
+    # --- stop ---------------------------------------------------------------------------------------------------------
+
+    def stop(self, *, ramp: bool = True) -> None:
+        """Ends the run: torque to zero (along a ramp, or at once), drives disabled and pre-operational, confirmed.
+
+        Args:
+            ramp: True for an operator's stop; False when something is wrong.
+
+        Raises:
+            RigError: A drive did not confirm that it is disabled.
+        """
+        if not self._is_running:
+            return
+        self._is_running = False
+        self.stop_reason = StopReason.OPERATOR if ramp else StopReason.EXCEPTION
+        try:
+            if ramp:
+                rig_stop.ramp_down(self._exchange)
+        except RigError:
+            self.stop_reason = StopReason.EXCEPTION  # zero torque and disable follow below all the same
+        finally:
+            unconfirmed = rig_stop.disable(self._exchange)
+        if unconfirmed:
+            raise RigError(
+                f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive", self.records
+            )
+
+    def _stopped(self, reason: StopReason, text: str) -> RigError:
+        """Stops at once and returns the exception that tells why."""
+        self.stop_reason = reason
+        self._is_running = False
+        unconfirmed = rig_stop.disable(self._exchange)
+        if unconfirmed:
+            text += f"; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
+        error_type = STOP_TABLE[reason][1] if reason in STOP_TABLE else RigError
+        return error_type(f"{text} [{reason.name}]", self.records)
+
+    def _describe(self, drive: ServoDrive, reason: StopReason) -> str:
+        details = {
+            StopReason.TPDO_LOST: f"{drive.policy.missed} SYNCs in a row, limit {self.bus.stop_cycles}",
+            StopReason.HEARTBEAT_LOST: f"silent for more than {self.bus.drive_silence_ns / 1e6:g} ms",
+            StopReason.EMERGENCY: str(drive.emergency),
+            StopReason.POSITION_JUMP: f"limit {drive.axis.speed_limit} {drive.axis.unit}/s",
+            StopReason.NMT_STATE_LEFT: f"NMT state {drive.nmt_state}",
+        }
+        detail = details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
+        return f"{drive.axis.name}: {STOP_TABLE[reason][0]} at SYNC {self.sync_index}: {detail}; torque is zero"
+
+    # --- what happened ------------------------------------------------------------------------------------------------
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the drives are enabled and the cycle may go on."""
+        return self._is_running
+
+    @property
+    def timing(self) -> CycleTiming:
+        """Where the time of the last cycle went [ns]."""
+        exchange = self._exchange
+        return CycleTiming(
+            exchange.synced - exchange.deadline,
+            exchange.heard - exchange.synced,
+            self._computed - exchange.heard,
+            self._sent - self._computed,
+        )
+
+    @property
+    def skipped_syncs(self) -> int:
+        """Deadlines of SYNC that were missed and left out."""
+        return self._exchange.skipped
+
+    def link_statistics(self) -> dict[str, float]:
+        """Returns the counts of all links, the SYNCs skipped and the part of SYNCs that every axis answered."""
+        counts: dict[str, float] = {"skipped_syncs": self.skipped_syncs}
+        for link in self.links:
+            for name, count in link.statistics.as_dict().items():
+                counts[name] = counts.get(name, 0) + count
+        counts["missed_tpdos"] = sum(drive.policy.missed_total for drive in self.drives)
+        counts["success_rate"] = min((drive.policy.success_rate() for drive in self.drives), default=1.0)
+        return counts
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop(ramp=kind is None or not issubclass(kind, Exception))
+
+
+def _budget(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
+    """Returns the budget of one bus after checking that its node IDs differ."""
+    names: dict[int, str] = {}
+    for drive in drives:
+        node_id, name = drive.axis.node_id, drive.axis.name
+        if node_id in names:
+            raise InputError(f"{name}: node_id {node_id} is that of {names[node_id]} on the same bus; give it its own")
+        names[node_id] = name
+    return require_budget(bus, [drive.map for drive in drives])

@@ -1,0 +1,156 @@
+"""The start of a rig beyond the SDOs of each drive: SYNC, NMT operational, zero torque on the wire, enable."""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from canhaptic.drive.bring_up import BringUp, nmt_name
+from canhaptic.drive.cia402 import DriveState, next_controlword
+from canhaptic.drive.exchange import Exchange
+from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.object_dictionary import (
+    NMT_COB_ID,
+    POSITION_ACTUAL,
+    TARGET_TORQUE,
+    Controlword,
+    NmtCommand,
+    NmtState,
+)
+
+_PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
+_WRAP: Final = 1 << 32
+_FAULTS: Final = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
+
+
+def start(exchange: Exchange) -> None:
+    """Takes every drive to OPERATION ENABLED with zero torque; returns after the first SYNC that found all enabled.
+
+    Raises:
+        StartError: A step was not confirmed.
+    """
+    for drive in exchange.drives:
+        drive.reset()
+        drive.answers = False
+    bring_ups = [BringUp(drive) for drive in exchange.drives]
+    for bring_up in bring_ups:
+        bring_up.configure()
+    exchange.begin()
+    _enter_operational(exchange, bring_ups)
+    _exchange_zero_torque(exchange, bring_ups)
+    _check_positions(exchange.drives, bring_ups)
+    _enable(exchange, bring_ups)
+
+
+def _cycle(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+    """One SYNC with zero torque and the controlwords as they are."""
+    with bring_ups[0].step("bus"):
+        exchange.sync()
+        exchange.write_zero()
+
+
+def _cycle_until(
+    exchange: Exchange,
+    bring_ups: Sequence[BringUp],
+    name: str,
+    expected: str,
+    confirmed: Callable[[ServoDrive], bool],
+    seen: Callable[[ServoDrive], str],
+) -> None:
+    """Cycles until every drive has confirmed.
+
+    Raises:
+        StartError: One did not within its time.
+    """
+    begin = exchange.clock.now()
+    while True:
+        _cycle(exchange, bring_ups)
+        waiting = [(d, b) for d, b in zip(exchange.drives, bring_ups, strict=True) if not confirmed(d)]
+        if not waiting:
+            return
+        for drive, bring_up in waiting:
+            if exchange.clock.now() - begin > round(drive.axis.step_timeout * 1e9):
+                raise bring_up.refusal(name, seen(drive), expected)
+
+
+def _enter_operational(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        drive.controlword = int(Controlword.DISABLE_VOLTAGE)
+        with bring_up.step("bus"):
+            drive.link.send(NMT_COB_ID, bytes([NmtCommand.START, drive.axis.node_id]))
+    _cycle_until(
+        exchange,
+        bring_ups,
+        "NMT operational",
+        "a heartbeat with OPERATIONAL",
+        lambda drive: drive.nmt_state == NmtState.OPERATIONAL,
+        lambda drive: nmt_name(drive.nmt_state),
+    )
+
+
+def _exchange_zero_torque(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+    """Cycles until every drive answers SYNC, then asks it what target torque arrived and what it applies."""
+    _cycle_until(
+        exchange,
+        bring_ups,
+        "PDO exchange",
+        "every TPDO after a SYNC",
+        lambda drive: drive.is_complete,
+        lambda drive: f"no complete answer from COB-ID {', '.join(f'{p.cob_id:#05x}' for p in drive.map.tpdos)}",
+    )
+    _cycle(exchange, bring_ups)  # a synchronous RPDO acts only now
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        with bring_up.step("zero torque"):
+            target = drive.sdo.read(TARGET_TORQUE)
+        if target != 0:
+            raise bring_up.refusal("zero torque", f"0x6071 = {target} after an RPDO with 0", "0")
+        if drive.map.read_back == "demand" and drive.reported_per_mille != 0:
+            raise bring_up.refusal("zero torque", f"0x6074 = {drive.reported_per_mille} in the TPDO", "0")
+
+
+def _check_positions(drives: Sequence[ServoDrive], bring_ups: Sequence[BringUp]) -> None:
+    """Compares the position in the TPDO with the one by SDO: a map that is shifted shows here, before any torque."""
+    for drive, bring_up in zip(drives, bring_ups, strict=True):
+        with bring_up.step("position"):
+            by_sdo = drive.sdo.read(POSITION_ACTUAL)
+        by_tpdo = drive.position_counts
+        distance = (by_tpdo - by_sdo + _WRAP // 2) % _WRAP - _WRAP // 2
+        if abs(distance) >= _PLAUSIBLE_COUNTS:
+            seen = f"{by_tpdo} counts in the TPDO"
+            raise bring_up.refusal("position", seen, f"{by_sdo} counts as by SDO (0x6064)")
+
+
+def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+    """Walks every drive through 0x06, 0x07, 0x0F, each confirmed by the statusword before the next."""
+    begin = dict.fromkeys(exchange.drives, exchange.clock.now())
+    states = {drive: drive.state for drive in exchange.drives}
+    while True:
+        for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+            _refuse_fault(drive, bring_up)
+            state, now = drive.state, exchange.clock.now()
+            if state is not states[drive]:
+                states[drive], begin[drive] = state, now
+            if state is not DriveState.OPERATION_ENABLED and now - begin[drive] > round(drive.axis.step_timeout * 1e9):
+                raise bring_up.refusal("enable", _state_text(drive), _expected_after(drive))
+            drive.controlword = int(next_controlword(state) or Controlword.DISABLE_VOLTAGE)
+        if all(drive.state is DriveState.OPERATION_ENABLED and drive.is_complete for drive in exchange.drives):
+            return
+        with bring_ups[0].step("bus"):
+            exchange.write_zero()
+            exchange.sync()
+
+
+def _refuse_fault(drive: ServoDrive, bring_up: BringUp) -> None:
+    if drive.state in _FAULTS or drive.emergency is not None:
+        raise bring_up.refusal("enable", bring_up.fault_text(), DriveState.OPERATION_ENABLED.value)
+
+
+def _state_text(drive: ServoDrive) -> str:
+    return f"{drive.state.value} (statusword {drive.statusword:#06x}) after controlword {drive.controlword:#04x}"
+
+
+def _expected_after(drive: ServoDrive) -> str:
+    after = {
+        Controlword.SHUTDOWN: DriveState.READY_TO_SWITCH_ON,
+        Controlword.SWITCH_ON: DriveState.SWITCHED_ON,
+        Controlword.ENABLE_OPERATION: DriveState.OPERATION_ENABLED,
+    }
+    return after.get(Controlword(drive.controlword), DriveState.SWITCH_ON_DISABLED).value
