@@ -148,13 +148,14 @@ def trim(file: Hdf5File) -> tuple[int, int]:
     return lengths.get(False, 0), lengths.get(True, 0)
 
 
-def repack(source: Path, target: Path, attributes: dict[str, Any]) -> None:
+def repack(source: Path, target: Path, attributes: dict[str, Any], limit: int | None = None) -> None:
     """Writes a compact copy of a log with large chunks, whole rows only; `target` may be `source`.
 
     Args:
         source: A log, also one that a kill left open.
         target: The copy.
         attributes: Attributes of the root to change.
+        limit: Rows to keep at most.
     """
     temporary = target.with_name(target.name + ".new")
     with Hdf5File(source, "live") as old, Hdf5File(temporary, "w") as new:
@@ -165,6 +166,7 @@ def repack(source: Path, target: Path, attributes: dict[str, Any]) -> None:
             is_event: min((n for path, n in lengths.items() if path.startswith("events/") == is_event), default=0)
             for is_event in (False, True)
         }
+        rows[False] = rows[False] if limit is None else min(rows[False], limit)
         for path, dataset in old.datasets():
             _copy_column(dataset, new, path, rows[path.startswith("events/")])
     os.replace(temporary, target)

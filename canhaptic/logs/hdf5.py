@@ -64,7 +64,7 @@ class Hdf5File:
 
     def __init__(self, path: Path, mode: str) -> None:
         if mode == "live":
-            self._file = h5py.File(path, "r", swmr=True, locking=False)
+            self._file = h5py.File(path, "r", swmr=True)
         else:
             oldest = "v110" if mode == "w live" else "earliest"
             self._file = h5py.File(path, "w", libver=(oldest, "v110"), locking=False)

@@ -1,0 +1,65 @@
+"""Two runs against each other, quantity by quantity: the first row in which they differ, and by how much."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.logs.energy_reader import EnergyLog, Quantities
+
+
+def compare(first: EnergyLog, second: EnergyLog) -> dict[str, Any]:
+    """Returns `{identical, rows, missing, differences}`; times of the cycles are left out, they differ in every run.
+
+    Args:
+        first: An open energy log.
+        second: Another.
+
+    Returns:
+        `rows` are the lengths of both; `missing` names groups and quantities that only one of them has; `differences`
+        has one `{name, unit, cycle, first, second, largest}` per quantity that differs, `cycle` being the first such.
+    """
+    groups = _groups(first), _groups(second)
+    names = [{f"{group}/{name}" for group, columns in side.items() for name in columns} for side in groups]
+    shared = min(first.rows, second.rows)
+    sync_index = first.timing["sync_index"]
+    differences = []
+    for path in sorted(names[0] & names[1]):
+        group, _, name = path.rpartition("/")
+        left, right = groups[0][group][name][:shared], groups[1][group][name][:shared]
+        unequal = _unequal(left, right)
+        if len(unequal):
+            row = int(unequal[0])
+            differences.append(
+                {
+                    "name": path,
+                    "unit": groups[0][group].unit(name),
+                    "cycle": int(sync_index[row]),
+                    "first": left[row].item(),
+                    "second": right[row].item(),
+                    "largest": float(np.abs(left[unequal].astype(float) - right[unequal].astype(float)).max()),
+                }
+            )
+    one_sided = set(groups[0]) ^ set(groups[1])
+    single = {path for path in names[0] ^ names[1] if path.rpartition("/")[0] not in one_sided}
+    missing = sorted(one_sided | single)
+    identical = not differences and not missing and first.rows == second.rows
+    return {
+        "identical": identical,
+        "rows": [first.rows, second.rows],
+        "missing": missing,
+        "differences": sorted(differences, key=lambda difference: int(difference["cycle"])),
+    }
+
+
+def _groups(log: EnergyLog) -> dict[str, Quantities]:
+    ports = {f"ports/{name}": port for name, port in log.ports.items()}
+    return ports | {f"truth/{name}": truth for name, truth in log.truth.items()}
+
+
+def _unequal(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np.intp]:
+    """Rows whose bits differ: NaN equals NaN, and 0.0 is not -0.0."""
+    if left.dtype != right.dtype:
+        return np.flatnonzero(left.astype(float) != right.astype(float))
+    width = f"u{left.dtype.itemsize}"
+    return np.flatnonzero(np.ascontiguousarray(left).view(width) != np.ascontiguousarray(right).view(width))

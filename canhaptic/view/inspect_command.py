@@ -1,0 +1,85 @@
+"""`canhaptic inspect` and `tools/inspect_energy.py`: the same arguments, the same work."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from canhaptic.errors import InputError
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.export import export
+from canhaptic.logs.repair import repair
+from canhaptic.view.checks import check
+from canhaptic.view.compare import compare
+from canhaptic.view.energy_table import make_console
+from canhaptic.view.inspect_table import comparison_report, inspection_report
+from canhaptic.view.inspection import inspect
+from canhaptic.view.picture import draw_energy
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the arguments of `inspect` to a parser."""
+    parser.add_argument("log", type=Path, help="an energy log (.h5)")
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="count from this time on [s]")
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="count up to this time [s]")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    parser.add_argument(
+        "--check",
+        action="append",
+        default=[],
+        metavar="EXPRESSION",
+        help="exit with 1 unless it holds, such as 'margin >= -1 uJ', 'handle.deficit == 0', 'compute.p99.9 < 50 us'",
+    )
+    parser.add_argument("--compare", type=Path, metavar="OTHER", help="exit with 1 unless the other log is the same")
+    for option, what in (("--csv", "a table of every row"), ("--parquet", "the same"), ("--mat", "the same")):
+        parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
+    for option in ("--png", "--svg"):
+        parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")
+    parser.add_argument("--repair", type=Path, metavar="FILE", help="save all that can be read into a clean log")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Does what the arguments ask for and returns the exit status: 0, or 1 when a check or the comparison failed.
+
+    Raises:
+        InputError: A log or an argument that cannot be used.
+    """
+    console = make_console()
+    if arguments.repair is not None:
+        kept, lost = repair(arguments.log, arguments.repair)
+        if not arguments.json:
+            console.print(f" {arguments.repair}: {kept} cycles saved, {lost} could not be read", soft_wrap=True)
+        arguments.log = arguments.repair
+    with EnergyLog.open(arguments.log) as log:
+        result = inspect(log, arguments.start, arguments.stop)
+        result["checks"] = [outcome for expression in arguments.check for outcome in check(result, expression)]
+        if arguments.compare is not None:
+            with EnergyLog.open(arguments.compare) as other:
+                result["comparison"] = compare(log, other)
+        for path in (arguments.csv, arguments.parquet, arguments.mat):
+            if path is not None:
+                _suffix_fits(path, arguments)
+                export(log, path)
+        for path in (arguments.png, arguments.svg):
+            if path is not None:
+                draw_energy(log, path)
+    _show(result, console, as_json=arguments.json)
+    identical = result.get("comparison", {"identical": True})["identical"]
+    return 0 if identical and all(outcome["holds"] for outcome in result["checks"]) else 1
+
+
+def _suffix_fits(path: Path, arguments: argparse.Namespace) -> None:
+    for suffix in ("csv", "parquet", "mat"):
+        if getattr(arguments, suffix) is path and path.suffix != f".{suffix}":
+            raise InputError(f"--{suffix} {path}: expected a name that ends in .{suffix}")
+
+
+def _show(result: dict[str, Any], console: Console, as_json: bool) -> None:
+    if as_json:
+        console.file.write(json.dumps(result, indent=1) + "\n")
+        return
+    console.print(inspection_report(result))
+    if "comparison" in result:
+        console.print(comparison_report(result["comparison"]))

@@ -1,0 +1,122 @@
+"""What `canhaptic inspect` prints: header, energy table, contacts, events, checks, comparison."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from canhaptic.view.energy_table import energy, energy_report
+from canhaptic.view.si import si
+
+CONTACTS_SHOWN: Final = 8
+_EVENTS_SHOWN: Final = 20
+
+Result = Mapping[str, Any]
+
+
+def inspection_report(result: Result) -> RenderableType:
+    """Returns everything that `inspect` found, for a terminal of 100 columns."""
+    parts: list[RenderableType] = [_header(result), energy_report(result)]
+    for name, contacts in result.get("contacts", {}).items():
+        if contacts:
+            parts.append(_contacts_table(name, contacts, str(result["ports"][name]["unit"])))
+    if result.get("events"):
+        parts.append(_events_table(result["events"]))
+    if result.get("checks"):
+        parts.append(_checks_table(result["checks"]))
+    for mismatch in result.get("recomputed", []):
+        parts.append(_recomputed_line(mismatch))
+    return Group(*parts)
+
+
+def _header(result: Result) -> Text:
+    return Text(f" {result['file']}   {si(result['rate'], 'Hz', 3)}   {result['from']:.6g} s to {result['to']:.6g} s")
+
+
+def _table(title: str) -> Table:
+    return Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold")
+
+
+def _contacts_table(name: str, contacts: list[Result], unit: str) -> Table:
+    effort = "N" if unit == "m" else "N*m"
+    hardest = sorted(contacts, key=lambda contact: -float(contact["peak_torque"]))[:CONTACTS_SHOWN]
+    shown = f", the {CONTACTS_SHOWN} hardest" if len(contacts) > CONTACTS_SHOWN else ""
+    table = _table(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}")
+    for column in ("start", "duration", "depth", "peak", "energy taken in"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for contact in sorted(hardest, key=lambda contact: float(contact["start"])):
+        table.add_row(
+            f"{contact['start']:.4f} s",
+            si(contact["duration"], "s"),
+            si(contact["depth"], unit),
+            si(contact["peak_torque"], effort),
+            energy(contact["energy"]),
+        )
+    return table
+
+
+def _events_table(events: list[Result]) -> Table:
+    more = f", the first {_EVENTS_SHOWN}" if len(events) > _EVENTS_SHOWN else ""
+    table = _table(f" {len(events)} event{'s' if len(events) != 1 else ''}{more}")
+    table.add_column("time", justify="right", no_wrap=True)
+    table.add_column("cycle", justify="right", no_wrap=True)
+    for column in ("kind", "port", "what"):
+        table.add_column(column, overflow="fold")
+    for event in events[:_EVENTS_SHOWN]:
+        words = (Text(str(event[name])) for name in ("kind", "port", "text"))
+        table.add_row(f"{event['time']:.4f} s", str(event["sync_index"]), *words)
+    return table
+
+
+def _checks_table(checks: list[Result]) -> Table:
+    table = _table(" checks")
+    for column in ("check", "value of", "is", ""):
+        table.add_column(column, overflow="fold")
+    for check in checks:
+        verdict = Text("holds", style="green") if check["holds"] else Text("FAILS", style="bold red")
+        table.add_row(check["check"], check["name"], f"{check['value']:.9g}", verdict)
+    return table
+
+
+def _recomputed_line(recomputed: Result) -> Text:
+    mismatch = recomputed["mismatch"]
+    if mismatch is None:
+        return Text(f" {recomputed['port']}: recomputed, every output equal bit for bit", style="green")
+    words = (
+        f" {recomputed['port']}: recomputed {mismatch['quantity']} of cycle {mismatch['cycle']} is "
+        f"{mismatch['recomputed']!r}, logged was {mismatch['logged']!r}"
+    )
+    return Text(words, style="bold red")
+
+
+def comparison_report(comparison: Result) -> RenderableType:
+    """Returns the difference of two runs as `compare` found it."""
+    first, second = comparison["rows"]
+    if comparison["identical"]:
+        return Text(f" identical: {first} cycles, every quantity equal bit for bit", style="green")
+    count = len(comparison["differences"])
+    parts: list[RenderableType] = [Text(f" different: {first} and {second} cycles", style="bold red")]
+    if comparison["missing"]:
+        parts.append(Text(f" only in one of them: {', '.join(comparison['missing'])}"))
+    if count:
+        parts.append(_differences_table(f" {count} quantit{'y differs' if count == 1 else 'ies differ'}", comparison))
+    return Group(*parts)
+
+
+def _differences_table(title: str, comparison: Result) -> Table:
+    table = _table(title)
+    table.add_column("quantity", overflow="fold")
+    for column in ("first at cycle", "first log", "second log", "largest difference"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for difference in comparison["differences"]:
+        table.add_row(
+            difference["name"],
+            str(difference["cycle"]),
+            f"{difference['first']:.9g}",
+            f"{difference['second']:.9g}",
+            f"{difference['largest']:.3g}" + ("" if difference["unit"] == "1" else f" {difference['unit']}"),
+        )
+    return table

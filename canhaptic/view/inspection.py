@@ -1,0 +1,180 @@
+"""What an energy log says about a run, as one dictionary: the names of `run --json`, with contacts and events added."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.errors import InputError
+from canhaptic.haptics.balance import Branch, Certificate
+from canhaptic.logs.energy_reader import EnergyLog, Quantities
+from canhaptic.object_dictionary import StatusBit
+from canhaptic.view.picture import contacts
+
+Array = NDArray[Any]
+
+_QUANTILES: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+
+
+def inspect(log: EnergyLog, start: float | None = None, stop: float | None = None) -> dict[str, Any]:
+    """Returns the account of a run, or of a part of it.
+
+    Args:
+        log: An open energy log.
+        start: Time of the first SYNC to count [s]; from the beginning by default.
+        stop: Time of the first SYNC not to count [s]; to the end by default.
+
+    Raises:
+        InputError: No cycle lies between `start` and `stop`.
+    """
+    rows = _rows(log, start, stop)
+    sync_index = log.timing["sync_index"][rows]
+    return {
+        "file": str(log.path),
+        "status": log.status,
+        "config_hash": str(log.attributes.get("config_hash", "")),
+        "cycles": int(rows.stop - rows.start),
+        "rate": 1.0 / log.sample_time,
+        "from": float(sync_index[0] * log.sample_time) if len(sync_index) else 0.0,
+        "to": float(sync_index[-1] * log.sample_time) if len(sync_index) else 0.0,
+        "ports": {name: _port(log, port, rows) for name, port in log.ports.items()},
+        "truth": {name: _truth(log, name, rows) for name in log.truth},
+        "timing": _timing(log, rows),
+        "link": _link(log, rows, sync_index),
+        "contacts": {name: _contacts(log, port, rows) for name, port in log.ports.items()},
+        "events": [event._asdict() | {"time": event.sync_index * log.sample_time} for event in log.events],
+    }
+
+
+def _rows(log: EnergyLog, start: float | None, stop: float | None) -> slice:
+    if start is None and stop is None:
+        return slice(0, log.rows)
+    time = log.time
+    first = 0 if start is None else int(np.searchsorted(time, start))
+    last = log.rows if stop is None else int(np.searchsorted(time, stop))
+    if first >= last:
+        end = f"{time[-1]:.6g}" if len(time) else "0"
+        raise InputError(f"{log.path}: no cycle from {start} s to {stop} s; the log ends at {end} s")
+    return slice(first, last)
+
+
+def _sum(values: Array) -> float:
+    """Sum in extended precision: the terms are many and of both signs."""
+    return float(values.sum(dtype=np.longdouble))
+
+
+def _running(values: Array) -> Array:
+    return np.cumsum(values, dtype=np.longdouble)
+
+
+def _least(running: Array) -> tuple[float, int]:
+    """Returns the least value of a running sum that starts at 0, and the row where it is reached."""
+    if not len(running) or running.min() >= 0.0:
+        return 0.0, 0
+    row = int(running.argmin())
+    return float(running[row]), row
+
+
+def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
+    h_i, h_r = port["h_i"][rows], port["h_r"][rows]
+    margin, margin_row = _least(_running(h_i - h_r))
+    cycle = int(log.timing["sync_index"][rows.start + margin_row]) if len(h_i) else 0
+    surplus, branch = port["h_dis"][rows], port["branch"][rows]
+    return {
+        "unit": port.unit("position"),
+        "in": _sum(np.maximum(h_i, 0.0)),
+        "out": -_sum(np.minimum(h_i, 0.0)),
+        "stored": float(port["h_s"][rows][-1]) if len(h_i) else 0.0,
+        "dissipated": _sum(h_r),
+        "generated": _sum(port["gen"][rows]),
+        "surplus": {
+            "end": float(surplus[-1]) if len(surplus) else 0.0,
+            "max": float(surplus.max(initial=0.0)),
+        },
+        "recovered": _sum(port["h_pas"][rows]),
+        "leaked": _sum(port["leak"][rows]),
+        "paid": _sum(port["paid"][rows]),
+        "deficit": _sum(port["deficit"][rows]),
+        "margin": {"value": margin, "cycle": cycle, "time": cycle * log.sample_time},
+        "least_interaction": _least(_running(h_i))[0],
+        "certificate": Certificate(int(port["certificate"][rows].max(initial=0))).name.lower(),
+        "branches": {member.name.lower(): int((branch == member).sum()) for member in Branch},
+        "damping_rendered": _range(port["damping_rendered"][rows][branch != Branch.FREE]),
+        "peak_torque": float(np.abs(port["torque_applied"][rows]).max(initial=0.0)),
+        "limited_cycles": int((port["statusword"][rows] & StatusBit.INTERNAL_LIMIT != 0).sum()),
+    }
+
+
+def _range(values: Array) -> dict[str, float]:
+    if not len(values):
+        return {"least": 0.0, "most": 0.0}
+    return {"least": float(values.min()), "most": float(values.max())}
+
+
+def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:
+    """True energies of the simulated axis against the believed ones.
+
+    The interaction is minus the motor's work on the moving mass; both count from the first row of the part.
+    """
+    motor = log.truth[name]["motor"][rows]
+    if not len(motor):
+        return {"interaction": 0.0, "least_interaction": 0.0, "believed_error": 0.0}
+    before = log.truth[name]["motor"][rows.start - 1] if rows.start else motor[0]
+    interaction = before - motor
+    h_i = log.ports[name]["h_i"][rows]
+    believed = _running(h_i) if rows.start else _running(h_i) - h_i[0]
+    return {
+        "interaction": float(interaction[-1]),
+        "least_interaction": min(0.0, float(interaction.min())),
+        "believed_error": float(np.abs(believed - interaction).max()),
+    }
+
+
+def _timing(log: EnergyLog, rows: slice) -> dict[str, Any]:
+    parts = {name: log.timing[name][rows] for name in ("wakeup_lateness", "sync_to_last_tpdo", "compute", "send")}
+    cycle_time = parts["sync_to_last_tpdo"] + parts["compute"] + parts["send"]
+    late = parts["wakeup_lateness"] + cycle_time > log.sample_time_ns
+    result: dict[str, Any] = {"deadlines_missed": int(late.sum())}
+    return result | {name: quantiles(values) for name, values in {**parts, "cycle_time": cycle_time}.items()}
+
+
+def quantiles(durations: Array) -> dict[str, float]:
+    """Returns p50, p99, p99.9 and the maximum [s] of durations [ns]."""
+    if not len(durations):
+        return dict.fromkeys((*_QUANTILES, "max"), 0.0)
+    values = np.quantile(durations, list(_QUANTILES.values()), method="higher")
+    return {name: float(value) / 1e9 for name, value in zip(_QUANTILES, values, strict=True)} | {
+        "max": float(durations.max()) / 1e9
+    }
+
+
+def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, Any]:
+    fresh = [port["fresh"][rows] for port in log.ports.values()]
+    expected = sum(len(values) for values in fresh)
+    received = int(sum(values.sum(dtype=np.int64) for values in fresh))
+    dropped = int(log.timing["dropped_before"][rows].sum(dtype=np.int64))
+    gaps = int((np.diff(sync_index) - 1).sum()) if len(sync_index) else 0
+    return {
+        "success_rate": received / expected if expected else 1.0,
+        "missing": expected - received,
+        "cycles_without_row": gaps,
+        "dropped_by_log": dropped,
+        "lost_by_damage": log.rows_lost,
+    }
+
+
+def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[dict[str, float]]:
+    """Every stretch in contact: start [s], duration [s], depth [m or rad], peak torque [N or N*m], energy taken [J]."""
+    stretches = contacts(port["branch"][rows])
+    if not stretches:
+        return []
+    edges = np.add(stretches, (0, 1))
+    spans = edges.ravel() if edges[-1, 1] < rows.stop - rows.start else edges.ravel()[:-1]
+    depth = np.maximum.reduceat(np.abs(port["state"][rows]), spans)[::2]
+    peak = np.maximum.reduceat(np.abs(port["torque_applied"][rows]), spans)[::2]
+    energy = np.add.reduceat(port["h_i"][rows], spans)[::2]
+    start = log.time[rows][edges[:, 0]]
+    duration = (edges[:, 1] - edges[:, 0]) * log.sample_time
+    names = ("start", "duration", "depth", "peak_torque", "energy")
+    columns = (values.tolist() for values in (start, duration, depth, peak, energy))
+    return [dict(zip(names, contact, strict=True)) for contact in zip(*columns, strict=True)]

@@ -1,0 +1,196 @@
+import argparse
+import json
+import math
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from synthetic_run import write_run
+
+from canhaptic.errors import InputError
+from canhaptic.haptics.balance import EnergyBalance, Ledger
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.view.checks import check
+from canhaptic.view.compare import compare
+from canhaptic.view.inspect_command import add_arguments, run
+from canhaptic.view.inspection import inspect, quantiles
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("inspect") / "run.h5"
+    write_run(path, 4000)
+    return path
+
+
+def balances(log: EnergyLog, rows: slice) -> list[EnergyBalance]:
+    port = log.ports["handle"]
+    names = ["torque_command" if name == "torque" else name for name in EnergyBalance._fields]
+    return [EnergyBalance(*row) for row in zip(*(port[name][rows].tolist() for name in names), strict=True)]
+
+
+@pytest.mark.parametrize(("start", "stop"), [(None, None), (1.0, 3.0)])
+def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: float | None, stop: float | None) -> None:
+    with EnergyLog.open(log) as opened:
+        found = inspect(opened, start, stop)["ports"]["handle"]
+        first = 0 if start is None else 1000
+        ledger = Ledger()
+        for cycle, balance in enumerate(balances(opened, slice(first, None if stop is None else 3000))):
+            ledger.add(balance, first + cycle)
+        expected = ledger.summary().as_json(1e-3)
+    for name, value in expected.items():
+        if isinstance(value, float):
+            assert found[name] == pytest.approx(value, rel=1e-12, abs=1e-15), name
+        elif name == "margin":
+            assert found[name]["value"] == pytest.approx(value["value"], rel=1e-12)
+            assert (found[name]["cycle"], found[name]["time"]) == (value["cycle"], pytest.approx(value["time"]))
+        else:
+            assert found[name] == (pytest.approx(value, rel=1e-12) if name == "surplus" else value), name
+
+
+def test_contacts_are_found_with_depth_peak_and_energy(log: Path) -> None:
+    with EnergyLog.open(log) as opened:
+        contacts = inspect(opened)["contacts"]["handle"]
+        port = opened.ports["handle"]
+        assert len(contacts) == 3
+        rows = slice(round(contacts[0]["start"] * 1000), round((contacts[0]["start"] + contacts[0]["duration"]) * 1000))
+        assert (port["branch"][rows] == 2).all()
+        assert port["branch"][rows.stop] == 0
+        assert contacts[0]["energy"] == pytest.approx(math.fsum(port["h_i"][rows]), rel=1e-9)
+        assert contacts[0]["peak_torque"] == np.abs(port["torque_applied"][rows]).max()
+        assert contacts[0]["depth"] == np.abs(port["state"][rows]).max()
+
+
+def test_quantiles_are_values_that_occurred() -> None:
+    assert quantiles(np.arange(1, 1001) * 1000) == pytest.approx(
+        {"p50": 501e-6, "p99": 991e-6, "p99.9": 1000e-6, "max": 1000e-6}, rel=1e-9
+    )
+
+
+def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
+    with EnergyLog.open(log) as opened, pytest.raises(InputError, match=r"the log ends at 3\.999 s"):
+        inspect(opened, 5.0, None)
+
+
+@pytest.mark.parametrize(
+    ("expression", "holds"),
+    [
+        ("margin>=-1e-6", False),
+        ("margin >= -1 mJ", True),
+        ("handle.margin.value >= -1 mJ", True),
+        ("ports.handle.deficit == 0", True),
+        ("surplus < 1uJ", False),
+        ("compute.p99.9 <= 7 us", True),
+        ("success_rate >= 1", True),
+        ("cycles == 4000", True),
+        ("in > 90 mJ", True),
+    ],
+)
+def test_checks_read_like_sentences(log: Path, expression: str, holds: bool) -> None:
+    with EnergyLog.open(log) as opened:
+        (outcome,) = check(inspect(opened), expression)
+    assert outcome["holds"] is holds
+
+
+@pytest.mark.parametrize(
+    ("expression", "message"), [("margin", "NAME >="), ("margn>0", "did you mean"), ("in>1 xJ", "unknown unit")]
+)
+def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, message: str) -> None:
+    with EnergyLog.open(log) as opened, pytest.raises(InputError, match=message):
+        check(inspect(opened), expression)
+
+
+def test_a_value_that_is_not_a_number_fails_every_check() -> None:
+    assert not check({"ports": {"a": {"in": math.nan}}}, "in >= 0")[0]["holds"]
+
+
+def changed(log: Path, path: Path) -> Path:
+    path.write_bytes(log.read_bytes())
+    with h5py.File(path, "r+") as file:
+        file["ports/handle/h_r"][1234] += 1e-18
+    return path
+
+
+def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Path) -> None:
+    with EnergyLog.open(log) as first, EnergyLog.open(changed(log, tmp_path / "b.h5")) as second:
+        assert compare(first, first)["identical"]
+        found = compare(first, second)
+    assert not found["identical"]
+    (difference,) = found["differences"]
+    assert (difference["name"], difference["cycle"], difference["unit"]) == ("ports/handle/h_r", 1234, "J")
+    assert difference["largest"] == pytest.approx(1e-18, rel=0.1)
+
+
+def command(*words: str | Path) -> int:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return run(parser.parse_args([str(word) for word in words]))
+
+
+def test_the_command_prints_tables_that_fit_a_hundred_columns(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(log, "--check", "deficit==0") == 0
+    text = capsys.readouterr().out
+    assert max(len(line.rstrip()) for line in text.splitlines() if str(log) not in line) <= 100
+    for words in ("energy account", "3 contacts", "0x8130 heartbeat lost", "holds", "cycle time"):
+        assert words in text
+
+
+def test_the_command_exits_with_one_when_a_check_or_comparison_fails(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(log, "--check", "margin>=0") == 1
+    assert "FAILS" in capsys.readouterr().out
+    assert command(log, "--compare", changed(log, tmp_path / "b.h5"), "--json") == 1
+    result = json.loads(capsys.readouterr().out)
+    assert result["comparison"]["differences"][0]["cycle"] == 1234
+    assert result["ports"]["handle"]["branches"]["exact"] == 1375
+
+
+def test_a_csv_reads_back_to_the_same_bits(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(log, "--csv", tmp_path / "run.csv", "--json") == 0
+    capsys.readouterr()
+    lines = (tmp_path / "run.csv").read_text().splitlines()
+    titles = lines[0].split(",")
+    column = titles.index("handle.h_i [J]")
+    assert len(lines) == 4001
+    with EnergyLog.open(log) as opened:
+        assert [float(line.split(",")[column]) for line in lines[1:]] == opened.ports["handle"]["h_i"].tolist()
+    with pytest.raises(InputError, match=r"ends in \.csv"):
+        command(log, "--csv", tmp_path / "run.txt")
+
+
+def test_a_mat_file_holds_every_quantity(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    io = pytest.importorskip("scipy.io")
+    assert command(log, "--mat", tmp_path / "run.mat", "--json") == 0
+    capsys.readouterr()
+    content = io.loadmat(tmp_path / "run.mat", simplify_cells=True)
+    with EnergyLog.open(log) as opened:
+        assert np.array_equal(content["ports"]["handle"]["h_i"], opened.ports["handle"]["h_i"])
+
+
+def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
+    with EnergyLog.open(log) as opened, h5py.File(damaged, "w") as file:
+        with h5py.File(log) as source:
+            for name, value in source.attrs.items():
+                file.attrs[name] = value
+            source.copy("timing", file)
+            source.copy("events", file)
+            for name in opened.ports["handle"]:
+                data = source[f"ports/handle/{name}"]
+                copy = file.create_dataset(f"ports/handle/{name}", data=data[:], chunks=(500,), compression="gzip")
+                copy.attrs["unit"] = data.attrs["unit"]
+        place = file["ports/handle/h_i"].id.get_chunk_info(5)
+    content = bytearray(damaged.read_bytes())
+    content[place.byte_offset : place.byte_offset + place.size] = bytes(place.size)
+    damaged.write_bytes(content)
+    assert command(damaged, "--repair", saved) == 0
+    text = capsys.readouterr().out
+    with EnergyLog.open(saved) as repaired, EnergyLog.open(log) as whole:
+        assert 0 < repaired.rows <= 2500
+        assert f"{repaired.rows} cycles saved, {4000 - repaired.rows} could not be read" in text
+        assert np.array_equal(repaired.ports["handle"]["h_i"], whole.ports["handle"]["h_i"][: repaired.rows])
+        assert repaired.status == "repaired"
+    with pytest.raises(InputError, match="another name"):
+        command(log, "--repair", log)

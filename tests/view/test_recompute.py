@@ -1,0 +1,57 @@
+import math
+from pathlib import Path
+
+import h5py
+
+from canhaptic.haptics.balance import EnergyBalance
+from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.haptics.passivity import build_controller
+from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.schema import PortDescription
+from canhaptic.signals import CycleTiming, Sample
+from canhaptic.view.recompute import recompute
+
+
+class WithHold:
+    """The controller under test; a lost sample repeats the last balance."""
+
+    def __init__(self) -> None:
+        wall = SpringDamperWall(stiffness=800.0, damping=4.0)
+        self._inner = build_controller(wall, "internal_dissipation", None, LoopProperties(sample_time=1e-3))
+        self.reset = self._inner.reset
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        self._last = self._inner.step(position, torque_applied)
+        return self._last
+
+    def hold(self) -> EnergyBalance:
+        return self._last
+
+
+def record(path: Path) -> None:
+    controller = WithHold()
+    writer = EnergyLogWriter(path, [PortDescription("handle", "m")], {}, sample_time_ns=1_000_000, pace="free")
+    torque = 0.0
+    for k in range(1000):
+        sample = Sample(k, 0.02 * math.cos(0.01 * k), torque, 0x1237, k % 50 != 7)
+        balance = controller.step(sample.position, torque) if sample.fresh else controller.hold()
+        writer.append(k, [sample], [balance], CycleTiming(0, 0, 0, 0))
+        torque = balance.torque
+    writer.close()
+
+
+def test_a_recorded_run_is_reproduced_bit_for_bit_and_one_changed_bit_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    record(path)
+    with EnergyLog.open(path) as log:
+        assert log.ports["handle"]["torque_command"].max() > 1.0
+        assert recompute(log, "handle", WithHold()) is None
+    with h5py.File(path, "r+") as file:
+        file["ports/handle/h_s"][321] = math.nextafter(file["ports/handle/h_s"][321], math.inf)
+    with EnergyLog.open(path) as log:
+        found = recompute(log, "handle", WithHold())
+    assert found is not None
+    assert found[:3] == ("handle", 321, "h_s")
+    assert math.nextafter(found.recomputed, math.inf) == found.logged
