@@ -51,6 +51,7 @@ class Books:
         """
         ended = self._in_flight.ended_hold(position, torque_applied)
         if ended is None:
+            self.h_dis = 0.0
             return None
         displacement, damper, modulated = ended
         return Hold(displacement, damper, interaction_energy(torque_applied, displacement), modulated * displacement)

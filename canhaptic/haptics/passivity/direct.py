@@ -40,6 +40,7 @@ class Direct:
         hold = self._in_flight.ended_hold(position, torque_applied)
         if hold is None:
             self._model.begin(position)
+            self._h_dis = 0.0
             return AT_REST
         displacement, damper_applied, _ = hold
         h_i = interaction_energy(torque_applied, displacement)

@@ -15,6 +15,7 @@ from typing import Final
 
 _SPLITTER: Final = 134217729.0  # 2^27 + 1 (Veltkamp)
 _ITERATIONS: Final = 80  # bisection alone reaches the last bit of any bracket of one binade in 53
+_SMALLEST_STEP: Final = 1e-16  # of the root: below half a unit in its last place
 
 
 def discriminant(effort: float, product: float, energy: float) -> float:
@@ -71,7 +72,7 @@ def solve_balance_nonlinear(
 
     The direction follows from the sign of H and of the slope at 0. Within it the root is bracketed - by the limit, or
     by the place where the slope turns - and found by Newton steps that fall back to bisection when they leave the
-    bracket; never more than 80 of each.
+    bracket or do not halve; never more than 80 of them.
 
     Args:
         gain: Energy that a state change takes up, stored and dissipated [J]; gain(0) = 0.
@@ -110,21 +111,25 @@ def _turning_point(slope: Callable[[float], float], far: float) -> float:
 def _newton(gain: Callable[[float], float], slope: Callable[[float], float], energy: float, far: float) -> float:
     """Returns the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
     near, guess = 0.0, energy / slope(0.0)
+    step = abs(far)
     for _ in range(_ITERATIONS):
         if not min(near, far) < guess < max(near, far):
             guess = 0.5 * (near + far)
+            step = abs(far - near)
             if guess in (near, far):
                 break
         missing = energy - gain(guess)
         if missing == 0.0:
-            return guess
+            break
         if (missing > 0.0) == (energy > 0.0):
             near = guess
         else:
             far = guess
         steep = slope(guess)
-        step = missing / steep if steep else far - near
-        if abs(step) <= 1e-16 * abs(guess):
+        halving = abs(2.0 * missing) <= step * abs(steep)
+        following = guess + missing / steep if halving else 0.5 * (near + far)
+        step = abs(following - guess)
+        if step <= _SMALLEST_STEP * abs(guess):
             break
-        guess += step
+        guess = following
     return guess

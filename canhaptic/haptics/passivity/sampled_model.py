@@ -46,6 +46,7 @@ class SampledModel:
 
     def begin(self, position: float) -> None:
         """Takes the first position; a state that is already displaced there stores energy nobody put in."""
+        self.reset()
         self._zone = self._environment.contact(position)
 
     def advance(self, position: float, displacement: float, damper: float, h_m: float) -> ModelStep:

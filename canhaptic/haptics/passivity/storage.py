@@ -60,6 +60,7 @@ class Storage:
 
     def begin(self, position: float) -> None:
         """Takes the first position; in contact there it is a deadlock, for the user has not pushed in."""
+        self.empty()
         self.zone = zone = self._environment.contact(position)
         self.true = self._environment.true_state(position, 0.0, 0.0) if zone else 0.0
 
