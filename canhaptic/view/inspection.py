@@ -1,5 +1,6 @@
 """What an energy log says about a run, as one dictionary: the names of `run --json`, with contacts and events added."""
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -9,6 +10,7 @@ from canhaptic.errors import InputError
 from canhaptic.haptics.balance import Branch, Certificate
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.object_dictionary import StatusBit
+from canhaptic.signals import CycleTiming
 from canhaptic.view.picture import contacts
 
 Array = NDArray[Any]
@@ -76,33 +78,48 @@ def _least(running: Array) -> tuple[float, int]:
 
 
 def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
-    h_i, h_r = port["h_i"][rows], port["h_r"][rows]
+    """The account of one port; columns are read one after the other, an hour of them at once would not fit."""
+
+    def column(name: str) -> Array:
+        return port.read(name, rows.start, rows.stop)
+
+    return {"unit": port.unit("position")} | _flows(log, column, rows) | _use(column)
+
+
+def _flows(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> dict[str, Any]:
+    h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
     cycle = int(log.timing["sync_index"][rows.start + margin_row]) if len(h_i) else 0
-    surplus, branch = port["h_dis"][rows], port["branch"][rows]
+    surplus = column("h_dis")
     return {
-        "unit": port.unit("position"),
         "in": _sum(np.maximum(h_i, 0.0)),
         "out": -_sum(np.minimum(h_i, 0.0)),
-        "stored": float(port["h_s"][rows][-1]) if len(h_i) else 0.0,
+        "stored": _last(column("h_s")),
         "dissipated": _sum(h_r),
-        "generated": _sum(port["gen"][rows]),
-        "surplus": {
-            "end": float(surplus[-1]) if len(surplus) else 0.0,
-            "max": float(surplus.max(initial=0.0)),
-        },
-        "recovered": _sum(port["h_pas"][rows]),
-        "leaked": _sum(port["leak"][rows]),
-        "paid": _sum(port["paid"][rows]),
-        "deficit": _sum(port["deficit"][rows]),
+        "generated": _sum(column("gen")),
+        "surplus": {"end": _last(surplus), "max": float(surplus.max(initial=0.0))},
+        "recovered": _sum(column("h_pas")),
+        "leaked": _sum(column("leak")),
+        "paid": _sum(column("paid")),
+        "deficit": _sum(column("deficit")),
         "margin": {"value": margin, "cycle": cycle, "time": cycle * log.sample_time},
         "least_interaction": _least(_running(h_i))[0],
-        "certificate": Certificate(int(port["certificate"][rows].max(initial=0))).name.lower(),
-        "branches": {member.name.lower(): int((branch == member).sum()) for member in Branch},
-        "damping_rendered": _range(port["damping_rendered"][rows][branch != Branch.FREE]),
-        "peak_torque": float(np.abs(port["torque_applied"][rows]).max(initial=0.0)),
-        "limited_cycles": int((port["statusword"][rows] & StatusBit.INTERNAL_LIMIT != 0).sum()),
     }
+
+
+def _use(column: Callable[[str], Array]) -> dict[str, Any]:
+    branch = column("branch")
+    return {
+        "certificate": Certificate(int(column("certificate").max(initial=0))).name.lower(),
+        "branches": {member.name.lower(): int((branch == member).sum()) for member in Branch},
+        "damping_rendered": _range(column("damping_rendered")[branch != Branch.FREE]),
+        "peak_torque": float(np.abs(column("torque_applied")).max(initial=0.0)),
+        "limited_cycles": int((column("statusword") & StatusBit.INTERNAL_LIMIT != 0).sum()),
+    }
+
+
+def _last(values: Array) -> float:
+    return float(values[-1]) if len(values) else 0.0
 
 
 def _range(values: Array) -> dict[str, float]:
@@ -116,12 +133,12 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:
 
     The interaction is minus the motor's work on the moving mass; both count from the first row of the part.
     """
-    motor = log.truth[name]["motor"][rows]
+    motor = log.truth[name].read("motor", rows.start, rows.stop)
     if not len(motor):
         return {"interaction": 0.0, "least_interaction": 0.0, "believed_error": 0.0}
-    before = log.truth[name]["motor"][rows.start - 1] if rows.start else motor[0]
+    before = log.truth[name].read("motor", rows.start - 1, rows.start)[0] if rows.start else motor[0]
     interaction = before - motor
-    h_i = log.ports[name]["h_i"][rows]
+    h_i = log.ports[name].read("h_i", rows.start, rows.stop)
     believed = _running(h_i) if rows.start else _running(h_i) - h_i[0]
     return {
         "interaction": float(interaction[-1]),
@@ -131,7 +148,7 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:
 
 
 def _timing(log: EnergyLog, rows: slice) -> dict[str, Any]:
-    parts = {name: log.timing[name][rows] for name in ("wakeup_lateness", "sync_to_last_tpdo", "compute", "send")}
+    parts = {name: log.timing.read(name, rows.start, rows.stop) for name in CycleTiming._fields}
     cycle_time = parts["sync_to_last_tpdo"] + parts["compute"] + parts["send"]
     late = parts["wakeup_lateness"] + cycle_time > log.sample_time_ns
     result: dict[str, Any] = {"deadlines_missed": int(late.sum())}
@@ -149,10 +166,10 @@ def quantiles(durations: Array) -> dict[str, float]:
 
 
 def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, Any]:
-    fresh = [port["fresh"][rows] for port in log.ports.values()]
+    fresh = [port.read("fresh", rows.start, rows.stop) for port in log.ports.values()]
     expected = sum(len(values) for values in fresh)
     received = int(sum(values.sum(dtype=np.int64) for values in fresh))
-    dropped = int(log.timing["dropped_before"][rows].sum(dtype=np.int64))
+    dropped = int(log.timing.read("dropped_before", rows.start, rows.stop).sum(dtype=np.int64))
     gaps = int((np.diff(sync_index) - 1).sum()) if len(sync_index) else 0
     return {
         "success_rate": received / expected if expected else 1.0,
@@ -165,15 +182,19 @@ def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, Any]:
 
 def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[dict[str, float]]:
     """Every stretch in contact: start [s], duration [s], depth [m or rad], peak torque [N or N*m], energy taken [J]."""
-    stretches = contacts(port["branch"][rows])
+
+    def column(name: str) -> Array:
+        return port.read(name, rows.start, rows.stop)
+
+    stretches = contacts(column("branch"))
     if not stretches:
         return []
     edges = np.add(stretches, (0, 1))
     spans = edges.ravel() if edges[-1, 1] < rows.stop - rows.start else edges.ravel()[:-1]
-    depth = np.maximum.reduceat(np.abs(port["state"][rows]), spans)[::2]
-    peak = np.maximum.reduceat(np.abs(port["torque_applied"][rows]), spans)[::2]
-    energy = np.add.reduceat(port["h_i"][rows], spans)[::2]
-    start = log.time[rows][edges[:, 0]]
+    depth = np.maximum.reduceat(np.abs(column("state")), spans)[::2]
+    peak = np.maximum.reduceat(np.abs(column("torque_applied")), spans)[::2]
+    energy = np.add.reduceat(column("h_i"), spans)[::2]
+    start = log.timing["sync_index"][rows][edges[:, 0]] * log.sample_time
     duration = (edges[:, 1] - edges[:, 0]) * log.sample_time
     names = ("start", "duration", "depth", "peak_torque", "energy")
     columns = (values.tolist() for values in (start, duration, depth, peak, energy))

@@ -91,6 +91,7 @@ class _PortPicture:
         self._name = name
         self._port = port
         self._time = log.time
+        self._contacts = contacts(port.read("branch"))
         self._faults = [e for e in log.events if e.kind in _FAULTS and e.port in {"", name}]
 
     def draw(self, panels: Any) -> None:
@@ -111,7 +112,7 @@ class _PortPicture:
         axes.plot(self._time[shown], values[shown] / scale, **style)
 
     def _draw_position(self, axes: Any) -> None:
-        position = self._port["position"]
+        position = self._port.read("position")
         wall = self._log.attributes.get(f"{self._name}.wall_position")
         scale, prefix = _prefix(position)
         self._line(axes, position, scale, color=_BLUE, linewidth=1.3, label="position")
@@ -124,9 +125,9 @@ class _PortPicture:
         _finish(axes, "position", f"{prefix}{self._port.unit('position')}")
 
     def _draw_torque(self, axes: Any) -> None:
-        command, applied = self._port["torque_command"], self._port["torque_applied"]
+        command, applied = self._port.read("torque_command"), self._port.read("torque_applied")
         unit = self._port.unit("torque_applied")
-        scale, prefix = _prefix(np.concatenate((command, applied)))
+        scale, prefix = _prefix(command, applied)
         self._line(
             axes, command, scale, color=_ORANGE, linewidth=2.2, alpha=0.8, drawstyle="steps-post", label="commanded"
         )
@@ -134,9 +135,9 @@ class _PortPicture:
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
     def _draw_energy(self, axes: Any) -> None:
-        taken_in, dissipated = np.cumsum(self._port["h_i"]), np.cumsum(self._port["h_r"])
+        taken_in, dissipated = np.cumsum(self._port.read("h_i")), np.cumsum(self._port.read("h_r"))
         margin = taken_in - dissipated
-        scale, prefix = _prefix(np.concatenate((taken_in, dissipated)))
+        scale, prefix = _prefix(taken_in, dissipated)
         shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in (taken_in, dissipated, margin)]))
         time, upper, lower = self._time[shown], taken_in[shown] / scale, dissipated[shown] / scale
         axes.fill_between(time, lower, upper, upper >= lower, color=_GREEN, alpha=0.22, linewidth=0, label="margin")
@@ -150,8 +151,8 @@ class _PortPicture:
         _finish(axes, "energy", f"{prefix}J")
 
     def _draw_surplus(self, axes: Any) -> None:
-        surplus, deficit = self._port["h_dis"], np.cumsum(self._port["deficit"])
-        scale, prefix = _prefix(np.concatenate((surplus, deficit)))
+        surplus, deficit = self._port.read("h_dis"), np.cumsum(self._port.read("deficit"))
+        scale, prefix = _prefix(surplus, deficit)
         self._line(axes, surplus, scale, color=_ORANGE, linewidth=1.3, label="surplus to dissipate")
         self._line(axes, deficit, scale, color=_VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
         if not (surplus.any() or deficit.any()):
@@ -160,7 +161,7 @@ class _PortPicture:
 
     def _mark(self, axes: Any) -> None:
         """Shades the contacts and marks faults."""
-        for start, end in contacts(self._port["branch"])[:_MAX_CONTACTS_SHADED]:
+        for start, end in self._contacts[:_MAX_CONTACTS_SHADED]:
             axes.axvspan(self._time[start], self._time[end], color=_GREY, alpha=0.05, linewidth=0, zorder=0)
         for event in self._faults:
             axes.axvline(event.sync_index * self._log.sample_time, color=_VERMILION, linewidth=0.9, linestyle=":")
@@ -181,9 +182,9 @@ def contacts(branch: Array) -> list[tuple[int, int]]:
     return [(int(start), int(end) - 1) for start, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _prefix(values: Array) -> tuple[float, str]:
-    """Returns the scale and SI prefix that put the largest value between 1 and 1000."""
-    largest = float(np.nanmax(np.abs(values), initial=0.0))
+def _prefix(*lines: Array) -> tuple[float, str]:
+    """Returns the scale and SI prefix that put the largest value of all lines between 1 and 1000."""
+    largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
     for scale, prefix in _PREFIXES:
         if largest >= scale:
             return scale, prefix
