@@ -1,0 +1,66 @@
+"""Entry of the `canhaptic` command: finds the subcommand, imports its module, turns errors into exit statuses.
+
+0 well   1 a check or comparison failed   2 bad input   3 drive or link fault   130 SIGINT   143 SIGTERM
+"""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Final, Protocol, cast
+
+from canhaptic.cli.output import print_failure
+from canhaptic.errors import CanHapticError
+
+COMMANDS: Final = {
+    "run": "run a scene: bring the drives up, render, print the energy account",
+    "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
+    "drive": "simulate the drives of a scene alone, on a bus that another process uses",
+    "schema": "print the JSON Schema of scene files, for editors",
+}
+_INTERRUPTED: Final = 130
+_BROKEN_PIPE: Final = 1
+
+
+class Command(Protocol):
+    """A module of `canhaptic.cli` that is a subcommand."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declares its arguments."""
+
+    def execute(self, arguments: argparse.Namespace) -> int:
+        """Does it and returns the exit status."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line and returns the exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    name = next((word for word in words if not word.startswith("-")), "")
+    parser = argparse.ArgumentParser(prog="canhaptic", description="Passive haptic rendering on CiA 402 servo drives.")
+    parser.add_argument("--version", action="version", version=f"canhaptic {version('canhaptic')}")
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    command: Command | None = None
+    for known, text in COMMANDS.items():
+        subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
+        if known == name:  # only what is used is imported
+            command = cast(Command, importlib.import_module(f"canhaptic.cli.{known}"))
+            command.add_arguments(subparser)
+    parsed = parser.parse_args(words)
+    return _execute(cast(Command, command), parsed)
+
+
+def _execute(command: Command, arguments: argparse.Namespace) -> int:
+    try:
+        status = command.execute(arguments)
+        sys.stdout.flush()
+        return status
+    except CanHapticError as error:
+        print_failure(error, as_json=getattr(arguments, "json", False))
+        return error.exit_status
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left; nothing to report to it
+        return _BROKEN_PIPE

@@ -1,0 +1,59 @@
+"""What the command writes: results on standard output, everything else on standard error."""
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from canhaptic.errors import CanHapticError, SceneError
+
+
+def write_json(value: Any) -> None:
+    """Writes one JSON object to standard output; numbers that JSON lacks (inf, nan) become null."""
+    sys.stdout.write(json.dumps(_finite(value), indent=2, allow_nan=False) + "\n")
+
+
+def write_line(text: str = "") -> None:
+    """Writes one line to standard output."""
+    sys.stdout.write(text + "\n")
+
+
+def write_note(text: str) -> None:
+    """Writes one line to standard error."""
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+def print_failure(error: CanHapticError, *, as_json: bool) -> None:
+    """Writes an error to standard error, and as an object to standard output when JSON was asked for."""
+    if as_json:
+        write_json(failure(error))
+    write_failure(error)
+
+
+def write_failure(error: CanHapticError) -> None:
+    """Writes an error to standard error: one line, or one line per fault."""
+    text = str(error)
+    write_note(f"canhaptic: errors:\n{text}" if "\n" in text else f"canhaptic: error: {text}")
+
+
+def failure(error: CanHapticError) -> dict[str, Any]:
+    """Returns an error as plain values."""
+    faults = list(error.faults) if isinstance(error, SceneError) else [str(error)]
+    return {
+        "status": "error",
+        "error": type(error).__name__,
+        "exit_status": error.exit_status,
+        "faults": faults,
+    }
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,83 @@
+"""Progress on standard error, only on a terminal and only of what takes longer than a second.
+
+At real pace the terminal must not hold up the cycle: one short line twice a second, and only if it can be written
+without waiting. No thread is started.
+"""
+
+import os
+import select
+import sys
+from types import TracebackType
+from typing import Final, Literal, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from canhaptic.drive.clock import WallClock
+
+_FIRST: Final = 1_000_000_000  # [ns]
+_INTERVAL: Final = {"real": 500_000_000, "free": 100_000_000}  # [ns]
+
+
+class RunProgress:
+    """Told the number of completed cycles; shows it now and then.
+
+    Args:
+        cycles: How many there will be; None when that is not known.
+        sample_time: [s]
+        pace: Of the run.
+    """
+
+    def __init__(self, cycles: int | None, sample_time: float, pace: Literal["real", "free"]) -> None:
+        self._cycles = cycles
+        self._sample_time = sample_time
+        self._pace = pace
+        self._clock = WallClock()
+        self._next = self._clock.now() + _FIRST
+        self._shown = False
+        self._bar: Progress | None = None
+
+    def __call__(self, cycles: int) -> None:
+        """Takes the number of completed cycles; cheap but for a few calls a second."""
+        if self._pace == "free" and cycles & 63:
+            return
+        now = self._clock.now()
+        if now >= self._next:
+            self._next = now + _INTERVAL[self._pace]
+            self._show(cycles)
+
+    def _show(self, cycles: int) -> None:
+        self._shown = True
+        if self._pace == "real" or self._cycles is None:
+            end = "" if self._cycles is None else f" of {self._cycles * self._sample_time:g} s"
+            _write_if_free(f"\r  {cycles * self._sample_time:8.1f} s{end}   {cycles} cycles ")
+            return
+        if self._bar is None:
+            columns = (
+                TextColumn("  running"),
+                BarColumn(),
+                TextColumn("{task.percentage:3.0f} %"),
+                TimeRemainingColumn(),
+            )
+            self._bar = Progress(*columns, console=Console(stderr=True), auto_refresh=False, transient=True)
+            self._bar.start()
+            self._bar.add_task("run", total=self._cycles)
+        self._bar.update(self._bar.task_ids[0], completed=cycles, refresh=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        elif self._shown:
+            _write_if_free("\r\033[K")
+
+
+def _write_if_free(text: str) -> None:
+    """Writes to standard error unless that would wait (a terminal stopped with Ctrl-S)."""
+    descriptor = sys.stderr.fileno()
+    if select.select([], [descriptor], [], 0.0)[1]:
+        os.write(descriptor, text.encode())

@@ -1,0 +1,124 @@
+"""`canhaptic run CONFIG`: brings the drives up, renders the environment, stops, and prints the energy account."""
+
+import argparse
+import sys
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
+from canhaptic.cli.output import write_json, write_note
+from canhaptic.cli.progress import RunProgress
+from canhaptic.cli.stop_signal import StopSignal
+from canhaptic.cycle import run
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import CanHapticError, InputError
+from canhaptic.result import run_result
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.method import method_line
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `run`."""
+    add_scene(parser)
+    parser.add_argument("--duration", metavar="S", type=seconds, help="length of the run [s]; by default the scene's")
+    parser.add_argument(
+        "--pace",
+        choices=("real", "free"),
+        help="wall-clock pace, or as fast as the machine allows in lock-step; by default free where all is simulated",
+    )
+    parser.add_argument("--log", metavar="FILE.h5", type=Path, help="energy log (HDF5)")
+    parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
+    parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the run (.png, .svg, .pdf)")
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Runs the scene; returns 0, or 130 or 143 after a signal."""
+    scene = scene_of(arguments)
+    with ExitStack() as stack:
+        energy_log = arguments.log or scene.log.energy
+        if arguments.png is not None:
+            _check_folder(arguments.png)
+            if energy_log is None:
+                energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
+        stop = stack.enter_context(StopSignal())
+        experiment = build(scene, arguments.pace, energy_log, arguments.bus_log)
+        result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
+        if error is None and arguments.png is not None and energy_log is not None:
+            _draw(energy_log, arguments.png)
+    _report(result, error, arguments)
+    return stop.exit_status if error is None else error.exit_status
+
+
+def _run(
+    experiment: Experiment, duration: float | None, stop: StopSignal
+) -> tuple[dict[str, Any], CanHapticError | None]:
+    """Runs to the end, whatever it is; returns the account and what went wrong."""
+    scene, clock = experiment.scene, WallClock()
+    cycles = None if duration is None else max(1, round(duration / scene.bus.sample_time))
+    error: CanHapticError | None = None
+    begin = clock.now()
+    try:
+        with RunProgress(cycles, scene.bus.sample_time, experiment.pace) as progress:
+            run(experiment.cycle, cycles, stop.requested, progress if sys.stderr.isatty() else None)
+    except CanHapticError as raised:
+        error = raised
+    elapsed = (clock.now() - begin) * 1e-9
+    status = "completed" if error is None else f"failed: {type(error).__name__}"
+    if error is None and stop.requested():
+        status = "stopped"
+    experiment.close(status)
+    return _account(experiment, status, elapsed), error
+
+
+def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, Any]:
+    scene, cycle = experiment.scene, experiment.cycle
+    result = run_result(
+        cycle,
+        [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
+        status=status,
+        config_hash=scene.config_hash(),
+        sample_time=scene.bus.sample_time,
+        method=method_line(scene),
+    )
+    # In lock-step virtual time stands still within a cycle: its durations say nothing.
+    durations = result["timing"] if experiment.pace == "real" else {}
+    result["timing"] = {
+        "pace": experiment.pace,
+        "cycles_per_second": cycle.cycles / elapsed if elapsed else 0.0,
+        **durations,
+    }
+    result["logs"] = {"dropped": sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log)}
+    return result
+
+
+def _check_folder(path: Path) -> None:
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
+
+
+def _draw(log: Path, path: Path) -> None:
+    from canhaptic.view.picture import draw_energy
+
+    try:
+        draw_energy(log, path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: the picture cannot be written ({error})") from error
+
+
+def _report(result: dict[str, Any], error: CanHapticError | None, arguments: argparse.Namespace) -> None:
+    """Prints the account, and the error that ended the run if one did."""
+    if arguments.json:
+        write_json(result if error is None else {**failure(error), "result": result})
+    elif result["cycles"]:
+        from canhaptic.view.energy_table import print_energy
+
+        print_energy(result)
+    if error is not None:
+        write_failure(error)
+    files = {"energy log": arguments.log, "bus log": arguments.bus_log, "picture": None if error else arguments.png}
+    for what, path in files.items():
+        if path is not None:
+            write_note(f"  {what:<10}  {path}")

@@ -1,0 +1,172 @@
+"""A scene to a rig that can run: one small function per part, and one object that holds and closes them.
+
+with build(load_scene("configs/demo.yaml")) as experiment:
+run(experiment.cycle, cycles=10_000)
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self, cast
+
+import can
+
+from canhaptic.cycle import Cycle
+from canhaptic.drive.clock import Clock, VirtualClock, WallClock
+from canhaptic.drive.link import Link, Recorder
+from canhaptic.drive.rig import Rig
+from canhaptic.errors import InputError
+from canhaptic.haptics.passivity.protocol import Controller
+from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.scene.bus import echoes, open_bus, private_channel
+from canhaptic.scene.log_writers import open_bus_log, open_energy_log
+from canhaptic.scene.models import Scene
+from canhaptic.scene.parts import build_axis_controller, build_servo_drive, build_simulated_drive
+from canhaptic.signals import FarSide, Truth
+from canhaptic.sim.drive_group import DriveGroup
+
+Pace = Literal["real", "free"]
+
+
+class Experiment:
+    """A scene that has been built: everything that a run needs, and that must be closed after it.
+
+    Attributes:
+        scene: What it was built from.
+        pace: "free" (lock-step with simulated drives, as fast as the machine allows) or "real".
+        far_side: The simulated drives inside this process; None with real ones.
+        cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
+        energy_log: Where every cycle is written; None for nowhere.
+        bus_log: Where every frame is written; None for nowhere.
+    """
+
+    def __init__(self, scene: Scene, pace: Pace, energy_log: Path | None, bus_log: Path | None) -> None:
+        self.scene = scene
+        self.pace = pace
+        with ExitStack() as stack:
+            channel = _channel(scene)
+            self.far_side = _build_far_side(scene, channel, stack) if scene.simulated else None
+            self.clock = _build_clock(scene, pace, self.far_side)
+            self.energy_log = open_energy_log(scene, energy_log, pace) if energy_log else None
+            if self.energy_log is not None:
+                stack.callback(self.energy_log.close, "failed")
+            self.bus_log = open_bus_log(scene, bus_log, pace) if bus_log else None
+            if self.bus_log is not None:
+                stack.callback(self.bus_log.close)
+            link = _build_link(scene, channel, self.clock, self.bus_log, stack)
+            self.rig = _build_rig(scene, link)
+            self.cycle = Cycle(self.rig, build_controllers(scene), self.energy_log, _truths(self.far_side))
+            self._stack = stack.pop_all()
+
+    def close(self, status: str = "completed") -> None:
+        """Closes logs and buses; a second call does nothing.
+
+        Args:
+            status: How the run ended, for the energy log.
+
+        Raises:
+            LogWriteError: A log is not complete.
+        """
+        with self._stack:
+            if self.energy_log is not None:
+                self.energy_log.close(status)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close("completed" if error is None else f"{type(error).__name__}: {error}")
+
+
+def build(
+    scene: Scene, pace: Pace | None = None, energy_log: str | Path | None = None, bus_log: str | Path | None = None
+) -> Experiment:
+    """Returns the scene built and ready to run; nothing is sent yet.
+
+    Args:
+        scene: From `load_scene`.
+        pace: "real" or "free"; by default free where the drives are simulated in this process, else real.
+        energy_log: Energy log (HDF5) to write; by default what the scene names under `log`.
+        bus_log: Bus log (candump text) to write; by default what the scene names under `log`.
+
+    Raises:
+        InputError: Free pace without simulated drives, or a bus that python-can cannot use.
+        LinkError: The bus cannot be opened.
+        LogWriteError: A log cannot be written.
+    """
+    if pace == "free" and not scene.simulated:
+        raise InputError(
+            f"{scene.source}: pace 'free' needs drives simulated in this process (bus.interface: virtual and a "
+            "`simulation`); real drives run at pace 'real'"
+        )
+    chosen: Pace = pace or ("free" if scene.simulated else "real")
+    return Experiment(scene, chosen, _path(energy_log, scene.log.energy), _path(bus_log, scene.log.bus))
+
+
+def build_controllers(scene: Scene) -> list[Controller]:
+    """Returns one controller per axis."""
+    return [build_axis_controller(axis) for axis in scene.axes]
+
+
+def build_drive_group(scene: Scene, bus: can.BusABC) -> DriveGroup:
+    """Returns the simulated drives of a scene on one connection to the bus.
+
+    Raises:
+        InputError: The scene has no `simulation`.
+    """
+    simulated = [(axis, axis.simulation) for axis in scene.axes]
+    drives = [
+        build_simulated_drive(axis, simulation, bus, scene.bus.sample_time_ns)
+        for axis, simulation in simulated
+        if simulation is not None
+    ]
+    if not drives:
+        raise InputError(f"{scene.source}: has no `simulation`, so there is no drive to simulate; add one")
+    return DriveGroup(bus, drives)
+
+
+def _path(asked: str | Path | None, of_scene: Path | None) -> Path | None:
+    return Path(asked) if asked is not None else of_scene
+
+
+def _channel(scene: Scene) -> str | int | None:
+    if scene.bus.channel is None and scene.bus.interface == "virtual":
+        return private_channel()
+    return scene.bus.channel
+
+
+def _build_far_side(scene: Scene, channel: str | int | None, stack: ExitStack) -> DriveGroup:
+    bus = open_bus(scene.bus, channel)
+    stack.callback(bus.shutdown)
+    return build_drive_group(scene, bus)
+
+
+def _build_clock(scene: Scene, pace: Pace, far_side: FarSide | None) -> Clock:
+    far_sides = [] if far_side is None else [far_side]
+    return VirtualClock(far_sides) if pace == "free" else WallClock(far_sides, scene.bus.spin_margin)
+
+
+def _build_link(
+    scene: Scene, channel: str | int | None, clock: Clock, recorder: BusLogWriter | None, stack: ExitStack
+) -> Link:
+    bus = open_bus(scene.bus, channel)
+    stack.callback(bus.shutdown)
+    return Link(bus, clock, cast(Recorder | None, recorder), echoes=echoes(scene.bus))
+
+
+def _build_rig(scene: Scene, link: Link) -> Rig:
+    drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
+    return Rig(link, drives, scene.bus)
+
+
+def _truths(far_side: DriveGroup | None) -> Callable[[], Sequence[Truth]] | None:
+    if far_side is None:
+        return None
+    readers = [drive.truth for drive in far_side.drives]
+    if len(readers) == 1:
+        [read] = readers
+        return lambda: (read(),)
+    return lambda: [read() for read in readers]

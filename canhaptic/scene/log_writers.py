@@ -1,0 +1,78 @@
+"""The logs of a scene, with everything about the run that a reader needs later."""
+
+import json
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final, Literal
+
+from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.schema import Attribute, PortDescription
+from canhaptic.scene.models import AxisScene, Scene
+
+_PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
+
+
+def open_energy_log(scene: Scene, path: Path, pace: Literal["real", "free"]) -> EnergyLogWriter:
+    """Returns the energy log, made and ready.
+
+    Raises:
+        LogWriteError: The file cannot be made.
+    """
+    ports = [PortDescription(axis.parameters.name, axis.parameters.unit) for axis in scene.axes]
+    return EnergyLogWriter(
+        path,
+        ports,
+        run_attributes(scene, pace),
+        sample_time_ns=scene.bus.sample_time_ns,
+        with_truth=scene.simulated,
+        pace=pace,
+    )
+
+
+def open_bus_log(scene: Scene, path: Path, pace: Literal["real", "free"]) -> BusLogWriter:
+    """Returns the bus log, made and ready.
+
+    Raises:
+        LogWriteError: The file cannot be made.
+    """
+    channel = scene.bus.channel
+    name = _PRIVATE_NAME if channel is None else "".join(str(channel).split())
+    return BusLogWriter(path, name, pace=pace)
+
+
+def run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:
+    """Returns what belongs to the whole run: configuration, versions, clock, and where the walls are."""
+    attributes: dict[str, Attribute] = {
+        "canhaptic_version": version("canhaptic"),
+        "config": scene.text,
+        "config_source": scene.source,
+        "config_overrides": json.dumps(scene.overrides),
+        "config_resolved": json.dumps(scene.resolved()),
+        "config_hash": scene.config_hash(),
+        "clock_base": "virtual, from 0" if pace == "free" else "CLOCK_MONOTONIC",
+        "pace": pace,
+        "interface": scene.bus.interface,
+        "bitrate": scene.bus.bitrate,
+        "rate": scene.bus.rate,
+        "rpdo": scene.bus.rpdo,
+    }
+    for axis in scene.axes:
+        attributes |= _axis_attributes(axis)
+    return attributes
+
+
+def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
+    name = axis.parameters.name
+    attributes: dict[str, Attribute] = {
+        f"{name}.eds": str(axis.parameters.eds),
+        f"{name}.eds_hash": axis.dictionary_hash(),
+        f"{name}.environment": axis.environment.name,
+        f"{name}.algorithm": axis.passivity.name,
+    }
+    environment = axis.environment.parameters
+    for key in ("position", "side"):
+        value = getattr(environment, key, None)
+        if isinstance(value, str | float):
+            attributes[f"{name}.wall_{key}"] = value
+    return attributes
