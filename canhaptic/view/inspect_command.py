@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
                 export(log, path)
         for path in (arguments.png, arguments.svg):
             if path is not None:
-                draw_energy(log, path)
+                draw_energy(log, path, arguments.start, arguments.stop)
     _show(result, console, as_json=arguments.json)
     identical = result.get("comparison", {"identical": True})["identical"]
     return 0 if identical and all(outcome["holds"] for outcome in result["checks"]) else 1

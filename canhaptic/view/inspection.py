@@ -6,12 +6,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.errors import InputError
 from canhaptic.haptics.balance import Branch, Certificate
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.object_dictionary import StatusBit
 from canhaptic.signals import CycleTiming
-from canhaptic.view.picture import contacts
+from canhaptic.view.extent import contacts, rows_between
 
 Array = NDArray[Any]
 
@@ -29,7 +28,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     Raises:
         InputError: No cycle lies between `start` and `stop`.
     """
-    rows = _rows(log, start, stop)
+    rows = rows_between(log, start, stop)
     sync_index = log.timing["sync_index"][rows]
     return {
         "file": str(log.path),
@@ -46,18 +45,6 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "contacts": {name: _contacts(log, port, rows) for name, port in log.ports.items()},
         "events": [event._asdict() | {"time": event.sync_index * log.sample_time} for event in log.events],
     }
-
-
-def _rows(log: EnergyLog, start: float | None, stop: float | None) -> slice:
-    if start is None and stop is None:
-        return slice(0, log.rows)
-    time = log.time
-    first = 0 if start is None else int(np.searchsorted(time, start))
-    last = log.rows if stop is None else int(np.searchsorted(time, stop))
-    if first >= last:
-        end = f"{time[-1]:.6g}" if len(time) else "0"
-        raise InputError(f"{log.path}: no cycle from {start} s to {stop} s; the log ends at {end} s")
-    return slice(first, last)
 
 
 def _sum(values: Array) -> float:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import InputError
-from canhaptic.haptics.balance import Branch
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.view.decimate import decimate
+from canhaptic.view.extent import contacts, rows_between
 from canhaptic.view.si import si
 
 _BLUE, _VERMILION, _GREEN, _ORANGE, _GREY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#4D4D4D"
@@ -41,7 +41,9 @@ _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p
 Array = NDArray[Any]
 
 
-def draw_energy(log: EnergyLog | str | Path, path: str | Path) -> None:
+def draw_energy(
+    log: EnergyLog | str | Path, path: str | Path, start: float | None = None, stop: float | None = None
+) -> None:
     """Draws a run into a file; its suffix says how (.png, .svg, .pdf).
 
     The wall is drawn where the log's attributes `NAME.wall_position` and `NAME.wall_side` say so.
@@ -49,16 +51,19 @@ def draw_energy(log: EnergyLog | str | Path, path: str | Path) -> None:
     Args:
         log: An open energy log, or the path of one.
         path: The picture.
+        start: Time of the first SYNC to draw [s]; from the beginning by default.
+        stop: Time of the first SYNC not to draw [s]; to the end by default.
 
     Raises:
-        InputError: The log holds no cycle, or matplotlib is not installed.
+        InputError: The log holds no cycle there, or matplotlib is not installed.
     """
     if not isinstance(log, EnergyLog):
         with EnergyLog.open(log) as opened:
-            draw_energy(opened, path)
+            draw_energy(opened, path, start, stop)
         return
     if log.rows == 0:
         raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
+    rows = rows_between(log, start, stop)
     try:
         import matplotlib as mpl
         from matplotlib.figure import Figure
@@ -69,7 +74,7 @@ def draw_energy(log: EnergyLog | str | Path, path: str | Path) -> None:
         figure.get_layout_engine().set(hspace=0.04, h_pad=0.06)
         panels: Any = figure.subplots(4, len(log.ports), sharex=True, squeeze=False, height_ratios=(3, 3, 4, 2))
         for column, (name, port) in enumerate(log.ports.items()):
-            picture = _PortPicture(log, name, port)
+            picture = _PortPicture(log, name, port, rows)
             picture.draw(panels[:, column])
             panels[-1, column].set_xlabel("time [s]" + picture.faults())
         figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
@@ -86,13 +91,21 @@ def _caption(log: EnergyLog) -> str:
 class _PortPicture:
     """The four panels of one port."""
 
-    def __init__(self, log: EnergyLog, name: str, port: Quantities) -> None:
+    def __init__(self, log: EnergyLog, name: str, port: Quantities, rows: slice) -> None:
         self._log = log
         self._name = name
         self._port = port
-        self._time = log.time
-        self._contacts = contacts(port.read("branch"))
-        self._faults = [e for e in log.events if e.kind in _FAULTS and e.port in {"", name}]
+        self._rows = rows
+        self._time = log.time[rows]
+        self._contacts = contacts(self._column("branch"))
+        if len(self._contacts) > _MAX_CONTACTS_SHADED:
+            self._contacts = []
+        shown = range(int(log.timing["sync_index"][rows.start]), int(log.timing["sync_index"][rows.stop - 1]) + 1)
+        self._faults = [
+            event
+            for event in log.events
+            if event.kind in _FAULTS and event.port in {"", name} and event.sync_index in shown
+        ]
 
     def draw(self, panels: Any) -> None:
         """Draws into four axes, top to bottom."""
@@ -107,12 +120,15 @@ class _PortPicture:
         if len(self._log.ports) > 1:
             position.set_title(f"{self._name}: position", fontweight="bold")
 
+    def _column(self, name: str) -> Array:
+        return self._port.read(name, self._rows.start, self._rows.stop)
+
     def _line(self, axes: Any, values: Array, scale: float, **style: Any) -> None:
         shown = decimate(values, _BUCKETS)
         axes.plot(self._time[shown], values[shown] / scale, **style)
 
     def _draw_position(self, axes: Any) -> None:
-        position = self._port.read("position")
+        position = self._column("position")
         wall = self._log.attributes.get(f"{self._name}.wall_position")
         scale, prefix = _prefix(position)
         self._line(axes, position, scale, color=_BLUE, linewidth=1.3, label="position")
@@ -125,7 +141,7 @@ class _PortPicture:
         _finish(axes, "position", f"{prefix}{self._port.unit('position')}")
 
     def _draw_torque(self, axes: Any) -> None:
-        command, applied = self._port.read("torque_command"), self._port.read("torque_applied")
+        command, applied = self._column("torque_command"), self._column("torque_applied")
         unit = self._port.unit("torque_applied")
         scale, prefix = _prefix(command, applied)
         self._line(
@@ -135,7 +151,7 @@ class _PortPicture:
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
     def _draw_energy(self, axes: Any) -> None:
-        taken_in, dissipated = np.cumsum(self._port.read("h_i")), np.cumsum(self._port.read("h_r"))
+        taken_in, dissipated = np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))
         margin = taken_in - dissipated
         scale, prefix = _prefix(taken_in, dissipated)
         shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in (taken_in, dissipated, margin)]))
@@ -151,7 +167,7 @@ class _PortPicture:
         _finish(axes, "energy", f"{prefix}J")
 
     def _draw_surplus(self, axes: Any) -> None:
-        surplus, deficit = self._port.read("h_dis"), np.cumsum(self._port.read("deficit"))
+        surplus, deficit = self._column("h_dis"), np.cumsum(self._column("deficit"))
         scale, prefix = _prefix(surplus, deficit)
         self._line(axes, surplus, scale, color=_ORANGE, linewidth=1.3, label="surplus to dissipate")
         self._line(axes, deficit, scale, color=_VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
@@ -161,7 +177,7 @@ class _PortPicture:
 
     def _mark(self, axes: Any) -> None:
         """Shades the contacts and marks faults."""
-        for start, end in self._contacts[:_MAX_CONTACTS_SHADED]:
+        for start, end in self._contacts:
             axes.axvspan(self._time[start], self._time[end], color=_GREY, alpha=0.05, linewidth=0, zorder=0)
         for event in self._faults:
             axes.axvline(event.sync_index * self._log.sample_time, color=_VERMILION, linewidth=0.9, linestyle=":")
@@ -173,13 +189,6 @@ class _PortPicture:
             f"\n{event.sync_index * period:.4g} s: {event.kind} {event.text[:60]}"
             for event in self._faults[:_MAX_FAULTS_NAMED]
         )
-
-
-def contacts(branch: Array) -> list[tuple[int, int]]:
-    """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`."""
-    touching = np.concatenate(([False], branch != Branch.FREE.value, [False]))
-    edges = np.flatnonzero(touching[1:] != touching[:-1])
-    return [(int(start), int(end) - 1) for start, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _prefix(*lines: Array) -> tuple[float, str]:

@@ -13,7 +13,8 @@ from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.schema import PortDescription
 from canhaptic.view.decimate import decimate
-from canhaptic.view.picture import contacts, draw_energy
+from canhaptic.view.extent import contacts
+from canhaptic.view.picture import draw_energy
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=400), st.integers(1, 50))

@@ -1,0 +1,34 @@
+"""Which rows of a log: those of a span of time, those of each contact."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.errors import InputError
+from canhaptic.haptics.balance import Branch
+from canhaptic.logs.energy_reader import EnergyLog
+
+
+def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> slice:
+    """Returns the rows from time `start` [s] on and before `stop` [s]; None: from the beginning, to the end.
+
+    Raises:
+        InputError: No cycle lies between them.
+    """
+    if start is None and stop is None:
+        return slice(0, log.rows)
+    time = log.time
+    first = 0 if start is None else int(np.searchsorted(time, start))
+    last = log.rows if stop is None else int(np.searchsorted(time, stop))
+    if first >= last:
+        end = f"{time[-1]:.6g}" if len(time) else "0"
+        raise InputError(f"{log.path}: no cycle from {start} s to {stop} s; the log ends at {end} s")
+    return slice(first, last)
+
+
+def contacts(branch: NDArray[Any]) -> list[tuple[int, int]]:
+    """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`."""
+    touching = np.concatenate(([False], branch != Branch.FREE.value, [False]))
+    edges = np.flatnonzero(touching[1:] != touching[:-1])
+    return [(int(start), int(end) - 1) for start, end in zip(edges[::2], edges[1::2], strict=True)]
