@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
-from canhaptic.cli.output import write_json, write_note
+from canhaptic.cli.output import failure, write_failure, write_json, write_note
 from canhaptic.cli.progress import RunProgress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.cycle import run
