@@ -50,7 +50,7 @@ class SimulatedDrive:
         dictionary: Path of its EDS or DCF, or the dictionary read from it.
         motor: What it moves; stands still until the first SYNC that finds operation enabled.
         parameters: What the dictionary does not tell.
-        sample_time_ns: Time between two SYNCs [ns]; a fault reaction or quick stop takes this long.
+        sample_time_ns: Time between two SYNCs [ns]; a fault reaction or quick stop takes one and a half.
 
     Attributes:
         nmt_state: As its heartbeat tells it.
@@ -78,7 +78,7 @@ class SimulatedDrive:
         self.frames_lost = 0
         self.nmt_state = NmtState.BOOT_UP
         self._bus = bus
-        self._reaction_time = sample_time_ns
+        self._reaction_time = sample_time_ns * 3 // 2  # so that exactly one SYNC shows it
         self.store = store = ObjectStore(dictionary, parameters.object_values())
         self.servo = Servo(store, motor, parameters)
         self._timers = timers = Timers()

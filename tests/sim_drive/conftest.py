@@ -1,13 +1,11 @@
-"""Dictionaries for the tests: our own, which always run, and the vendors', which are skipped visibly when absent."""
+"""The vendors' dictionaries, skipped visibly when absent; our own, under eds/, always run."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
-SERVO_EDS = ROOT / "eds" / "cia402_servo.eds"
-TRAITS = Path(__file__).parent / "eds"
+from drive_on_bus import ROOT, Rig
 
 
 @pytest.fixture(scope="session")
@@ -16,3 +14,9 @@ def vendor_eds() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no vendor dictionaries in {folder} (set CANHAPTIC_VENDOR_EDS)")
     return folder
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with Rig() as rig:
+        yield rig
