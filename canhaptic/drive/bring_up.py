@@ -114,6 +114,7 @@ class BringUp:
 
     def _presence(self) -> None:
         drive = self._drive
+        self._disable_if_powered()
         with self.step("bus"):
             drive.link.send(od.NMT_COB_ID, bytes([NmtCommand.PRE_OPERATIONAL, drive.axis.node_id]))
         with self.step("presence"):
@@ -122,6 +123,17 @@ class BringUp:
         if device_type & 0xFFFF != od.CIA402_PROFILE:
             seen = f"0x1000 = {device_type:#010x}"
             raise self.refusal("device type", seen, f"low word {od.CIA402_PROFILE:#06x}")
+
+    def _disable_if_powered(self) -> None:
+        """Disables a drive that another run left enabled: leaving OPERATIONAL with power on would be a fault to it.
+
+        A drive that does not answer yet may be in NMT STOPPED, so this step confirms nothing; later ones do.
+        """
+        try:
+            if drive_state(self._sdo.probe(od.STATUSWORD)) in _POWERED:
+                self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
+        except SdoError:
+            return
 
     def _heartbeat(self) -> None:
         drive = self._drive

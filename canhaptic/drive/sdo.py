@@ -5,6 +5,8 @@ the next request and aborts with index 0. Here the answer is pumped from the bus
 repeated, and an answer for another object is counted as late and left out.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Final
 
 from canopen import ObjectDictionary
@@ -39,6 +41,15 @@ class _PumpedClient(SdoClient):
         self._waits_for_initiate = False
         self._waits = False
         link.subscribe(self.tx_cobid, self._take)
+
+    @contextmanager
+    def single_attempt(self) -> Iterator[None]:
+        """Within the block nothing is repeated."""
+        attempts, self._attempts = self._attempts, 1
+        try:
+            yield
+        finally:
+            self._attempts = attempts
 
     def _take(self, data: bytearray) -> None:
         if len(data) != _FRAME_LENGTH:
@@ -117,6 +128,15 @@ class SdoChannel:
         variable = self.dictionary.get_variable(index, subindex)
         signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
         return int.from_bytes(data, "little", signed=signed)
+
+    def probe(self, index: int, subindex: int = 0) -> int:
+        """Returns the value of an object like `read`, but asks only once.
+
+        Raises:
+            SdoError: Aborted by the drive or not answered.
+        """
+        with self._client.single_attempt():
+            return self.read(index, subindex)
 
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> None:
         """Writes an integer object.
