@@ -1,25 +1,27 @@
 """Motor and user behind one drive: exact between two torques, with the energies each part truly took or gave.
 
-Between two SYNCs the torque is constant and the plant is linear, so a whole sample time is one matrix-vector product
-(`canhaptic.sim.propagator`) and every energy one quadratic form of the state at its start: no integration error for
-any stiffness. Time is an integer number of ticks of T / 2^20 since the plant's epoch, so that k whole sample times are
-exactly k steps.
+Between two SYNCs the torque is constant and the plant piecewise affine, so a hold is a few matrix-vector products and
+every energy a quadratic form of the state (`machine.py`, `compiler.py`); what is not piecewise affine is held over
+substeps around that core (`splitting.py`). A plant contains only what its parameters name. Time is an integer number of
+ticks of T / 2^24 since the plant's epoch, so that k whole sample times are exactly k steps.
 """
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Final
-
-import numpy as np
 
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.propagator import LEVELS, TICKS, Array, dyadic_flows
+from canhaptic.sim.assembly import MOTOR, Body, LinearPart, Rows, Scene
+from canhaptic.sim.effects import Effect
+from canhaptic.sim.machine import Machine
+from canhaptic.sim.propagator import LEVELS, TICKS
+from canhaptic.sim.splitting import Splitting
+from canhaptic.sim.timetable import Timetable
 from canhaptic.sim.user import UserParameters
 
-_USER: Final = 0  # row of the work of the hand
-_VISCOUS: Final = 1  # row of the viscous loss
+MAX_EVENTS: Final = 1000
+"""Events in one hold beyond which the rest of the hold runs without guards, counted in `Plant.capped_holds`."""
 
 
 class PlantParameters(Parameters):
@@ -32,9 +34,30 @@ class PlantParameters(Parameters):
     initial_position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     initial_velocity: Annotated[float, quantity("m/s", "rad/s", ge=-1e3, le=1e3)] = 0.0
 
+    def add_to(self, scene: Scene) -> None:
+        """Adds the motor's body and its bearings."""
+        scene.add_state("position", self.initial_position)
+        scene.add_state("velocity", self.initial_velocity)
+        scene.bodies.append(Body("motor", self.mass, "velocity", (("position", 1.0),)))
+        scene.works["motor"] = "motor"
+        if self.damping:
+            scene.works["bearings"] = "dissipated"
+        scene.parts.append(LinearPart("motor", self._write))
+
+    def _write(self, rows: Rows) -> None:
+        velocity, torque = rows.velocity(MOTOR), rows.row(**{rows.scene.motor_torque: 1.0})
+        rows.set_rate("position", velocity)
+        rows.forces[MOTOR] += torque - self.damping * velocity
+        rows.add_power("motor", torque, velocity)
+        if self.damping:
+            rows.add_power("bearings", self.damping * velocity, velocity)
+        if rows.scene.efforts:
+            rows.set_rate("travel", velocity)
+            rows.forces[MOTOR] += rows.row(effort=1.0)
+
 
 class Plant:
-    """One simulated axis: mass, friction and hand, moved by a torque that is constant from call to call.
+    """One simulated axis, moved by a torque that is constant from call to call.
 
     The plant stands still until `begin(now)`; from then on its clock never stops.
 
@@ -42,67 +65,109 @@ class Plant:
         parameters: Mass and bearings.
         user: The hand; None when nobody holds the handle.
         effects: Effects of `canhaptic.sim.effects`, in the order of the scene.
-        sample_time_ns: T [ns]; energies are cheapest and time is exact at whole multiples of it.
+        sample_time_ns: T [ns]; a whole sample time is cheapest.
         seed: Of every random effect.
+        substeps: Substeps in one sample time for effects that are not exact; a power of two up to 1024.
+        event_bits: Events are bracketed to T / 2^event_bits; 1..24.
 
     Attributes:
-        position: True position [m or rad].
+        position: True position of the motor [m or rad].
+        encoder_position: The same after the effects of the encoder; what a drive reads.
+        state_names: Every state of the scene, and nothing else.
     """
 
     def __init__(
         self,
         parameters: PlantParameters,
         user: UserParameters | None,
-        effects: Sequence[Parameters],
+        effects: Sequence[Effect],
         sample_time_ns: int,
         seed: int = 0,
+        substeps: int = 1,
+        event_bits: int = LEVELS,
     ) -> None:
-        if effects:
-            raise ParameterError(f"effects: got {len(effects)}, expected none; this plant is linear")
         if sample_time_ns < 1:
             raise ParameterError(f"sample time: got {sample_time_ns} ns, expected at least 1 ns; lower the rate")
+        if not 1 <= substeps <= 1024 or substeps & (substeps - 1):
+            raise ParameterError(f"substeps: got {substeps}, expected a power of two from 1 to 1024")
+        if not 1 <= event_bits <= LEVELS:
+            raise ParameterError(f"event_bits: got {event_bits}, expected 1..{LEVELS}")
         self.parameters = parameters
-        self.user = user or UserParameters()
+        self.user = user
         self.sample_time_ns = sample_time_ns
         self.seed = seed
-        names, rates, powers, shift = _linear_scene(parameters, self.user)
-        self.state_names = tuple(names)
-        flows, _ = dyadic_flows(rates, [], sample_time_ns * 1e-9)
-        back = np.linalg.inv(shift)
-        shifted_powers = [back.T @ power @ back for power in powers]
-        _, works = dyadic_flows(shift @ rates @ back, shifted_powers, sample_time_ns * 1e-9)
-        self._flows = [flow.dot for flow in flows]
-        self._works = [np.concatenate([form @ shift for form in forms] + [shift]).dot for forms in works]
-        self._size = len(names)
+        self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
+        self._machine = Machine(self.scene, MAX_EVENTS, event_bits)
+        self._splitting = Splitting(self._machine, substeps) if self.scene.efforts else None
+        self._timetable: Timetable | None = None
+        self._hold = self._chosen_hold()
+        kept = [name for command in self.scene.commands for name in command.state_names]
+        kept += [name for effort in self.scene.efforts for name in effort.state_names]
+        self.state_names = (*self.scene.names, *kept)
         self.reset()
+
+    def _chosen_hold(self) -> Callable[[int, float], None]:
+        """Returns what moves this scene by a hold; what the scene does not name has no place in it."""
+        scene, machine = self.scene, self._machine
+        has_guards = any(part.has_guards for part in scene.parts)
+        if not (has_guards or scene.efforts or scene.schedule or scene.commands):
+            return self._linear_hold
+        run = self._splitting.run if self._splitting else machine.run if has_guards else machine.run_free
+        if scene.schedule:
+            self._timetable = Timetable(machine, run)
+            run = self._timetable.run
+        self._run = run
+        return self._general_hold
 
     def reset(self) -> None:
         """Returns to the initial state, before `begin`, with all energies zero."""
-        size, p, u = self._size, self.parameters, self.user
-        self._state, self._next_state = np.zeros(size), np.zeros(size)
-        self._state[:2] = p.initial_position, p.initial_velocity
-        if u.motion:
-            self._state[2:4] = math.sin(u.motion.phase), math.cos(u.motion.phase)
-        self._state[size - 1] = 1.0
-        self._rows = np.zeros(3 * size)  # the two work forms times the shifted state, then the shifted state
-        self._row_sum = self._rows[: 2 * size].reshape(2, size).dot
-        self._shifted = self._rows[2 * size :]
-        self._work, self._totals = np.zeros(2), np.zeros(2)
-        self._motor = 0.0
+        self._machine.reset()
+        for keeper in (*self.scene.commands, self._splitting, self._timetable):
+            if keeper:
+                keeper.reset()
+        self._stored_at_start = self._stored()
         self._epoch: int | None = None
         self._tick = 0
         self._next_period = -1  # [ns] end of the sample time that begins at _tick; -1 inside a sample time
-        self.position = p.initial_position
+        self.position = self._machine.state.item(0)
 
     @property
     def velocity(self) -> float:
-        """True velocity [m/s or rad/s]."""
-        return float(self._state[1])
+        """True velocity of the motor [m/s or rad/s]."""
+        return self._machine.state.item(1)
+
+    @property
+    def encoder_position(self) -> float:
+        """Position that the encoder reports [m or rad]; the same however often it is read at one instant."""
+        position = self.position
+        for encoder in self.scene.encoders:
+            position = encoder.read(position, self._tick, self.seed)
+        return position
 
     @property
     def begun(self) -> bool:
         """True once the clock of the plant runs."""
         return self._epoch is not None
+
+    @property
+    def events(self) -> int:
+        """Mode changes (sticking, contact, ...) since the start."""
+        return self._machine.events
+
+    @property
+    def capped_holds(self) -> int:
+        """Holds that had more events than the cap."""
+        return self._machine.capped
+
+    @property
+    def products(self) -> int:
+        """Steps of the core tried since the start: the price, independent of the machine it runs on."""
+        return self._machine.products
+
+    @property
+    def is_exact(self) -> bool:
+        """True when every effect is solved exactly between its events."""
+        return self._splitting is None
 
     def begin(self, now: int) -> None:
         """Starts the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""
@@ -114,80 +179,88 @@ class Plant:
         """Moves the plant to `now` under a torque that was constant since the last call; still before `begin`.
 
         Args:
-            now: Time [ns] on the clock that `begin` was given; rounded to a tick of T / 2^20.
+            now: Time [ns] on the clock that `begin` was given; rounded to a tick of T / 2^24.
             torque: Held by the actuator since the last call [N or N*m].
 
         Raises:
             ParameterError: `now` lies before the last call.
         """
         if now == self._next_period:
-            self._state[-2] = torque
-            self._move(0)
             self._tick += TICKS
             self._next_period = now + self.sample_time_ns
-        else:
-            self._advance_between(now, torque)
+            self._hold(TICKS, torque)
+        elif self._epoch is not None:
+            ticks = self._ticks_until(now, self._epoch)
+            if ticks:
+                self._hold(ticks, torque)
 
     def energy(self) -> PlantEnergy:
         """Returns the true energies since the start [J]."""
-        p = self.parameters
-        stored = 0.5 * p.mass * (self.velocity**2 - p.initial_velocity**2)
-        return PlantEnergy(self._motor, float(self._totals[_USER]), float(self._totals[_VISCOUS]), stored)
+        sums = {"motor": 0.0, "user": 0.0, "dissipated": 0.0}
+        for account, work in zip(self.scene.works.values(), self._machine.totals.tolist(), strict=True):
+            sums[account] += work
+        if self._splitting:
+            for account, work in self._splitting.work.items():
+                sums[account] += work
+        stored = self._stored() - self._stored_at_start
+        return PlantEnergy(sums["motor"], sums["user"], sums["dissipated"], stored)
 
-    def _move(self, level: int) -> None:
-        """Takes one step of T / 2^level and books its energies."""
-        state, moved = self._state, self._next_state
-        self._works[level](state, self._rows)
-        self._row_sum(self._shifted, self._work)
-        self._totals += self._work
-        self._flows[level](state, moved)
-        position = moved.item(0)
-        self._motor += moved.item(-2) * (position - self.position)
-        self.position = position
-        self._state, self._next_state = moved, state
+    def work_by_part(self) -> dict[str, float]:
+        """Returns the work of each part since the start [J]; losses positive, as in `PlantEnergy.dissipated`."""
+        works = dict(zip(self.scene.works, self._machine.totals.tolist(), strict=True))
+        if self._splitting:
+            works.update({f"efforts_{account}": work for account, work in self._splitting.work.items()})
+        return works
 
-    def _advance_between(self, now: int, torque: float) -> None:
-        """Advances by a time that is not just the next whole sample time."""
-        if self._epoch is None:
-            return
+    def _stored(self) -> float:
+        stored = self._machine.stored()
+        return stored + self._splitting.stored(self._machine.state.item(0)) if self._splitting else stored
+
+    def _linear_hold(self, ticks: int, torque: float) -> None:
+        machine = self._machine
+        machine.state[-2] = torque
+        if ticks == TICKS:
+            machine.period()
+        else:
+            machine.run_free(ticks)
+        self.position = machine.state.item(0)
+
+    def _general_hold(self, ticks: int, torque: float) -> None:
+        machine = self._machine
+        for command in self.scene.commands:
+            torque = command.apply(torque, ticks * machine.tick_time)
+        machine.state[-2] = torque
+        self._run(ticks)
+        self.position = machine.state.item(0)
+
+    def _ticks_until(self, now: int, epoch: int) -> int:
+        """Returns the ticks from the last call to `now`, and takes the time as passed."""
         period = self.sample_time_ns
-        tick = ((now - self._epoch) * TICKS + period // 2) // period
-        if tick < self._tick:
-            raise ParameterError(f"time went back: got {now} ns, {self._tick - tick} ticks before the last call")
-        self._state[-2] = torque
-        for _ in range((tick - self._tick) >> LEVELS):
-            self._move(0)
-        rest = (tick - self._tick) & (TICKS - 1)
-        for level in range(1, LEVELS + 1):
-            if rest & (TICKS >> level):
-                self._move(level)
+        tick = ((now - epoch) * TICKS + period // 2) // period
+        ticks = tick - self._tick
+        if ticks < 0:
+            raise ParameterError(f"time went back: got {now} ns, {-ticks} ticks before the last call")
         self._tick = tick
         whole, inside = divmod(tick, TICKS)
-        self._next_period = -1 if inside else self._epoch + (whole + 1) * period
+        self._next_period = -1 if inside else epoch + (whole + 1) * period
+        return ticks
 
 
-def _linear_scene(plant: PlantParameters, user: UserParameters) -> tuple[list[str], Array, list[Array], Array]:
-    """Returns state names, F of dz/dt = F z, the power forms [hand, viscous loss] and the shift to the hand's rest.
+def collect(
+    parameters: PlantParameters, user: UserParameters | None, effects: Sequence[Effect], sample_time: float
+) -> Scene:
+    """Returns the scene of a plant: body, shaft and motor first, then the hand, then the other effects.
 
-    Work is evaluated about the rest of the hand: about q = 0 the squares of a stiff hand far from there would cancel
-    (1e6 N/m at 10 mm: 50 J against the 0.1 J that flow).
+    Raises:
+        ParameterError: An effect needs another that is not there, or two exclude each other.
     """
-    names = ["position", "velocity"] + (["motion_sine", "motion_cosine"] if user.motion else []) + ["torque", "one"]
-    size = len(names)
-    hand = np.zeros(size)  # force of the hand as a row: F_hand = hand . z
-    hand[0], hand[1], hand[-1] = -user.stiffness, -user.damping, user.stiffness * user.rest + user.push
-    rates = np.zeros((size, size))
-    if user.motion:
-        omega, amplitude = 2.0 * math.pi * user.motion.frequency, user.motion.amplitude
-        rates[2, 3], rates[3, 2] = omega, -omega
-        hand[2], hand[3] = user.stiffness * amplitude, user.damping * omega * amplitude
-        hand[-1] += user.stiffness * user.motion.offset
-    rates[0, 1] = 1.0
-    rates[1] = hand / plant.mass
-    rates[1, 1] -= plant.damping / plant.mass
-    rates[1, -2] = 1.0 / plant.mass
-    velocity = np.eye(size)[1]
-    work = 0.5 * (np.outer(hand, velocity) + np.outer(velocity, hand))
-    shift = np.eye(size)
-    shift[0, -1] = hand[-1] / hand[0] if hand[0] else 0.0
-    return names, rates, [work, plant.damping * np.outer(velocity, velocity)], shift
+    scene = Scene(sample_time)
+    parameters.add_to(scene)
+    ranked = sorted(effects, key=lambda effect: effect.rank)
+    for effect in (effect for effect in ranked if effect.rank == 0):
+        effect.add_to(scene)
+    if user:
+        user.add_to(scene)
+    for effect in (effect for effect in ranked if effect.rank > 0):
+        effect.add_to(scene)
+    return scene

@@ -6,9 +6,16 @@ ASME J. Dynamic Systems 107, 1985, for the model; grips measured on hands: 100..
 """
 
 import math
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Final, Literal
+
+from pydantic import model_validator
 
 from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.assembly import Guard, Rows, Scene
+
+HAND: Final = "hand"
+"""Name of the hand's part and of its work."""
 
 
 class SinusoidMotion(Parameters):
@@ -35,3 +42,80 @@ class UserParameters(Parameters):
     rest: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     """Where the hand's spring is at rest; the motion comes on top of it."""
     motion: SinusoidMotion | None = None
+
+    @model_validator(mode="after")
+    def _motion_reaches_the_handle(self) -> "UserParameters":
+        if self.motion and self.stiffness == 0.0 and self.damping == 0.0:
+            raise ValueError("motion without a hand: stiffness and damping are 0, expected one > 0")
+        return self
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the hand, when there is one, at the last body of the scene."""
+        if self.stiffness or self.damping or self.push:
+            Hand(self).add_to(scene)
+
+
+class Hand:
+    """The part: the force of the hand on the handle, one mode per grasp."""
+
+    has_guards = False
+
+    def __init__(self, user: UserParameters) -> None:
+        self.name = HAND
+        self._user = user
+        self._grasps = [(user.stiffness, user.damping)]
+        self._targets: list[tuple[str, float, float]] = []  # (name, amplitude, angular frequency)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """One mode per grasp, in the order of time."""
+        return tuple(f"grasp_{i}" for i in range(len(self._grasps)))
+
+    @property
+    def _rest(self) -> float:
+        return self._user.rest + (self._user.motion.offset if self._user.motion else 0.0)
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the part, its work, and the oscillator of the voluntary motion."""
+        user = self._user
+        scene.works[HAND] = "user"
+        scene.parts.append(self)
+        if user.stiffness or user.damping:
+            scene.hand = self
+        scene.shift["position"] = self._rest
+        if user.motion:
+            omega = 2.0 * math.pi * user.motion.frequency
+            self.follow(scene, "motion", user.motion.amplitude, omega, user.motion.phase)
+
+    def follow(self, scene: Scene, name: str, amplitude: float, omega: float, phase: float) -> None:
+        """Adds a sinusoid to what the hand follows, as two states of an oscillator."""
+        scene.add_state(f"{name}_sine", math.sin(phase))
+        scene.add_state(f"{name}_cosine", math.cos(phase))
+        self._targets.append((name, amplitude, omega))
+
+    def add_grasp(self, stiffness: float, damping: float) -> str:
+        """Returns the mode of a further grasp."""
+        self._grasps.append((stiffness, damping))
+        return self.modes[-1]
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the force on the handle, its work, and the oscillators."""
+        stiffness, damping = self._grasps[self.modes.index(mode)]
+        handle = len(rows.forces) - 1
+        velocity = rows.velocity(handle)
+        force = rows.row(one=stiffness * self._rest + self._user.push)
+        force -= stiffness * rows.position(handle) + damping * velocity
+        for name, amplitude, omega in self._targets:
+            sine, cosine = f"{name}_sine", f"{name}_cosine"
+            rows.set_rate(sine, rows.row(**{cosine: omega}))
+            rows.set_rate(cosine, rows.row(**{sine: -omega}))
+            force += rows.row(**{sine: stiffness * amplitude, cosine: damping * amplitude * omega})
+        rows.forces[handle] += force
+        rows.add_power(HAND, force, velocity)
+
+    def constrain(self, rows: Rows, mode: str) -> None:
+        """Holds nothing."""
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Returns none: grasps change by the clock."""
+        return ()

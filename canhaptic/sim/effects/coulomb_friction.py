@@ -1,0 +1,80 @@
+"""Coulomb friction with stiction on the motor's body: three modes, stuck, forward and backward.
+
+Sliding: F = -kinetic * sign(v). At rest the body is held, exactly, until the other forces exceed `static`.
+States added: none. Exact: breakaway and sticking are bracketed to one tick. Energy: kinetic friction times path is
+dissipated, and so is the kinetic energy left when the body sticks. Typical: 0.01..2 N.
+Source: Karnopp, ASME J. Dynamic Systems 107, 1985 (stuck as a mode of its own instead of a steep slope, which creeps).
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.assembly import MOTOR, Guard, Rows, Scene
+
+
+class StickSlip:
+    """The part: dry friction on the motor's body with a level for sliding and one for breaking away.
+
+    Args:
+        name: Of the part and of the work it books.
+        kinetic: Friction while sliding [N or N*m].
+        static: Force at which it breaks away [N or N*m].
+        velocity: At the start, for the first mode.
+    """
+
+    has_guards = True
+
+    def __init__(self, name: str, kinetic: float, static: float, velocity: float) -> None:
+        self.name = name
+        self._kinetic, self._static = kinetic, static
+        first = "stuck" if velocity == 0.0 else "forward" if velocity > 0.0 else "backward"
+        self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the friction of a sliding mode."""
+        if mode != "stuck":
+            friction = rows.row(one=self._kinetic if mode == "forward" else -self._kinetic)
+            rows.forces[MOTOR] -= friction
+            rows.add_power(self.name, friction, rows.velocity(MOTOR))
+
+    def constrain(self, rows: Rows, mode: str) -> None:
+        """Holds the body when it is stuck."""
+        if mode == "stuck":
+            rows.hold_still(MOTOR)
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Returns breakaway when stuck, sticking when the velocity reverses."""
+        velocity = rows.velocity(MOTOR)
+        if mode == "stuck":
+            force, static = rows.forces[MOTOR], rows.row(one=self._static)
+            return Guard(static - force, "forward"), Guard(static + force, "backward")
+        stop = ((rows.index[rows.scene.bodies[MOTOR].velocity], np.zeros(rows.size)),)
+        return (Guard(velocity if mode == "forward" else -velocity, "stuck", stop),)
+
+
+class CoulombFriction(Parameters):
+    """Dry friction with stiction."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+
+    type: Literal["coulomb_friction"] = "coulomb_friction"
+    kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+
+    @model_validator(mode="after")
+    def _static_is_not_below_kinetic(self) -> "CoulombFriction":
+        if self.static < self.kinetic:
+            raise ValueError(f"static {self.static} is below kinetic {self.kinetic}, expected static >= kinetic")
+        return self
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the part with its three modes."""
+        scene.claim("friction model", self.type)
+        scene.works[self.type] = "dissipated"
+        velocity = scene.states[scene.bodies[MOTOR].velocity]
+        scene.parts.append(StickSlip(self.type, self.kinetic, self.static, velocity))

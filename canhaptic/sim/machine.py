@@ -1,0 +1,198 @@
+"""The one stepper: a piecewise-affine machine that moves by dyadic steps and brackets its events to one tick.
+
+A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or may have
+dipped below it inside (its rate changed sign and the two tangents meet below zero), the step is halved, down to one
+tick; there the mode changes. No root finder and no adaptive step; at most `max_events` events a hold, the excess is
+counted, and the rest of that hold runs on without guards.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.sim.assembly import Scene
+from canhaptic.sim.compiler import Mode, compile_mode, first_key, initial_state
+from canhaptic.sim.propagator import LEVELS, TICKS, Array
+
+_ROUNDING: Final = 1e-14  # a guard is broken when it is below zero by more than this part of its largest term
+_CHAIN: Final = 16  # switches without time between them
+
+
+class Snapshot(NamedTuple):
+    """Everything that a hold changes."""
+
+    state: Array
+    mode: Mode
+    totals: Array
+    events: int
+    capped: int
+
+
+class Machine:
+    """State, mode and energies of one scene.
+
+    Attributes:
+        state: z, shape (n,); the torque is the last but one component.
+        totals: Work booked since the start, in the order of `scene.works` [J].
+        events: Mode changes since the start.
+        capped: Holds in which the cap on events was reached.
+        tick_time: T / 2^24 [s].
+        products: Matrix-vector products of flows taken, a machine-independent price.
+    """
+
+    def __init__(self, scene: Scene, max_events: int, event_bits: int) -> None:
+        self.scene = scene
+        self.max_events = max_events
+        self._event_level = event_bits
+        self.tick_time = scene.sample_time / TICKS
+        self._modes: dict[tuple[str, ...], Mode] = {}
+        self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
+        size, works = len(scene.names), len(scene.works)
+        self._rows = np.zeros((works + 1) * size)
+        self._row_sum = self._rows[: works * size].reshape(works, size).dot
+        self._shifted = self._rows[works * size :]
+        self._work = np.zeros(works)
+        self.reset()
+
+    def reset(self) -> None:
+        """Returns to the initial state and mode, with no energy booked."""
+        self.state = initial_state(self.scene)
+        self._moved = self.state.copy()
+        self.totals = np.zeros(len(self.scene.works))
+        self.mode = self._mode_of(first_key(self.scene))
+        self.events = self.capped = self.products = 0
+
+    def save(self) -> Snapshot:
+        """Returns a copy of everything that a hold changes."""
+        return Snapshot(self.state.copy(), self.mode, self.totals.copy(), self.events, self.capped)
+
+    def restore(self, saved: Snapshot) -> None:
+        """Goes back to a copy."""
+        np.copyto(self.state, saved.state)
+        np.copyto(self.totals, saved.totals)
+        self.mode, self.events, self.capped = saved.mode, saved.events, saved.capped
+
+    def stored(self) -> float:
+        """Returns the kinetic and elastic energy [J]."""
+        return float(self.state @ self.mode.storage @ self.state)
+
+    def set_part_mode(self, part: str, mode: str) -> None:
+        """Puts one part into another mode, at a time that the scene fixed beforehand."""
+        self._enter(self._part_index[part], mode)
+
+    def period(self) -> None:
+        """Takes one whole sample time; for scenes without guards."""
+        self.products += 1
+        self._commit(self.mode, 0)
+
+    def run_free(self, ticks: int) -> None:
+        """Moves by `ticks` ignoring guards: whole sample times, then one step per bit."""
+        mode = self.mode
+        for _ in range(ticks >> LEVELS):
+            self._commit(mode, 0)
+        for level in range(1, LEVELS + 1):
+            if ticks & (TICKS >> level):
+                self._commit(mode, level)
+        self.products += (ticks >> LEVELS) + (ticks & (TICKS - 1)).bit_count()
+
+    def run(self, ticks: int) -> None:
+        """Moves by `ticks` under constant inputs, through every event on the way."""
+        limit = self.events + self.max_events
+        values = self._settle()
+        mode, level, window = self.mode, self.mode.base, -1
+        while ticks:
+            while TICKS >> level > ticks:
+                level += 1
+            broken, after = self._try(mode, level, values)
+            if broken != _NONE and level < self._event_level:
+                window, level = ticks - (TICKS >> level), level + 1
+                continue
+            self._book_and_swap(mode, level)
+            ticks -= TICKS >> level
+            if broken >= 0:
+                if self.events >= limit:
+                    self.capped += 1
+                    self.run_free(ticks)
+                    return
+                self._leave(broken)
+                values = self._settle()
+                mode, level, window = self.mode, self.mode.base, -1
+                continue
+            values = after
+            if ticks <= window:
+                level, window = mode.base, -1
+
+    def _try(self, mode: Mode, level: int, before: list[float]) -> tuple[int, list[float]]:
+        """Steps into the spare state; returns the guard that broke (or _NONE, _DOUBTFUL) and the guards' values."""
+        self.products += 1
+        mode.flows[level](self.state, self._moved)
+        after: list[float] = mode.guards.dot(self._moved).tolist()
+        count = len(mode.exits)
+        for i in range(count):
+            if after[i] < 0.0 and self._is_broken(mode, i, after[i], self._moved):
+                return i, after
+        if level < self._event_level:
+            step = self.tick_time * (TICKS >> level)
+            for i in range(count):
+                if before[count + i] < 0.0 < after[count + i] and _dips(before, after, i, count, step):
+                    return _DOUBTFUL, after
+        return _NONE, after
+
+    def _settle(self) -> list[float]:
+        """Leaves every mode whose guards do not hold at this very state; returns the guards' values."""
+        for _ in range(_CHAIN):
+            mode = self.mode
+            values: list[float] = mode.guards.dot(self.state).tolist()
+            for i in range(len(mode.exits)):
+                if values[i] < 0.0 and self._is_broken(mode, i, values[i], self.state):
+                    self._leave(i)
+                    break
+            else:
+                return values
+        return values
+
+    def _is_broken(self, mode: Mode, guard: int, value: float, state: Array) -> bool:
+        largest = float(np.abs(mode.guards[guard] * state).max())
+        return value < -_ROUNDING * largest
+
+    def _leave(self, guard: int) -> None:
+        leaving = self.mode.exits[guard]
+        self.events += 1
+        before = self.stored() if leaving.resets else 0.0
+        for state, value in [(i, float(row @ self.state)) for i, row in leaving.resets]:
+            self.state[state] = value
+        self._enter(leaving.part, leaving.mode)
+        if leaving.resets:
+            self.totals[leaving.work] += before - self.stored()
+
+    def _enter(self, part: int, mode: str) -> None:
+        key = self.mode.key
+        self.mode = self._mode_of((*key[:part], mode, *key[part + 1 :]))
+
+    def _mode_of(self, key: tuple[str, ...]) -> Mode:
+        if key not in self._modes:
+            self._modes[key] = compile_mode(self.scene, key)
+        return self._modes[key]
+
+    def _commit(self, mode: Mode, level: int) -> None:
+        mode.flows[level](self.state, self._moved)
+        self._book_and_swap(mode, level)
+
+    def _book_and_swap(self, mode: Mode, level: int) -> None:
+        """Books the work of a step from `state` and makes the spare state, already moved, the state."""
+        state = self.state
+        mode.works[level](state, self._rows)
+        self._row_sum(self._shifted, self._work)
+        self.totals += self._work
+        self.state, self._moved = self._moved, state
+
+
+_NONE: Final = -1  # every guard holds
+_DOUBTFUL: Final = -2  # a guard may have dipped below zero inside the step
+
+
+def _dips(before: list[float], after: list[float], guard: int, count: int, step: float) -> bool:
+    """True when the tangents at both ends of the step meet below zero: a bound for a convex guard."""
+    falling, rising = before[count + guard], after[count + guard]
+    meeting = (after[guard] - before[guard] - rising * step) / (falling - rising)
+    return before[guard] + falling * meeting < 0.0

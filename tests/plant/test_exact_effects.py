@@ -1,0 +1,259 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from plant_scenes import (
+    DAMPING,
+    MASS,
+    MS,
+    USER_S,
+    ReferenceMode,
+    Way,
+    hand,
+    largest_flow,
+    make_plant,
+    reference,
+    residual,
+    run,
+)
+
+from canhaptic.sim.user import UserParameters
+
+TORQUES = [2.0 * math.sin(0.05 * k) for k in range(150)]
+
+
+def difference(plant_positions: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.abs(plant_positions - expected).max())
+
+
+def free(time: float, state: Any, torque: float) -> list[float]:
+    q, v = state[:2]
+    return [v, (torque + hand(time, q, v) - DAMPING * v) / MASS]
+
+
+def test_coulomb_friction_agrees_with_an_event_located_reference():
+    kinetic, static = 0.3, 0.5
+
+    def sliding(sign: float) -> ReferenceMode:
+        return ReferenceMode(
+            lambda t, y, u: [y[1], free(t, y, u)[1] - sign * kinetic / MASS],
+            [Way(lambda t, y, u: sign * y[1], "stuck", lambda y: np.array([y[0], 0.0]))],
+        )
+
+    def margin(sign: float) -> Way:
+        return Way(lambda t, y, u: static - sign * MASS * free(t, y, u)[1], "forward" if sign > 0 else "backward")
+
+    modes = {
+        "stuck": ReferenceMode(lambda t, y, u: [0.0, 0.0], [margin(1.0), margin(-1.0)]),
+        "forward": sliding(1.0),
+        "backward": sliding(-1.0),
+    }
+    torques = [2.0 * math.sin(0.05 * k) for k in range(400)]
+    expected = reference(modes, "stuck", [0.0, 0.0], torques, 1e-3)
+    plant = make_plant({"type": "coulomb_friction", "kinetic": kinetic, "static": static})
+    assert difference(run(plant, torques), expected[:, 0]) <= 2e-9
+    assert plant.events >= 4
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
+
+
+@pytest.mark.parametrize("damping", [0.0, 50.0])
+@pytest.mark.parametrize("side", ["upper", "lower"])
+def test_a_hard_stop_of_a_million_newtons_per_metre_agrees_with_an_event_located_reference(damping, side):
+    stiffness, sign = 1e6, 1.0 if side == "upper" else -1.0
+
+    def push(y: Any) -> float:
+        return stiffness * y[2] + damping * sign * y[1]
+
+    def creep(y: Any) -> float:
+        return -stiffness / damping * y[2] if damping else 0.0
+
+    def depth(y: Any) -> float:
+        return sign * y[0] - 0.005
+
+    modes = {
+        "apart": ReferenceMode(
+            lambda t, y, u: [*free(t, y, u), creep(y)],
+            [Way(lambda t, y, u: 1e3 * (y[2] - depth(y)), "touching", lambda y: np.array([y[0], y[1], depth(y)]))],
+        ),
+        "touching": ReferenceMode(
+            lambda t, y, u: [y[1], free(t, y, u)[1] - sign * push(y) / MASS, sign * y[1]],
+            [
+                Way(
+                    lambda t, y, u: push(y),
+                    "apart",
+                    lambda y: np.array([y[0], y[1], y[2] if damping else 0.0]),
+                )
+            ],
+        ),
+    }
+    torques = [sign * 2.0] * 40
+    expected = reference(modes, "apart", [0.0, sign * 0.3, 0.0], torques, 1e-3)
+    stop = {"type": "hard_stop", "position": sign * 0.005, "side": side, "stiffness": stiffness, "damping": damping}
+    plant = make_plant(stop, initial_velocity=sign * 0.3)
+    assert difference(run(plant, torques), expected[:, 0]) <= 1e-8 * 0.03
+    assert plant.events >= 2
+    assert plant.capped_holds == 0
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
+
+
+@pytest.mark.parametrize("time_constant", [50e-6, 2e-3])
+@pytest.mark.parametrize("period", [MS, 20 * MS])
+def test_the_current_loop_agrees_with_closed_form_steps_up_to_four_hundred_time_constants(time_constant, period):
+    plant = make_plant({"type": "current_loop", "time_constant": time_constant}, user=None, damping=0.0, period=period)
+    torques = [1.0, -2.0, 0.5, 0.0, 3.0]
+    positions = run(plant, torques)
+    q = v = current = 0.0
+    sample = period * 1e-9
+    for k, held in enumerate(torques):
+        lost = -math.expm1(-sample / time_constant)
+        gap = current - held
+        q += v * sample + (held * sample**2 / 2 + gap * time_constant * (sample - time_constant * lost)) / MASS
+        v += (held * sample + gap * time_constant * lost) / MASS
+        current = held + gap * (1 - lost)
+        assert positions[k + 1] == pytest.approx(q, rel=1e-12)
+    assert plant.energy().motor == pytest.approx(0.5 * MASS * v * v, rel=1e-12)
+
+
+def shaft_rates(time: float, y: Any, torque: float, force: float) -> list[float]:
+    """[motor position, motor velocity, load position, load velocity] under a shaft force."""
+    return [
+        y[1],
+        (torque - DAMPING * y[1] - force) / MASS,
+        y[3],
+        (hand(time, y[2], y[3]) + force) / 0.1,
+    ]
+
+
+def test_shaft_compliance_agrees_with_an_adaptive_integrator():
+    def rates(t: float, y: Any, u: float) -> list[float]:
+        return shaft_rates(t, y, u, 1e5 * (y[0] - y[2]) + 10 * (y[1] - y[3]))
+
+    expected = reference({"only": ReferenceMode(rates)}, "only", [0, 0, 0, 0], TORQUES, 1e-3)
+    plant = make_plant({"type": "shaft_compliance", "stiffness": 1e5, "damping": 10, "load_mass": 0.1})
+    assert difference(run(plant, TORQUES), expected[:, 0]) <= 1e-11
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
+
+
+def test_backlash_agrees_with_an_event_located_reference():
+    stiffness, damping, half = 1e5, 10.0, 0.5e-3
+
+    def force(y: Any, sign: float) -> float:
+        depth = y[4] if sign > 0 else y[5]
+        return sign * stiffness * depth + damping * (y[1] - y[3])
+
+    def rates(sign: float) -> Any:
+        def write(t: float, y: Any, u: float) -> list[float]:
+            shaft = force(y, sign) if sign else 0.0
+            creep = [-stiffness / damping * y[4], -stiffness / damping * y[5]]
+            if sign:
+                creep[0 if sign > 0 else 1] = sign * (y[1] - y[3])
+            return [*shaft_rates(t, y, u, shaft), *creep]
+
+        return write
+
+    def meet(sign: float) -> Way:
+        index = 4 if sign > 0 else 5
+
+        def reset(y: Any) -> Any:
+            y = y.copy()
+            y[index] = sign * (y[0] - y[2]) - half
+            return y
+
+        way = "forward" if sign > 0 else "backward"
+        return Way(lambda t, y, u: 1e3 * (y[index] - sign * (y[0] - y[2]) + half), way, reset)
+
+    modes = {
+        "free": ReferenceMode(rates(0.0), [meet(1.0), meet(-1.0)]),
+        "forward": ReferenceMode(rates(1.0), [Way(lambda t, y, u: force(y, 1.0), "free")]),
+        "backward": ReferenceMode(rates(-1.0), [Way(lambda t, y, u: -force(y, -1.0), "free")]),
+    }
+    shaft = {"type": "shaft_compliance", "stiffness": stiffness, "damping": damping, "load_mass": 0.1}
+    plant = make_plant(shaft, {"type": "backlash", "gap": 2 * half})
+    expected = reference(modes, "free", [0.0] * 6, TORQUES, 1e-3)
+    assert difference(run(plant, TORQUES), expected[:, 0]) <= 1e-9
+    assert plant.events >= 4
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
+
+
+def test_tremor_and_a_change_of_grasp_inside_a_hold_agree_with_an_adaptive_integrator():
+    change = 0.0603017
+    firm = UserParameters(stiffness=1000, damping=10, motion=USER_S.motion)
+
+    def rates(t: float, y: Any, u: float) -> list[float]:
+        user = USER_S if t < change else firm
+        omega = 2 * math.pi * 9
+        shake = user.stiffness * 1e-3 * math.sin(omega * t + 0.4) + user.damping * 1e-3 * omega * math.cos(
+            omega * t + 0.4
+        )
+        return [y[1], (u + hand(t, y[0], y[1], user) + shake - DAMPING * y[1]) / MASS]
+
+    before = ReferenceMode(rates, [Way(lambda t, y, u: change - t, "after")])
+    expected = reference({"before": before, "after": ReferenceMode(rates)}, "before", [0, 0], TORQUES, 1e-3)
+    plant = make_plant(
+        {"type": "grasp_change", "time": change, "stiffness": 1000, "damping": 10},
+        {"type": "tremor", "amplitude": 1e-3, "frequency": 9, "phase": 0.4},
+    )
+    assert difference(run(plant, TORQUES), expected[:, 0]) <= 1e-10
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
+
+
+def test_a_push_below_stiction_creeps_exactly_nowhere_in_ten_seconds():
+    plant = make_plant({"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5}, user=None, initial_position=0.01)
+    assert set(run(plant, [0.3] * 10_000)) == {0.01}
+    assert plant.velocity == 0.0
+    assert plant.events == 0
+
+
+def test_friction_decelerates_by_the_textbook_and_stops_for_good():
+    plant = make_plant(
+        {"type": "coulomb_friction", "kinetic": 0.5, "static": 0.5}, user=None, damping=0.0, initial_velocity=0.2
+    )
+    run(plant, [0.0] * 200)
+    assert plant.position == pytest.approx(0.2**2 * MASS / (2 * 0.5), rel=1e-9)
+    assert plant.velocity == 0.0
+    assert plant.energy().dissipated == pytest.approx(0.5 * MASS * 0.2**2, rel=1e-12)
+
+
+def test_commands_are_clipped_rounded_and_derated():
+    clipped = make_plant({"type": "torque_saturation", "limit": 0.5}, user=None)
+    plain = make_plant(user=None)
+    assert np.array_equal(run(clipped, [2.0, -3.0, 0.2]), run(plain, [0.5, -0.5, 0.2]))
+    rounded = make_plant({"type": "torque_quantisation", "quantum": 0.25}, user=None)
+    assert np.array_equal(run(rounded, [0.3, -0.4, 0.1]), run(make_plant(user=None), [0.25, -0.5, 0.0]))
+
+
+def test_a_winding_warms_exponentially_and_holds_the_torque_it_can_stand():
+    derating = {
+        "type": "thermal_derating", "torque_limit": 2.0, "copper_loss": 1.0, "thermal_resistance": 50.0,
+        "time_constant": 0.5, "ambient": 300.0, "warm": 350.0, "hot": 400.0,
+    }  # fmt: skip
+    plant = make_plant(derating, user=None)
+    winding = plant.scene.commands[0]
+    run(plant, [1.0] * 300)
+    assert winding.temperature == pytest.approx(300 + 50 * (1 - math.exp(-0.3 / 0.5)), rel=1e-12)
+    plant.reset()
+    run(plant, [2.0] * 10_000)
+    held = 2.0 * (400.0 - winding.temperature) / 50.0
+    assert winding.temperature == pytest.approx(300 + 50 * held**2, rel=1e-6)
+    assert 0.5 < held < 2.0
+
+
+def test_the_encoder_reads_steps_and_repeatable_noise():
+    plant = make_plant({"type": "encoder_quantisation", "count": 1e-4}, {"type": "encoder_noise", "deviation": 1e-3})
+    plant.begin(0)
+    readings, errors = [], []
+    for k in range(4000):
+        plant.advance_to((k + 1) * MS, 0.0)
+        assert plant.encoder_position == plant.encoder_position
+        readings.append(plant.encoder_position)
+        errors.append(plant.encoder_position - plant.position)
+    assert np.allclose(np.array(readings) / 1e-4, np.round(np.array(readings) / 1e-4), atol=1e-9)
+    assert np.std(errors) == pytest.approx(1e-3, rel=0.05)
+    assert abs(np.mean(errors)) < 1e-4
+    again = make_plant(
+        {"type": "encoder_quantisation", "count": 1e-4}, {"type": "encoder_noise", "deviation": 1e-3}, seed=2
+    )
+    run(again, [0.0] * 4000)
+    assert again.position == plant.position
+    assert again.encoder_position != plant.encoder_position
