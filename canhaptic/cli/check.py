@@ -1,0 +1,132 @@
+"""`canhaptic check CONFIG`: what a scene would do, before anything is sent."""
+
+import argparse
+from typing import Any
+
+import yaml
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from canhaptic.cli.arguments import add_json, add_scene, scene_of
+from canhaptic.cli.host import host_settings
+from canhaptic.cli.output import write_json
+from canhaptic.dictionary import read_dictionary
+from canhaptic.drive.bus_budget import BusBudget, require_budget
+from canhaptic.drive.fitness import Finding, check_dictionary
+from canhaptic.drive.pdo_map import choose_map
+from canhaptic.scene.hints import Hint, stability_hints
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.view.energy_table import make_console
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `check`."""
+    add_scene(parser)
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Prints the configuration in effect, the bus budget, the fitness of each drive, stability hints and the host."""
+    scene = scene_of(arguments)
+    dictionaries = [read_dictionary(a.parameters.eds, a.parameters.node_id) for a in scene.axes]
+    axes = [axis.parameters for axis in scene.axes]
+    maps = [choose_map(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)]
+    budget = require_budget(scene.bus, maps)
+    findings = {
+        axis.name: check_dictionary(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)
+    }
+    hints = [hint for axis in scene.axes for hint in stability_hints(axis)]
+    if arguments.json:
+        write_json(_as_json(scene, budget, findings, hints))
+    else:
+        _print(make_console(), scene, budget, findings, hints)
+    return 0
+
+
+def _as_json(scene: Scene, budget: BusBudget, findings: dict[str, list[Finding]], hints: list[Hint]) -> dict[str, Any]:
+    return {
+        "status": "ok",
+        "config_hash": scene.config_hash(),
+        "config": scene.resolved(),
+        "bus": {
+            "rows": [{**row._asdict(), "bits": row.bits} for row in budget.rows],
+            "worst_cycle": budget.worst_cycle,
+            "sample_time": budget.sample_time,
+            "periodic_load": budget.periodic_load,
+            "arithmetic": budget.arithmetic(),
+        },
+        "drives": {
+            name: [{"item": f.item, "verdict": f.verdict.value, "text": f.text} for f in rows]
+            for name, rows in findings.items()
+        },
+        "stability": [{**hint._asdict(), "exceeded": hint.exceeded} for hint in hints],
+        "host": [setting._asdict() for setting in host_settings()],
+    }
+
+
+def _print(
+    console: Console, scene: Scene, budget: BusBudget, findings: dict[str, list[Finding]], hints: list[Hint]
+) -> None:
+    console.print(f"[bold]configuration[/] {scene.config_hash()[:12]}")
+    console.print(yaml.safe_dump(_changed(scene), sort_keys=False, allow_unicode=True), markup=False)
+    console.print(_bus_table(budget))
+    console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
+    console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
+    for axis in scene.axes:
+        console.print(_fitness_table(axis, findings[axis.parameters.name]))
+    console.print(_hint_table(hints))
+    console.print(_host_table())
+
+
+def _changed(scene: Scene) -> dict[str, Any]:
+    """Returns the configuration in effect without what is neither given nor set by default."""
+
+    def shown(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: shown(entry) for key, entry in value.items() if entry not in (None, {}, [])}
+        return value
+
+    result: dict[str, Any] = shown(scene.resolved())
+    return result
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def _bus_table(budget: BusBudget) -> Table:
+    table = _table("bus, worst cycle", "what", "frames", "bits each", "bits", "time")
+    for row in budget.rows:
+        time = f"{row.bits / budget.bitrate * 1e6:.0f} us"
+        table.add_row(row.what, str(row.frames), str(row.bits_each), str(row.bits), time)
+    return table
+
+
+def _fitness_table(axis: AxisScene, findings: list[Finding]) -> Table:
+    colours = {"fit": "green", "unknown": "yellow", "refused": "red"}
+    table = _table(f"{axis.parameters.name}: {axis.parameters.eds}", "object", "verdict", "")
+    for finding in findings:
+        verdict = finding.verdict.value
+        table.add_row(finding.item, f"[{colours[verdict]}]{verdict}[/]", finding.text.replace("[", r"\["))
+    return table
+
+
+def _hint_table(hints: list[Hint]) -> Table:
+    table = _table("stability", "axis", "limit", "at most", "asked", "")
+    for hint in hints:
+        limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
+        asked = "" if hint.asked is None else f"{hint.asked:.4g}"
+        style = "yellow" if hint.exceeded else ""
+        table.add_row(hint.axis, hint.what, limit, asked, hint.text, style=style)
+    return table
+
+
+def _host_table() -> Table:
+    table = _table("host", "setting", "value", "advice")
+    for setting in host_settings():
+        table.add_row(setting.name, setting.value, setting.advice)
+    return table

@@ -1,0 +1,16 @@
+"""`canhaptic schema`: the JSON Schema of scene files, for completion and checks in an editor."""
+
+import argparse
+
+from canhaptic.cli.output import write_json
+from canhaptic.scene.schema import scene_schema
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `schema`: none."""
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Prints the schema."""
+    write_json(scene_schema())
+    return 0
