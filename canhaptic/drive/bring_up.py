@@ -180,7 +180,10 @@ class BringUp:
             StartError: The fault stays.
         """
         with self.step("drive state"):
+            if self._state() not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+                return
             self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
+            self._await(lambda: self._state() is DriveState.FAULT)
             self._sdo.write(od.CONTROLWORD, 0, Controlword.FAULT_RESET)
             gone = self._await(lambda: self._state() is not DriveState.FAULT)
             self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)

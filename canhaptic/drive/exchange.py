@@ -61,10 +61,8 @@ class Exchange:
         Raises:
             LinkError: A bus failed.
         """
-        clock, links = self.clock, self.links
-        links[0].pump(self._next)
-        for link in links[1:]:
-            link.drain()
+        clock = self.clock
+        self._wait()
         for link, window, group in self._buses:
             window.is_open = True
             window.pending = len(group)
@@ -73,24 +71,29 @@ class Exchange:
             link.send(SYNC_FRAME_COB_ID, b"")
         self.synced = synced = clock.now()
         end = synced + self._window_ns
-        for link, window, _ in self._buses:
+        for link, window, group in self._buses:
             while window.pending and link.poll(end):
                 pass
             window.is_open = False
-        self.heard = now = clock.now()
-        self._advance(now)
+            if window.pending:
+                for drive in group:
+                    drive.refuse_tpdos()
+        self.heard = clock.now()
 
-    def _advance(self, now: int) -> None:
-        """Sets the next deadline: one period on, or as many as have gone by already."""
-        due, period = self._next, self._period
-        self.periods = (due - self.deadline) // period or 1
-        self.deadline = due
-        due += period
-        if due < now:
-            skipped = -(-(now - due) // period)
+    def _wait(self) -> None:
+        """Handles frames until the next deadline; one that is overslept by half a period is skipped for the next."""
+        links, period, now = self.links, self._period, self.clock.now
+        links[0].pump(self._next)
+        while (lateness := now() - self._next) > period // 2:
+            skipped = (lateness + period // 2) // period
             self.skipped += skipped
-            due += skipped * period
-        self._next = due
+            self._next += skipped * period
+            links[0].pump(self._next)
+        for link in links[1:]:
+            link.drain()
+        self.periods = (self._next - self.deadline) // period or 1
+        self.deadline = self._next
+        self._next += period
 
     def write_zero(self) -> None:
         """Sends every drive its controlword with zero torque.

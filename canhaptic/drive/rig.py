@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Final, NamedTuple, Self
 
 from canhaptic.drive import rig_start, rig_stop
+from canhaptic.drive.bring_up import BringUp
 from canhaptic.drive.bus_budget import BusBudget, require_budget
 from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.link import Link
@@ -193,6 +194,18 @@ class Rig:
         }
         detail = details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
         return f"{drive.axis.name}: {STOP_TABLE[reason][0]} at SYNC {self.sync_index}: {detail}; torque is zero"
+
+    def reset_faults(self) -> None:
+        """Resets the faults of all drives for the operator; leaves every drive disabled, and never enables one.
+
+        Raises:
+            RigError: The rig is running.
+            StartError: A fault stays.
+        """
+        if self._is_running:
+            raise RigError("faults are not reset while the rig runs; call stop() first", self.records)
+        for drive in self.drives:
+            BringUp(drive).reset_fault()
 
     # --- what happened ------------------------------------------------------------------------------------------------
 

@@ -55,13 +55,9 @@ def disable(exchange: Exchange) -> list[str]:
         drive.controlword = int(Controlword.DISABLE_VOLTAGE)
     if operational:
         _cycle_until_disabled(exchange, operational)
-    unconfirmed = []
-    for drive in reachable:
-        problem = _confirm_disabled(drive)
-        if problem:
-            unconfirmed.append(f"{drive.axis.name}: {problem}")
-    _leave_operational(reachable)
-    return unconfirmed
+    problems = {drive: _confirm_disabled(drive) for drive in reachable}
+    _leave_operational([drive for drive in reachable if not problems[drive]])
+    return [f"{drive.axis.name}: {problem}" for drive, problem in problems.items() if problem]
 
 
 def _write_zero(drives: Sequence[ServoDrive]) -> None:

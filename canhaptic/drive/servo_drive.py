@@ -58,6 +58,7 @@ class ServoDrive:
 
     Attributes:
         statusword: Of the last complete set of TPDOs.
+        is_complete: Whether every TPDO of the last SYNC came in its window.
         nmt_state: As its last heartbeat said; None before the first.
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
     """
@@ -94,7 +95,8 @@ class ServoDrive:
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._stage = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)
-        self._pending = 0
+        self._pending = 0  # one bit for each TPDO that may come now
+        self.is_complete = False
         self.begin_run()
 
     def begin_run(self) -> None:
@@ -115,11 +117,11 @@ class ServoDrive:
     def expect_tpdos(self) -> None:
         """Opens the window of a SYNC for this drive."""
         self._pending = self._all_tpdos
+        self.is_complete = False
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether every TPDO of the SYNC has come."""
-        return self._pending == 0
+    def refuse_tpdos(self) -> None:
+        """Closes the window: what comes now is too late for its SYNC and must not pass for the next."""
+        self._pending = 0
 
     @property
     def position_counts(self) -> int:
@@ -144,7 +146,7 @@ class ServoDrive:
             periods: Sample times since the SYNC before; more than 1 when SYNCs were skipped.
         """
         self._periods += periods
-        if self._pending:
+        if not self.is_complete:
             if self.policy.missed == 0:
                 self._held = self.limiter.last
             self.policy.count(heard=False)
@@ -263,6 +265,7 @@ class ServoDrive:
                     return
                 self._values = list(self._stage)
             self._pending = 0
+            self.is_complete = True
             self.statusword = self._values[0]
             self.window.pending -= 1
 
@@ -273,10 +276,6 @@ class ServoDrive:
             self._statistics.duplicate += 1
         else:
             self._statistics.late += 1
-
-    def close_window(self) -> None:
-        """Leaves out whatever comes now for the SYNC that was open."""
-        self.window.is_open = False
 
     def _take_heartbeat(self, data: bytearray) -> None:
         if len(data) != 1:

@@ -1,0 +1,262 @@
+"""The cyclic exchange: what acts when, what is counted, what the link policy does with what is missing."""
+
+import errno
+import itertools
+from collections.abc import Callable
+
+import can
+import pytest
+from drive_bench import Bench, axis
+
+from canhaptic.drive.link_policy import StopReason
+from canhaptic.errors import DriveFaultError, LinkError
+from canhaptic.sim.state_machine import DriveState
+
+MakeBench = Callable[..., Bench]
+PER_MILLE = 0.01  # [N] of 10 N
+
+
+def started(make: MakeBench, *arguments: object, **values: object) -> Bench:
+    b = make(*arguments, **values)
+    b.rig.start()
+    return b
+
+
+@pytest.mark.parametrize(("rpdo", "delay"), [("synchronous", 2), ("event", 1)])
+@pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
+def test_a_torque_is_reported_for_exactly_the_holds_in_which_it_acted(
+    bench: MakeBench, rpdo: str, delay: int, read_back: str
+) -> None:
+    b = started(bench, [axis(read_back=read_back)], bus={"rpdo": rpdo})
+    commands, samples = [0.5 * k for k in range(1, 9)], []
+    for command in commands:
+        samples.append(b.rig.sync()[0])
+        b.rig.write_torques([command])
+    applied = [sample.torque_applied for sample in samples]
+    assert applied == pytest.approx([0.0] * delay + commands[:-delay])
+
+
+def test_work_by_reported_torque_and_position_is_the_energy_of_the_mass(bench: MakeBench) -> None:
+    """Free mass of 1 kg: the sum of torque times displacement is its kinetic energy, whatever the delay."""
+    b = started(bench, [axis(counts_per_unit=1e9)])
+    work, last = 0.0, b.rig.sync()[0]
+    for k in range(50):
+        b.rig.write_torques([float(k % 7 - 2)])
+        sample = b.rig.sync()[0]
+        work += sample.torque_applied * (sample.position - last.position)
+        last = sample
+    assert work == pytest.approx(0.5 * b.drives[0].servo.motor.velocity ** 2, abs=1e-9)
+
+
+def test_a_drive_that_reports_the_next_demand_is_shifted_back_by_one(bench: MakeBench) -> None:
+    b = started(bench, [axis(demand_reported="after")], drive_values={"torque_read_back": "after_update"})
+    samples = []
+    for command in [1.0, 2.0, 3.0, 4.0]:
+        samples.append(b.rig.sync()[0].torque_applied)
+        b.rig.write_torques([command])
+    assert samples == pytest.approx([0.0, 0.0, 1.0, 2.0])
+
+
+def test_direction_turns_position_and_torque_together(bench: MakeBench) -> None:
+    b = started(bench, [axis(direction=-1)])
+    samples = b.run(10, torque=2.0)
+    assert min(b.torques_sent()) == -200
+    assert samples[-1].torque_applied == pytest.approx(2.0)
+    assert samples[-1].position > samples[0].position
+
+
+def test_the_rpdo_is_one_image_of_controlword_and_torque(bench: MakeBench) -> None:
+    b = started(bench)
+    b.run(3, torque=1.5)
+    assert b.sent(0x205)[-1] == bytes.fromhex("0f 00 96 00")
+    b.run(1, torque=-1.5)
+    assert b.sent(0x205)[-1] == bytes.fromhex("0f 00 6a ff")
+
+
+def test_missing_tpdos_hold_then_ramp_then_stop(bench: MakeBench) -> None:
+    b = started(bench, bus={"hold_cycles": 2, "stop_cycles": 6})
+    b.run(5, torque=4.0)
+    b.tampered.drop(0x185)
+    sent_before = len(b.torques_sent())
+    with pytest.raises(LinkError, match=r"TPDO.*6 SYNCs in a row.*TPDO_LOST") as caught:
+        b.run(20, torque=7.0)
+    torques = b.torques_sent()[sent_before:]
+    assert torques[:5] == [400, 400, 300, 200, 100]
+    assert set(torques[5:]) == {0}
+    assert len(caught.value.records) == 10
+    assert b.rig.stop_reason is StopReason.TPDO_LOST
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_the_controller_has_the_torque_again_with_the_first_tpdo_after_a_gap(bench: MakeBench) -> None:
+    b = started(bench)
+    b.run(5, torque=4.0)
+    b.tampered.drop(0x185)
+    samples = b.run(2, torque=7.0)
+    assert [sample.fresh for sample in samples] == [False, False]
+    assert {sample.position for sample in samples} == {samples[0].position}
+    b.tampered.on_receive = lambda message: message
+    sample = b.run(1, torque=7.0)[0]
+    assert sample.fresh
+    assert b.torques_sent()[-3:] == [400, 400, 700]
+    assert b.rig.link_statistics()["missed_tpdos"] == 2
+    assert b.rig.link_statistics()["success_rate"] == pytest.approx(1.0 - 2.0 / 8.0)
+
+
+def test_a_second_tpdo_for_one_sync_is_counted_and_left_out(bench: MakeBench) -> None:
+    b = started(bench, [axis(5), axis(6)])
+    copies: list[can.Message] = []
+
+    def double(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x185 and not copies:
+            copies.append(message)
+            copy = bytearray(message.data)
+            copy[2] ^= 0xFF
+            b.buses[1].send(can.Message(arbitration_id=0x185, is_extended_id=False, data=copy))
+        return message
+
+    before = b.run(3)[-1]
+    b.tampered.on_receive = double
+    after = b.run(3)
+    assert copies
+    statistics = b.rig.link_statistics()
+    assert statistics["duplicate"] + statistics["late"] == 1
+    assert {sample.position for sample in after} == {before.position}
+
+
+def test_a_tpdo_that_comes_after_its_window_is_late_and_never_taken_for_the_next(bench: MakeBench) -> None:
+    b = started(bench)
+    b.run(3)
+    withheld: list[can.Message] = []
+
+    def withhold(message: can.Message) -> can.Message | None:
+        if message.arbitration_id == 0x185 and not withheld:
+            withheld.append(message)
+            return None
+        return message
+
+    b.tampered.on_receive = withhold
+    b.run(1)
+    wrong = bytearray(withheld[0].data)
+    wrong[2:6] = (77777).to_bytes(4, "little")
+    b.buses[1].send(can.Message(arbitration_id=0x185, is_extended_id=False, data=wrong))
+    sample = b.run(1)[0]
+    assert sample.fresh
+    assert sample.position == pytest.approx(0.01)
+    assert b.rig.link_statistics()["late"] == 1
+
+
+@pytest.mark.parametrize("data", [b"", b"\x37", b"\x37\x12\xe8\x03\0\0\0", bytes(3)])
+def test_a_short_tpdo_is_counted_and_left_out(bench: MakeBench, data: bytes) -> None:
+    b = started(bench)
+    b.run(2)
+    b.tampered.on_receive = lambda message: _with_data(message, 0x185, data)
+    sample = b.run(1)[0]
+    assert not sample.fresh
+    assert sample.position == pytest.approx(0.01)
+    assert b.rig.link_statistics()["short"] == 1
+
+
+def _with_data(message: can.Message, can_id: int, data: bytes) -> can.Message:
+    if message.arbitration_id == can_id:
+        message.data, message.dlc = bytearray(data), len(data)
+    return message
+
+
+def test_foreign_remote_extended_and_error_frames_change_nothing(bench: MakeBench) -> None:
+    b = started(bench)
+    b.run(2)
+    strangers = [
+        can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\1\2"),
+        can.Message(arbitration_id=0x185, is_extended_id=True, data=bytes(8)),
+        can.Message(arbitration_id=0x185, is_extended_id=False, is_remote_frame=True, dlc=8),
+        can.Message(arbitration_id=0x185, is_extended_id=False, is_error_frame=True),
+    ]
+    for stranger in strangers:
+        b.buses[1].send(stranger)
+    samples = b.run(2)
+    assert all(sample.fresh and sample.position == pytest.approx(0.01) for sample in samples)
+    statistics = b.rig.link_statistics()
+    assert (statistics["foreign"], statistics["error_frames"]) == (3, 1)
+
+
+@pytest.mark.parametrize("late", [0, 1, 5, 6, 9])
+def test_a_stall_skips_syncs_and_never_bursts(bench: MakeBench, late: int) -> None:
+    b = started(bench)
+    period = b.rig.bus.sample_time_ns
+    b.run(3)
+    b.clock.wait_until(b.clock.now() + 20 * period + late * period // 10)
+    samples = b.run(5)
+    times = [time for time, can_id, _, is_rx in b.frames if can_id == 0x080 and not is_rx][-7:]
+    gaps = [(later - earlier) / period for earlier, later in itertools.pairwise(times)]
+    assert gaps[0] == 1.0
+    assert gaps[1] == pytest.approx(20.0 + late / 10 if late < 5 else 21.0)
+    assert min(gaps) >= 0.5
+    assert gaps[3:] == [1.0] * 3
+    assert b.rig.skipped_syncs == (19 if late < 5 else 20)
+    assert [sample.sync_index for sample in samples] == [3, 4, 5, 6, 7]
+
+
+def test_a_full_queue_is_tried_once_more_and_then_stops_the_rig(bench: MakeBench) -> None:
+    b = started(bench)
+    b.run(3, torque=2.0)
+    failures = [2]
+
+    def refuse(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x205 and failures[0]:
+            failures[0] -= 1
+            raise OSError(errno.ENOBUFS, "No buffer space available")
+        return message
+
+    failures[0] = 1
+    b.tampered.on_send = refuse
+    b.run(1, torque=2.0)
+    assert b.rig.link_statistics()["send_failures"] == 1
+    failures[0] = 2
+    with pytest.raises(LinkError, match="txqueuelen"):
+        b.run(1, torque=2.0)
+    assert b.rig.stop_reason is StopReason.SEND_FAILED
+    assert b.drives[0].torque == 0.0
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_a_position_that_jumps_stops_the_rig(bench: MakeBench) -> None:
+    b = started(bench, [axis(speed_limit=1.0)])
+    b.run(3, torque=1.0)
+
+    def jump(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x185:
+            message.data[4] ^= 0x01  # 65536 counts: 0.66 m in one millisecond
+        return message
+
+    b.tampered.on_receive = jump
+    with pytest.raises(DriveFaultError, match="speed limit"):
+        b.run(2, torque=1.0)
+    assert b.rig.stop_reason is StopReason.POSITION_JUMP
+
+
+def test_the_master_heartbeat_is_sent_by_the_count_of_syncs(bench: MakeBench) -> None:
+    b = started(bench)
+    before = len(b.sent(0x77E))
+    b.run(200)
+    assert len(b.sent(0x77E)) - before == 10
+    assert set(b.sent(0x77E)) == {b"\x05"}
+    assert b.drives[0].state is DriveState.OPERATION_ENABLED
+
+
+def test_two_runs_give_the_same_frames_at_the_same_times(bench: MakeBench) -> None:
+    runs = []
+    for _ in range(2):
+        b = started(bench)
+        b.run(50, torque=1.0)
+        b.rig.stop()
+        runs.append(b.frames)
+    assert runs[0] == runs[1]
+
+
+def test_the_saturation_of_the_limiter_is_reported(bench: MakeBench) -> None:
+    b = started(bench, [axis(torque_limit=3.0)])
+    b.run(4, torque=5.0)
+    limiter = b.rig.drives[0].limiter
+    assert (limiter.saturation, limiter.saturated_cycles, limiter.last) == (1, 4, 3.0)
+    assert b.torques_sent()[-1] == 300

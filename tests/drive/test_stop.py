@@ -1,0 +1,236 @@
+"""Every way out of a run: zero torque in the very next RPDO, then disabled, as the recorded frames show."""
+
+import math
+from collections.abc import Callable
+
+import can
+import pytest
+from drive_bench import Bench, axis
+
+from canhaptic.drive.link_policy import StopReason
+from canhaptic.errors import ControlError, DriveFaultError, LinkError, RigError
+from canhaptic.object_dictionary import NmtState
+from canhaptic.sim.state_machine import DriveState
+
+MakeBench = Callable[..., Bench]
+
+
+def running(make: MakeBench, **values: object) -> tuple[Bench, int]:
+    """A rig in the middle of a run at 4 N; returns it with the number of RPDOs sent so far."""
+    b = make(**values)
+    b.rig.start()
+    b.run(10, torque=4.0)
+    return b, len(b.sent(0x205))
+
+
+def require_stopped_at_once(b: Bench, before: int) -> None:
+    """The next RPDO is enabled with zero torque, the ones after it disabled with zero torque; the drive obeyed."""
+    rpdos = [data.hex(" ") for data in b.sent(0x205)[before:]]
+    assert rpdos[0] == "0f 00 00 00"
+    assert rpdos[1:]
+    assert set(rpdos[1:]) == {"00 00 00 00"}
+    assert b.drives[0].torque == 0.0
+    assert b.drives[0].state in (DriveState.SWITCH_ON_DISABLED, DriveState.FAULT)
+    assert not b.rig.is_running
+
+
+@pytest.mark.parametrize(("rate", "ramp"), [(1000.0, 0.02), (1000.0, 0.05), (100.0, 0.05), (40.0, 0.05), (1000.0, 0.0)])
+def test_the_operators_stop_ramps_to_zero_then_disables_then_leaves_operational(
+    bench: MakeBench, rate: float, ramp: float
+) -> None:
+    b, before = running(bench, bus={"rate": rate, "stop_ramp": ramp})
+    begin = b.clock.now()
+    b.rig.stop()
+    rpdos = b.sent(0x205)[before:]
+    torques = [int.from_bytes(data[2:4], "little", signed=True) for data in rpdos if data[0] == 0x0F]
+    assert torques == sorted(torques, reverse=True)
+    assert torques[-1] == 0
+    first_zero = next(t for t, i, d, rx in b.frames if i == 0x205 and not rx and t > begin and d[2:4] == b"\0\0")
+    assert first_zero - begin <= 50_000_000
+    assert rpdos[-1] == bytes(4)
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+    assert b.drives[0].nmt_state is NmtState.PRE_OPERATIONAL
+    assert b.rig.stop_reason is StopReason.OPERATOR
+    assert b.received(0x705)[-1] == b"\x7f"
+    assert b.received(0x085) == []
+
+
+@pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
+def test_a_torque_that_is_not_finite_is_zero_in_the_very_next_rpdo(bench: MakeBench, torque: float) -> None:
+    b, before = running(bench)
+    b.rig.sync()
+    with pytest.raises(ControlError, match="expected a finite number"):
+        b.rig.write_torques([torque])
+    require_stopped_at_once(b, before)
+    assert b.rig.stop_reason is StopReason.CONTROLLER
+
+
+def test_an_exception_in_the_controller_is_zero_in_the_very_next_rpdo(bench: MakeBench) -> None:
+    b = bench()
+
+    def fail() -> None:
+        b.run(10, torque=4.0)
+        b.rig.sync()
+        before.append(len(b.sent(0x205)))
+        raise ZeroDivisionError
+
+    before: list[int] = []
+    with pytest.raises(ZeroDivisionError), b.rig:
+        fail()
+    require_stopped_at_once(b, before[0])
+
+
+def test_an_interrupt_by_the_operator_ramps_down(bench: MakeBench) -> None:
+    b = bench()
+
+    def interrupt() -> None:
+        b.run(10, torque=4.0)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), b.rig:
+        interrupt()
+    torques = b.torques_sent()
+    assert torques[torques.index(400) :].count(0) < len(torques[torques.index(400) :]) - 20
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("wrong", [[], [1.0, 2.0]])
+def test_a_wrong_number_of_torques_stops_the_rig(bench: MakeBench, wrong: list[float]) -> None:
+    b, before = running(bench)
+    b.rig.sync()
+    with pytest.raises(ValueError, match="zip"):
+        b.rig.write_torques(wrong)
+    require_stopped_at_once(b, before)
+
+
+def test_a_fault_of_the_drive_stops_at_once_with_its_emcy_and_the_last_records(bench: MakeBench) -> None:
+    b, before = running(bench)
+    b.drives[0].inject_fault(0x2310)
+    with pytest.raises(DriveFaultError, match=r"EMCY 0x2310.*EMERGENCY") as caught:
+        b.run(3, torque=4.0)
+    require_stopped_at_once(b, before)
+    assert b.drives[0].state is DriveState.FAULT
+    assert caught.value.records[-1].torques_per_mille == [400]
+
+
+def test_a_fault_is_never_reset_and_never_enabled_again_by_itself(bench: MakeBench) -> None:
+    b, before = running(bench)
+    b.drives[0].inject_fault(0x2310)
+    with pytest.raises(DriveFaultError):
+        b.run(3, torque=4.0)
+    assert not [data for data in b.sent(0x205)[before:] if data[0] & 0x80]
+    with pytest.raises(RigError, match="not running"):
+        b.rig.sync()
+    with pytest.raises(RigError, match="not running"):
+        b.rig.write_torques([0.0])
+
+
+def test_the_operators_fault_reset_leaves_the_drive_disabled_and_takes_less_than_50_ms(bench: MakeBench) -> None:
+    b, _ = running(bench)
+    b.drives[0].inject_fault(0x2310)
+    with pytest.raises(DriveFaultError):
+        b.run(3, torque=4.0)
+    begin = b.clock.now()
+    b.rig.reset_faults()
+    assert b.clock.now() - begin < 50_000_000
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+    b.rig.start()
+    assert b.drives[0].state is DriveState.OPERATION_ENABLED
+
+
+def test_an_emcy_alone_stops_the_rig_even_when_it_is_short(bench: MakeBench) -> None:
+    b, before = running(bench)
+    b.buses[1].send(can.Message(arbitration_id=0x085, is_extended_id=False, data=b"\x10\x43"))
+    with pytest.raises(DriveFaultError, match="EMCY 0x4310"):
+        b.run(2, torque=4.0)
+    require_stopped_at_once(b, before)
+
+
+def test_an_emcy_that_says_the_error_is_gone_stops_nothing(bench: MakeBench) -> None:
+    b, _ = running(bench)
+    b.buses[1].send(can.Message(arbitration_id=0x085, is_extended_id=False, data=bytes(8)))
+    b.run(3, torque=4.0)
+
+
+def test_a_lost_heartbeat_stops_the_rig_though_tpdos_still_come(bench: MakeBench) -> None:
+    b, _ = running(bench)
+    b.tampered.drop(0x705)
+    with pytest.raises(LinkError, match=r"heartbeat.*100 ms"):
+        b.run(200, torque=4.0)
+    assert b.rig.sync_index < 140
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("command", ["80 05", "02 05", "81 05", "82 00"])
+def test_an_nmt_command_from_elsewhere_ends_in_no_torque(bench: MakeBench, command: str) -> None:
+    b, _ = running(bench)
+    stranger = can.Message(arbitration_id=0x000, is_extended_id=False, data=bytes.fromhex(command))
+    b.buses[0].send(stranger)  # from the master's own connection, so that the simulated drive hears it
+    with pytest.raises(RigError):
+        b.run(100, torque=4.0)
+    assert b.drives[0].torque == 0.0
+    assert b.drives[0].state is not DriveState.OPERATION_ENABLED
+
+
+def test_a_drive_that_is_switched_off_by_another_hand_stops_the_rig(bench: MakeBench) -> None:
+    b, _ = running(bench)
+    b.buses[0].send(can.Message(arbitration_id=0x605, is_extended_id=False, data=bytes.fromhex("2b40600006000000")))
+    with pytest.raises(DriveFaultError, match="left OPERATION ENABLED"):
+        b.run(3, torque=4.0)
+    assert b.drives[0].state is not DriveState.OPERATION_ENABLED
+
+
+def test_one_axis_stopping_stops_all(bench: MakeBench) -> None:
+    b = bench([axis(5), axis(6)])
+    b.rig.start()
+    b.run(10, torque=4.0)
+    b.drives[1].inject_fault(0x2310)
+    with pytest.raises(DriveFaultError, match="axis6"):
+        b.run(3, torque=4.0)
+    assert b.sent(0x205)[-1] == bytes(4)
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+    assert [drive.torque for drive in b.drives] == [0.0, 0.0]
+
+
+def test_a_killed_master_leaves_the_drive_to_its_own_watchdog(bench: MakeBench) -> None:
+    b, _ = running(bench)
+    assert b.drives[0].torque == pytest.approx(4.0)
+    b.clock.wait_until(b.clock.now() + 110_000_000)
+    assert b.drives[0].torque == 0.0
+    assert b.drives[0].state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
+
+
+def test_the_watchdog_is_disarmed_by_a_regular_stop(bench: MakeBench) -> None:
+    b, _ = running(bench)
+    b.rig.stop()
+    b.clock.wait_until(b.clock.now() + 1_000_000_000)
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+    assert b.received(0x085) == []
+
+
+def test_a_stop_that_no_drive_confirms_says_so(bench: MakeBench) -> None:
+    b, before = running(bench)
+    b.tampered.drop(0x185, 0x585, 0x705)
+    with pytest.raises(RigError, match=r"not confirmed.*axis5.*cut the power"):
+        b.rig.stop()
+    assert b.sent(0x205)[-1] == bytes(4)
+    assert len(b.sent(0x205)) > before
+
+
+def test_a_dead_bus_ends_the_run_with_a_link_error(bench: MakeBench) -> None:
+    b, _ = running(bench)
+
+    def fail(message: can.Message) -> can.Message:
+        raise can.CanOperationError("bus-off")
+
+    b.tampered.on_send = fail
+    with pytest.raises(LinkError, match=r"bus-off.*NOT confirmed"):
+        b.run(2, torque=4.0)
+
+
+def test_a_second_stop_does_nothing(bench: MakeBench) -> None:
+    b, _ = running(bench)
+    b.rig.stop()
+    frames = len(b.frames)
+    b.rig.stop()
+    assert len(b.frames) == frames
