@@ -1,0 +1,163 @@
+"""How large the torque of the next hold may be: three certificates, each a proof for the users it names.
+
+Only the torque of a hold and the displacement in it exchange energy (eq. 2), so the question of every step is how far
+the axis can move OUT (with the torque) while the torque cannot be changed. All formulas below are written for a torque
+that acts in the positive direction and for displacements counted positive with it; the caller mirrors. They use
+arithmetic only, without branches, so that they take floats in the cycle and arrays in a batch.
+
+**Hand force.** An axis m v' + b v = f(t) + u(t), f held constant in each hold, outward hand force u <= F_h, inward hand
+force without limit. With D_i the displacement in hold i and K the response of the displacement to a force,
+
+    D_1 = e^(-bT/m) D_0 + integral over both holds of K(s) (f(s) + u(s)) ds,   K >= 0,
+
+so D_1 grows with u, and u = F_h throughout is the worst user whatever he did before. The integrals have closed forms
+(`Reach`); without damping they are T^2/2m for the torque of either hold and T^2/m for the hand. Where b and m are only
+bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0 its least value, at the
+upper bound of b and the under-estimate of m; each response is largest at the under-estimates of m and b; a torque in
+the other direction helps by an amount that an over-estimate of m would be needed for, and counts as 0.
+Since D_1 is bounded by a rising function of D_0, bounds chain over the holds whose torque is under way (delay), and
+the energy taken out, sum(f_i D_i) + F D, is largest when every D_i is: a bound D_1 < 0 therefore certifies energy that
+comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
+Coulomb friction F_c of the device may push out as well as hold: declare F_h + F_c.
+
+**Device damping.** The device itself dissipates at least (b/T) D^2 in a hold of displacement D (Cauchy-Schwarz). For
+every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the torques under way, keeps
+E_d = E + (b/T) sum(D^2) >= 0 for every user.
+
+**Hand speed.** D <= v_max T, so F <= E / (v_max T), E after the worst of the torques under way.
+"""
+
+import math
+from typing import NamedTuple
+
+
+class Reach(NamedTuple):
+    """Worst response of the displacement in a hold, for one axis and hand (see the module)."""
+
+    retained: float  # least share of an inward displacement that the next hold repeats, e^(-bT/m)
+    before: float  # [m/N] per torque in the hold before
+    during: float  # [m/N] per torque in the hold itself
+    hand: float  # [m] by the hand pushing out with its declared force in both holds
+
+
+def reach(
+    sample_time: float, mass: float, hand_force: float, damping_least: float = 0.0, damping_most: float = 0.0
+) -> Reach:
+    """Returns the worst response of the displacement in a hold.
+
+    With y = bT/m: during = (T^2/m) (y - 1 + e^-y) / y^2, before = (T^2/m) (1 - e^-y - y e^-y) / y^2, hand = F_h times
+    their sum. `during` and the sum fall with m at fixed b; `before` does so only while every lag is below m/b, beyond
+    which its undamped value is used.
+
+    Args:
+        sample_time: [s].
+        mass: UNDER-estimate of the inertia rigid with the encoder [kg or kg*m^2].
+        hand_force: Largest outward force of the hand [N or N*m].
+        damping_least: Certain viscous damping of the device [N*s/m or N*m*s/rad].
+        damping_most: Upper bound of it.
+    """
+    whole = sample_time * sample_time / mass
+    y = damping_least * sample_time / mass
+    if y < 1e-3:
+        during, before = whole * (0.5 - y / 6.0 + y * y / 24.0), whole * (0.5 - y / 3.0 + y * y / 8.0)
+    else:
+        fade = math.exp(-y)
+        during, before = whole * (y - 1.0 + fade) / (y * y), whole * (1.0 - fade - y * fade) / (y * y)
+    both = during + before
+    retained = math.exp(-max(damping_most, damping_least) * sample_time / mass)
+    return Reach(retained, 0.5 * whole if y > 0.5 else before, during, both * hand_force)
+
+
+def next_displacement(displacement: float, torque_before: float, torque: float, response: Reach) -> float:
+    """Returns the largest outward displacement [m or rad] in the hold that follows one of `displacement`.
+
+    Args:
+        displacement: Largest outward displacement of the hold before [m or rad].
+        torque_before: Outward torque held in it [N or N*m]; an inward one counts as 0.
+        torque: Outward torque of the hold asked about; 0 gives the base of `hand_force_bound`.
+        response: Of the axis and hand.
+    """
+    inward = 0.5 * (displacement - abs(displacement))
+    pushed = 0.5 * (torque_before + abs(torque_before)) * response.before
+    pushing = 0.5 * (torque + abs(torque)) * response.during
+    return displacement - (1.0 - response.retained) * inward + pushed + pushing + response.hand
+
+
+def hand_force_bound(budget: float, base: float, gain: float) -> float:
+    """Returns the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget.
+
+    Where none has that (budget below zero by more than an inward motion can bring in), the one that brings in most.
+
+    Args:
+        budget: Energy that may be taken out [J].
+        base: Largest outward displacement in the hold of F without F [m or rad]; negative while moving inward.
+        gain: Displacement per torque [m/N or rad/(N*m)], > 0.
+    """
+    square = base * base + 4.0 * gain * budget
+    root = (0.5 * (square + abs(square))) ** 0.5
+    scale = abs(base) + root
+    outward = base > 0.0
+    # base > 0: the form without cancellation; the tiny number keeps 0 / 0 at 0.
+    away = (budget + abs(budget)) / (scale + 1e-300)
+    bound: float = outward * away + (1 - outward) * scale / (2.0 * gain)
+    return bound
+
+
+def device_damping_bound(
+    budget: float, damping: float, sample_time: float, squares_under_way: float, holds: int = 1
+) -> float:
+    """Returns the largest torque [N or N*m] with F^2 holds <= 4 b E_d / T - sum(f^2) of the torques under way.
+
+    Args:
+        budget: E_d, stored energy less surplus plus (b/T) sum(D^2) [J].
+        damping: Certain viscous damping of the device [N*s/m or N*m*s/rad].
+        sample_time: [s].
+        squares_under_way: Sum of the squares of the torques that act before this one [N^2 or N^2*m^2].
+        holds: Holds for which the torque may act before another one arrives.
+    """
+    square = 4.0 * damping * budget / sample_time - squares_under_way
+    bound: float = (0.5 * (square + abs(square)) / holds) ** 0.5
+    return bound
+
+
+def hand_speed_bound(budget: float, speed: float, sample_time: float, holds: int = 1) -> float:
+    """Returns the largest torque [N or N*m] with F v_max T holds <= budget.
+
+    Args:
+        budget: Energy that may be taken out, less the worst of the torques under way [J].
+        speed: Largest outward speed of the hand [m/s or rad/s], > 0.
+        sample_time: [s].
+        holds: Holds for which the torque may act before another one arrives.
+    """
+    return 0.5 * (budget + abs(budget)) / (speed * sample_time * holds)
+
+
+def renderable_by_hand_force(response: Reach, delay: int, torque: float) -> float:
+    """Returns the largest static stiffness [N/m or N*m/rad] that the hand-force certificate holds at a torque.
+
+    At rest every hold has the same torque F and the stored energy F^2 / 2k must cover sum(F D_i) over the holds under
+    way and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
+    """
+    displacement = extracted = 0.0
+    for _ in range(delay + 1):
+        displacement = next_displacement(displacement, torque, torque, response)
+        extracted += torque * displacement
+    return torque * torque / (2.0 * extracted) if extracted > 0.0 else math.inf
+
+
+def renderable_by_device_damping(damping: float, sample_time: float, delay: int) -> float:
+    """Returns the largest static stiffness [N/m or N*m/rad] that the device-damping certificate holds: 2b / T (1 + n).
+
+    At rest F^2 (1 + delay) <= 4 b E / T with E = F^2 / 2k. Colgate's bound is the value for delay 0.
+    """
+    return 2.0 * damping / (sample_time * (1 + delay))
+
+
+def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torque: float) -> float:
+    """Returns the largest static stiffness [N/m or N*m/rad] that the hand-speed certificate holds at a torque."""
+    return torque / (2.0 * speed * sample_time * (1 + delay))
+
+
+def start_speed(response: Reach, sample_time: float, delay: int) -> float:
+    """Returns the inward speed [m/s or rad/s] above which a contact may start from zero energy: (1 + n) F_h T / m."""
+    return (1 + delay) * response.hand / (sample_time * response.retained ** (1 + delay))

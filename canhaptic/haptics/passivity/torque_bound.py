@@ -1,0 +1,216 @@
+"""The certified bound of one axis: what is known of it and of the hand, applied to the torques under way."""
+
+from collections import deque
+from typing import NamedTuple
+
+from canhaptic.haptics.passivity.certificates import (
+    Reach,
+    device_damping_bound,
+    hand_force_bound,
+    hand_speed_bound,
+    next_displacement,
+)
+
+_WINDOW = 32
+"""Holds looked back for the outward speed when the encoder is coarse."""
+
+
+class Declared(NamedTuple):
+    """What a configuration declares of the axis and of the hand. None: that certificate is not used."""
+
+    sample_time: float
+    response: Reach | None  # of the hand-force certificate
+    damping: float | None  # certain damping of the device [N*s/m or N*m*s/rad]
+    speed: float | None  # largest speed of the hand [m/s or rad/s]
+    encoder_count: float  # [m or rad]
+    losses: int  # consecutive cycles without a new torque that the certificates survive
+
+
+class TorqueBound:
+    """Remembers the hold that ended and answers how much energy is committed and how large the next torque may be."""
+
+    def __init__(self, declared: Declared, delay: int) -> None:
+        self._declared = declared
+        self._delay = delay
+        self._simple = not (delay or declared.losses)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the last hold and the energy dissipated by the device."""
+        self._displacement = self._torque = self._blur = self._unsure = 0.0
+        self.dissipated = 0.0
+        self._history: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
+
+    def ended_hold(self, displacement: float, torque: float) -> None:
+        """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
+        declared = self._declared
+        count = declared.encoder_count
+        if declared.damping is not None:
+            certain = abs(displacement) - count
+            if certain > 0.0:
+                self.dissipated += declared.damping / declared.sample_time * certain * certain
+        if count:
+            self._unsure += 0.5 * count * abs(torque - self._torque)
+            self._history.appendleft((displacement, torque))
+        self._blur = 0.0
+        self._displacement, self._torque = displacement, torque
+
+    def ended_gap(self, displacement: float, torques: tuple[float, ...]) -> None:
+        """Takes several holds of which only the whole displacement is known, with the torques that may have acted.
+
+        Booked with the last torque, the energy is wrong by at most |difference of torque| times the excursion in the
+        hold, which is bounded by the whole displacement and the reach of the hand in the others - not by the
+        displacement alone: a reversal has next to none.
+        """
+        declared, holds = self._declared, len(torques)
+        last, largest = torques[-1], max(abs(torque) for torque in torques)
+        count = declared.encoder_count
+        self._history.clear()
+        if declared.response is not None:
+            response = declared.response
+            step = (response.before + response.during) * largest + response.hand
+            start = abs(self._displacement) + self._blur + count
+            excursion = abs(displacement) + count + holds * (start + holds * step)
+            self._blur = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
+        elif declared.speed is not None:
+            excursion = declared.speed * declared.sample_time
+        else:
+            excursion = abs(displacement) + count
+        self._unsure += sum(abs(torque - last) for torque in torques) * excursion
+        self._unsure += 0.5 * count * (abs(torques[0] - self._torque) + 2.0 * largest)
+        self._displacement, self._torque = displacement / holds, last
+
+    def unsure(self) -> float:
+        """Returns how much less than booked may have come in so far [J]: encoder counts and lost samples."""
+        return self._unsure + 0.5 * self._declared.encoder_count * abs(self._torque)
+
+    def keep(self, energy: float, enough: float) -> None:
+        """Forgets what the device dissipated beyond `enough` [J] together with `energy`.
+
+        Without it a contact could live, and buzz, on what the device dissipated long ago.
+        """
+        if energy + self.dissipated > enough:
+            self.dissipated = max(0.0, enough - energy)
+
+    def free(self, energy: float, under_way: tuple[float, ...]) -> float:
+        """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
+        declared = self._declared
+        if self._simple:
+            return energy + self.dissipated
+        sequences = [under_way]
+        if declared.losses:
+            sequences = [(self._torque,) * (declared.losses + self._delay)]
+            if under_way:
+                sequences.append(under_way + under_way[-1:] * declared.losses)
+        free = 0.0
+        if declared.response is not None:
+            free = energy - max(self._worst_out(1.0, s) + self._worst_out(-1.0, s) for s in sequences)
+        if declared.speed is not None:
+            path = declared.speed * declared.sample_time
+            free = max(free, energy - path * max(sum(abs(f) for f in s) for s in sequences))
+        if declared.damping:
+            share = declared.sample_time / (4.0 * declared.damping)
+            free = max(free, energy + self.dissipated - share * max(sum(f * f for f in s) for s in sequences))
+        return max(0.0, free)
+
+    def _outward(self, sign: float) -> float:
+        """Returns the largest displacement of the hold that ended, counted along `sign` [m or rad].
+
+        The displacement is known to one count. A mean over j holds is known to count / j, and the hand and the torques
+        can have raised the last one above the mean only so far; the smallest of these bounds counts.
+        """
+        declared = self._declared
+        count = declared.encoder_count
+        least = sign * self._displacement + count + self._blur
+        response = declared.response
+        if not count or response is None or len(self._history) < 2:
+            return least
+        total, raised, raises, later = count, 0.0, 0.0, 0.0
+        for holds, (displacement, torque) in enumerate(self._history, 1):
+            along, push = sign * displacement, max(0.0, sign * torque)
+            if holds > 1:
+                raised += response.before * push + response.during * later + response.hand
+                raised += (1.0 - response.retained) * max(0.0, count - along)
+                raises += raised
+            total += along
+            mean = (total + raises) / holds
+            if mean < least:
+                least = mean
+            if raised * holds > 2.0 * count:
+                break
+            later = push
+        return least
+
+    def _worst_out(self, sign: float, torques: tuple[float, ...]) -> float:
+        """Returns the most energy [J] that the torques along `sign` may give out, >= 0."""
+        response = self._declared.response
+        if response is None or not any(sign * torque > 0.0 for torque in torques):
+            return 0.0
+        displacement, before = self._outward(sign), sign * self._torque
+        worst = given = 0.0
+        for torque in torques:
+            along = sign * torque
+            displacement = next_displacement(displacement, before, along, response)
+            if along > 0.0:
+                given += along * displacement
+                if given > worst:
+                    worst = given
+            before = along
+        return worst
+
+    def by_hand_force(self, sign: float, energy: float, under_way: tuple[float, ...]) -> float:
+        """Returns the largest torque along `sign` [N or N*m] for a hand within its declared force."""
+        response = self._declared.response
+        if response is None:
+            return 0.0
+        displacement, before = self._outward(sign), sign * self._torque
+        for torque in under_way:
+            along = sign * torque
+            displacement = next_displacement(displacement, before, along, response)
+            if along >= 0.0:
+                energy -= along * displacement
+            before = along
+        if under_way:
+            energy -= self._worst_out(-sign, under_way)
+        base = next_displacement(displacement, before, 0.0, response)
+        bound = hand_force_bound(energy, base, response.during)
+        if self._declared.losses:
+            bound = min(bound, self._if_held_on(energy, base))
+        return bound
+
+    def _if_held_on(self, energy: float, base: float) -> float:
+        response = self._declared.response
+        bound = float("inf")
+        assert response is not None
+        for holds in range(2, self._declared.losses + 2):
+            pairs = 0.5 * holds * (holds - 1)
+            start = holds * base + pairs * (response.hand + (1.0 - response.retained) * max(0.0, -base))
+            gain = holds * response.during + pairs * (response.before + response.during)
+            bound = min(bound, hand_force_bound(energy, start, gain))
+        return bound
+
+    def largest(self, sign: float, energy: float, under_way: tuple[float, ...]) -> tuple[float, float, float]:
+        """Returns the bound of each certificate along `sign` [N or N*m]: hand force, device damping, hand speed.
+
+        0 where a certificate is not declared. `energy` [J] is what may be taken out.
+        """
+        declared = self._declared
+        by_force = by_damping = by_speed = 0.0
+        holds = declared.losses + 1
+        if declared.response is not None:
+            by_force = self.by_hand_force(sign, energy, under_way)
+            if declared.losses and under_way:
+                by_force = min(by_force, self.by_hand_force(sign, energy, (self._torque,) * self._delay))
+        if declared.damping:
+            worst = under_way
+            if declared.losses:
+                worst = tuple(max(abs(f), abs(self._torque)) for f in under_way)
+            squares = sum(f * f for f in worst)
+            by_damping = device_damping_bound(
+                energy + self.dissipated, declared.damping, declared.sample_time, squares, holds
+            )
+        if declared.speed is not None:
+            path = declared.speed * declared.sample_time
+            rest = energy - path * sum(max(abs(f), abs(self._torque) if declared.losses else 0.0) for f in under_way)
+            by_speed = hand_speed_bound(rest, declared.speed, declared.sample_time, holds)
+        return by_force, by_damping, by_speed
