@@ -103,6 +103,7 @@ class SimulatedDrive:
     def process(self, now: int) -> None:
         """Handles every frame waiting on the bus and every timer due up to `now` [ns]."""
         receive = self._bus.recv
+        self.servo.now = now
         self.wake(now)
         while (message := receive(0)) is not None:
             self.take(message, now)
