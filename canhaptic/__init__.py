@@ -1,1 +1,54 @@
-"""canhaptic: passive haptic rendering on industrial CiA 402 servo drives over CAN."""
+"""canhaptic: passive haptic rendering on industrial CiA 402 servo drives over CAN.
+
+    from canhaptic import build, load_scene, run
+
+    with build(load_scene("configs/demo.yaml")) as experiment:
+        run(experiment.cycle, cycles=1000)
+
+Names are imported when they are first used, so that `import canhaptic` costs nothing.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from canhaptic.cycle import Cycle as Cycle
+    from canhaptic.cycle import run as run
+    from canhaptic.drive.rig import Rig as Rig
+    from canhaptic.errors import CanHapticError as CanHapticError
+    from canhaptic.haptics.balance import EnergyBalance as EnergyBalance
+    from canhaptic.haptics.balance import Ledger as Ledger
+    from canhaptic.haptics.passivity import build_controller as build_controller
+    from canhaptic.haptics.passivity.protocol import LoopProperties as LoopProperties
+    from canhaptic.logs.energy_reader import EnergyLog as EnergyLog
+    from canhaptic.result import run_result as run_result
+    from canhaptic.scene.build import build as build
+    from canhaptic.scene.load import load_scene as load_scene
+    from canhaptic.sim.direct_rig import DirectRig as DirectRig
+    from canhaptic.sim.plant import Plant as Plant
+
+_PUBLIC: Final = {
+    "CanHapticError": "canhaptic.errors",
+    "Cycle": "canhaptic.cycle",
+    "DirectRig": "canhaptic.sim.direct_rig",
+    "EnergyBalance": "canhaptic.haptics.balance",
+    "EnergyLog": "canhaptic.logs.energy_reader",
+    "Ledger": "canhaptic.haptics.balance",
+    "LoopProperties": "canhaptic.haptics.passivity.protocol",
+    "Plant": "canhaptic.sim.plant",
+    "Rig": "canhaptic.drive.rig",
+    "build": "canhaptic.scene.build",
+    "build_controller": "canhaptic.haptics.passivity",
+    "load_scene": "canhaptic.scene.load",
+    "run": "canhaptic.cycle",
+    "run_result": "canhaptic.result",
+}
+
+__all__ = list(_PUBLIC)
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name on its first use (PEP 562)."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'canhaptic' has no attribute {name!r}")
+    return getattr(importlib.import_module(_PUBLIC[name]), name)
