@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from canhaptic.errors import LogWriteError, ParameterError
-from canhaptic.logs.bus_sink import FRAME_RING, aside_files
+from canhaptic.logs.bus_sink import CONVERTIBLE, FRAME_RING, aside_files
 from canhaptic.logs.writer_process import WriterProcess
 
 _WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
@@ -17,7 +17,8 @@ class BusLogWriter:
     The same frames give the same bytes. At real pace a full ring drops frames and counts them; at free pace it waits.
 
     Args:
-        path: The file; an existing one is replaced.
+        path: The file; an existing one is replaced. With the suffix .blf, .trc or .asc the run is recorded as candump
+            text beside it (PATH.log), which survives a kill, and converted on closing.
         channel: Name of the bus, as it shall stand in every line.
         pace: "real" or "free".
         file_size: Bytes after which the file is put aside as NAME.00001.log, ...; 0 for one file without limit.
@@ -41,14 +42,18 @@ class BusLogWriter:
         if file_size < 0 or files < 2:
             raise ParameterError(f"bus log of {files} files of {file_size} bytes: expected at least 2 files, size >= 0")
         self.path = Path(path).absolute()
+        convert = self.path.suffix.lower() in CONVERTIBLE
+        if convert and file_size:
+            raise ParameterError(f"{self.path}: only candump text (.log) can be kept as a series of files")
         for old in aside_files(self.path) if file_size else []:
             old.unlink()
         job = {
             "kind": "bus",
-            "path": str(self.path),
+            "path": f"{self.path}.log" if convert else str(self.path),
             "channel": channel,
             "file_size": file_size,
             "files": files,
+            "convert_to": str(self.path) if convert else "",
         }
         self._process = WriterProcess(job, [FRAME_RING])
         self._push = self._process.rings[0].push

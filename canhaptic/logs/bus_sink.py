@@ -13,6 +13,7 @@ from typing import Final
 from canhaptic.logs.ring import RingShape, SharedArea
 
 FRAME_RING: Final = RingShape("=qIBB2x8s", 65_536)  # timestamp [ns], identifier, length, is_rx, data
+CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})
 _BLOCK: Final = 4096  # frames formatted at a time
 _LAST_STANDARD_ID: Final = 0x7FF
 
@@ -26,9 +27,19 @@ class BusSink:
         area: Shared memory with one ring of frames.
         file_size: Bytes after which the file is put aside as NAME.00001.log, NAME.00002.log, ...; 0 for no limit.
         files: How many files are kept in all, the one being written included; the oldest is deleted.
+        convert_to: A .blf, .trc or .asc file to turn the text into in the end; None to leave it.
     """
 
-    def __init__(self, path: Path, channel: str, area: SharedArea, file_size: int, files: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        channel: str,
+        area: SharedArea,
+        *,
+        file_size: int = 0,
+        files: int = 2,
+        convert_to: Path | None = None,
+    ) -> None:
         self._path = path
         self._channel = channel
         self._area = area
@@ -36,6 +47,7 @@ class BusSink:
         self._unpack = struct.Struct(FRAME_RING.record)
         self._file_size = file_size
         self._files = files
+        self._convert_to = convert_to
 
     def open(self, restart: bool) -> None:
         """Makes the file; after a restart goes on behind the last whole line of the one that is there."""
@@ -97,9 +109,14 @@ class BusSink:
         self._begin()
 
     def finish(self, status: str) -> None:
-        """Closes the file; the status of the run has no place in this format."""
+        """Closes the file and converts it if asked to; the status of the run has no place in these formats."""
         del status
         os.close(self._descriptor)
+        if self._convert_to is not None:
+            from canhaptic.logs.bus_reader import convert
+
+            convert(self._path, self._convert_to)
+            self._path.unlink()
 
 
 def aside_files(path: Path) -> list[Path]:

@@ -43,7 +43,10 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, Sink]:
         return area, EnergySink(Path(job["path"]), LogSchema.from_json(job["schema"]), area)
     from canhaptic.logs.bus_sink import BusSink
 
-    return area, BusSink(Path(job["path"]), job["channel"], area, job["file_size"], job["files"])
+    target = Path(job["convert_to"]) if job["convert_to"] else None
+    return area, BusSink(
+        Path(job["path"]), job["channel"], area, file_size=job["file_size"], files=job["files"], convert_to=target
+    )
 
 
 def serve(area: SharedArea, sink: Sink, parent: int) -> None:

@@ -15,6 +15,8 @@ PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
 PORTS_PER_TABLE: Final = 4
 PASSIVE_TOLERANCE: Final = 1e-6  # [J] below zero that still counts as zero
 
+_SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
+
 Result = Mapping[str, Any]
 _Row = tuple[str, Callable[[Result], str | Text]]
 
@@ -160,7 +162,8 @@ def _line(name: str, content: Any) -> Padding:
         table.add_row(name, str(content))
         return Padding(table, (0, 1))
     nested = {key: value for key, value in content.items() if isinstance(value, Mapping)}
-    words = [_words(key, value) for key, value in content.items() if key not in nested]
+    shown = {key: value for key, value in content.items() if key not in nested and (value or key in _SHOWN_AT_ZERO)}
+    words = [_words(key, value) for key, value in sorted(shown.items(), key=lambda item: item[0] != "success_rate")]
     table.add_column()
     label = name
     if words:

@@ -1,11 +1,13 @@
 import os
+from itertools import pairwise
 from pathlib import Path
 
 import can
 import pytest
 
-from canhaptic.errors import LogWriteError, ParameterError
+from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
 from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.bus_sink import aside_files
 
 FRAMES = [
@@ -88,3 +90,52 @@ def test_a_missing_folder_is_one_error(tmp_path: Path) -> None:
 def test_a_channel_with_a_space_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="channel"):
         BusLogWriter(tmp_path / "a.log", "can 0")
+
+
+@pytest.mark.parametrize("suffix", ["blf", "trc", "asc"])
+def test_other_formats_hold_the_same_frames(tmp_path: Path, suffix: str) -> None:
+    frames = [
+        (1_700_000_000_000_000_000 + k * 1_000_000, 0x181 + k % 3, bytes([k % 256] * (k % 9)), k % 2 == 0)
+        for k in range(500)
+    ]
+    path = tmp_path / f"run.{suffix}"
+    write(path, frames)
+    back = list(read_bus_log(path))
+    assert [(f.can_id, f.data, f.is_rx) for f in back] == [frame[1:] for frame in frames]
+    gaps = [after.timestamp_ns - before.timestamp_ns for before, after in pairwise(back)]
+    assert max(abs(gap - 1_000_000) for gap in gaps) <= 1000
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_our_reader_gives_back_what_was_written_to_the_microsecond(tmp_path: Path) -> None:
+    write(tmp_path / "a.log", FRAMES)
+    assert list(read_bus_log(tmp_path / "a.log")) == [(t // 1000 * 1000, *rest) for t, *rest in FRAMES]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"", "empty"),
+        (b"(0.000001) can0 181#00\nnonsense\n", r":2: 'nonsense' is no frame"),
+        (b"(0.000001) can0 181#001\n", "is no frame"),
+        (b"\xff\xfe\x00", "is no frame"),
+    ],
+)
+def test_a_text_that_is_no_bus_log_is_one_clear_error(tmp_path: Path, text: bytes, message: str) -> None:
+    (tmp_path / "a.log").write_bytes(text)
+    with pytest.raises(LogFormatError, match=message):
+        list(read_bus_log(tmp_path / "a.log"))
+
+
+def test_lines_of_candump_without_direction_and_remote_frames_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text("(1436509052.249713) vcan0 044#2A366C2BBA\n(1.5) vcan0 123#R\n\n(2.0) can1 7FF#\n")
+    assert list(read_bus_log(tmp_path / "a.log")) == [
+        (1_436_509_052_249_713_000, 0x044, bytes.fromhex("2A366C2BBA"), True),
+        (2_000_000_000, 0x7FF, b"", True),
+    ]
+
+
+def test_a_damaged_blf_is_one_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "a.blf").write_bytes(b"LOGG" + bytes(100))
+    with pytest.raises(LogFormatError, match="BLF"):
+        list(read_bus_log(tmp_path / "a.blf"))

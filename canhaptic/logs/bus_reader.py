@@ -1,0 +1,90 @@
+"""Reads recorded frames: candump text by ourselves, to the microsecond; BLF, TRC and ASC through python-can."""
+
+import re
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import can
+
+from canhaptic.errors import LogFormatError
+from canhaptic.logs.bus_sink import CONVERTIBLE
+
+_LINE: Final = re.compile(
+    r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)(?:\s+([RTrt]))?\s*"
+)
+
+
+class Frame(NamedTuple):
+    """One frame of a bus log."""
+
+    timestamp_ns: int
+    can_id: int
+    data: bytes
+    is_rx: bool  # received by the recorder of the log; True when the log does not say
+
+
+def read_bus_log(path: str | Path) -> Iterator[Frame]:
+    """Yields the data frames of a bus log in the order of the file.
+
+    Remote and error frames, which CANopen rigs do not use, are passed over.
+
+    Raises:
+        LogFormatError: Missing, empty, or a line that is no frame; names file and line.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise LogFormatError(f"{path}: no such file")
+    if path.stat().st_size == 0:
+        raise LogFormatError(f"{path}: the file is empty")
+    return _read_with_python_can(path) if path.suffix.lower() in CONVERTIBLE else _read_candump(path)
+
+
+def _read_candump(path: Path) -> Iterator[Frame]:
+    with path.open(encoding="ascii", errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            match = _LINE.fullmatch(line)
+            if match is not None and len(match[5]) % 2 == 0:
+                nanoseconds = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+                is_rx = match[6] not in ("T", "t")
+                yield Frame(nanoseconds, int(match[4], 16), bytes.fromhex(match[5]), is_rx)
+            elif line.strip() and "#R" not in line.upper():
+                raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L")
+
+
+def _read_with_python_can(path: Path) -> Iterator[Frame]:
+    binary = path.suffix.lower() == ".blf"
+    with path.open("rb" if binary else "r") as file:  # python-can leaves a file open that it cannot read
+        try:
+            for message in _reader(path.suffix.lower(), file):
+                if not (message.is_error_frame or message.is_remote_frame):
+                    nanoseconds = round(message.timestamp * 1e6) * 1000
+                    yield Frame(nanoseconds, message.arbitration_id, bytes(message.data), message.is_rx)
+        except (OSError, ValueError, can.CanError, EOFError, struct.error, zlib.error) as error:
+            raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
+
+
+def _reader(suffix: str, file: Any) -> Iterable[can.Message]:
+    if suffix == ".blf":
+        return can.BLFReader(file)
+    if suffix == ".trc":
+        return can.TRCReader(file)
+    return can.ASCReader(file, relative_timestamp=False)
+
+
+def convert(source: Path, target: Path) -> None:
+    """Writes a bus log in the format that the target's suffix names: .blf, .trc or .asc."""
+    with can.Logger(target) as writer:
+        for frame in read_bus_log(source):
+            writer.on_message_received(
+                can.Message(
+                    timestamp=frame.timestamp_ns * 1e-9,
+                    arbitration_id=frame.can_id,
+                    is_extended_id=frame.can_id > 0x7FF,
+                    data=frame.data,
+                    is_rx=frame.is_rx,
+                    channel=0,
+                )
+            )

@@ -1,0 +1,116 @@
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canhaptic.dictionary import read_dictionary
+from canhaptic.logs.code_texts import emcy_text, sdo_abort_text
+from canhaptic.logs.decoder import BusDecoder, NodeDescription
+from canhaptic.object_dictionary import SdoAbort
+
+EDS = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"
+
+
+def words(decoder: BusDecoder, can_id: int, data: str) -> tuple[str, str, str]:
+    return tuple(decoder.decode(can_id, bytes.fromhex(data)))
+
+
+@pytest.fixture
+def decoder() -> BusDecoder:
+    dictionary = read_dictionary(EDS, 5)
+    return BusDecoder([NodeDescription(5, "handle", dictionary, counts_per_unit=1e6, unit="m", rated_torque=20.0)])
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data", "expected"),
+    [
+        (0x000, "0105", ("NMT", "handle", "start (operational)")),
+        (0x000, "8000", ("NMT", "all", "enter pre-operational")),
+        (0x000, "01", ("NMT", "", "malformed: 1 bytes instead of 2")),
+        (0x080, "", ("SYNC", "", "")),
+        (0x705, "00", ("heartbeat", "handle", "boot-up")),
+        (0x705, "05", ("heartbeat", "handle", "operational")),
+        (0x70A, "7F", ("heartbeat", "node 10", "pre-operational")),
+        (
+            0x085,
+            "3081110102030405",
+            ("EMCY", "handle", "0x8130 life guard or heartbeat error, error register 0x11, vendor 01 02 03 04 05"),
+        ),
+        (0x085, "118601", ("EMCY", "handle", "0x8611 following error, error register 0x01, vendor - (short: 3 bytes)")),
+        (0x605, "4041600000000000", ("SDO", "handle", "read 0x6041 Statusword")),
+        (0x585, "4B41600037020000", ("SDO", "handle", "0x6041 Statusword = 0x0237 (OPERATION ENABLED)")),
+        (0x605, "2F6060000A000000", ("SDO", "handle", "write 0x6060 Modes of operation = 0x0A")),
+        (
+            0x585,
+            "8071600030000906",
+            ("SDO", "handle", "abort by server of 0x6071 Target torque: 0x06090030 invalid value for parameter"),
+        ),
+        (0x585, "4372600000000000", ("SDO", "handle", "0x6072 Max torque = 0x00000000 (0 N)")),
+        (0x585, "4B", ("SDO", "handle", "malformed: 1 bytes instead of 8")),
+        (0x18FF1234, "01", ("unknown", "", "01")),
+    ],
+)
+def test_literal_frames_are_named(decoder: BusDecoder, can_id: int, data: str, expected: tuple[str, str, str]) -> None:
+    kind, node, text = words(decoder, can_id, data)
+    assert (kind, node, text.lower()) == (expected[0], expected[1], expected[2].lower())
+
+
+MAP_TPDO1 = [
+    ("2300180185010080", "6000180100000000"),  # COB-ID with bit 31: off
+    ("2F001A0000000000", "60001A0000000000"),
+    ("23001A0110004160", "60001A0100000000"),
+    ("23001A0220006460", "60001A0200000000"),
+    ("23001A0310007460", "60001A0300000000"),
+    ("2F001A0003000000", "60001A0000000000"),
+    ("2300180185010000", "6000180100000000"),
+]
+
+
+def test_pdo_fields_are_learnt_from_the_bring_up_and_get_units(decoder: BusDecoder) -> None:
+    for request, response in MAP_TPDO1:
+        words(decoder, 0x605, request)
+        words(decoder, 0x585, response)
+    assert words(decoder, 0x185, "3712 60790100 F6FF") == (
+        "TPDO1",
+        "handle",
+        "statusword 0x1237 OPERATION ENABLED, position actual 96608 (0.096608 m), torque demand -10 (-0.2 N)",
+    )
+    assert words(decoder, 0x185, "3712")[2] == "malformed: 2 bytes, the map has 64 bits"
+
+
+def test_a_map_is_learnt_without_any_description_too_and_an_aborted_write_teaches_nothing() -> None:
+    decoder = BusDecoder()
+    assert words(decoder, 0x185, "3712")[2] == "37 12 (map not known)"
+    for request, response in MAP_TPDO1:
+        words(decoder, 0x605, request)
+        words(decoder, 0x585, response)
+    words(decoder, 0x605, "2F001A0001000000")
+    words(decoder, 0x585, "80001A0022000008")
+    assert words(decoder, 0x185, "37120A0000000000")[2].endswith("position actual 10, torque demand 0")
+
+
+def test_a_pdo_switched_off_or_moved_is_followed() -> None:
+    decoder = BusDecoder()
+    words(decoder, 0x605, "23001801A6020000")
+    words(decoder, 0x585, "6000180100000000")
+    assert words(decoder, 0x2A6, "00")[:2] == ("TPDO1", "node 5")
+
+
+def test_every_abort_code_that_we_send_has_words() -> None:
+    assert all(not sdo_abort_text(code).startswith("unknown") for code in SdoAbort)
+
+
+def test_an_emcy_code_without_words_of_its_own_gets_those_of_its_group() -> None:
+    assert emcy_text(0x8613) == "positioning controller"
+    assert emcy_text(0x2ABC) == "current"
+    assert emcy_text(0xFF42) == "device-specific"
+    assert emcy_text(0x0001) == "unknown error code"
+
+
+@given(st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=40))
+@settings(max_examples=60, deadline=None)
+def test_no_sequence_of_frames_breaks_the_decoder(frames: list[tuple[int, bytes]]) -> None:
+    decoder = BusDecoder()
+    for can_id, data in frames:
+        assert decoder.decode(can_id, data).kind
