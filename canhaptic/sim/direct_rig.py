@@ -80,7 +80,7 @@ class DirectRig:
         for k in range(cycles):
             if k:
                 plant.advance_to(k * period, held)
-            position = self._measure(plant.position)
+            position = self._measure(plant.encoder_position)
             command = step(position, held).torque
             rows[:, k] = position, plant.position, command, held
             quantised = self._quantise(command)

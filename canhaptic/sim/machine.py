@@ -62,6 +62,11 @@ class Machine:
         self.mode = self._mode_of(first_key(self.scene))
         self.events = self.capped = self.products = 0
 
+    @property
+    def first_mode(self) -> Mode:
+        """The mode the scene starts in."""
+        return self._mode_of(first_key(self.scene))
+
     def save(self) -> Snapshot:
         """Returns a copy of everything that a hold changes."""
         return Snapshot(self.state.copy(), self.mode, self.totals.copy(), self.events, self.capped)
@@ -80,10 +85,20 @@ class Machine:
         """Puts one part into another mode, at a time that the scene fixed beforehand."""
         self._enter(self._part_index[part], mode)
 
-    def period(self) -> None:
-        """Takes one whole sample time; for scenes without guards."""
+    def period(self, torque: float) -> float:
+        """Takes one whole sample time in one step, for scenes without guards; returns the position after it.
+
+        The same as `run_free`, written flat: this is the whole plant of most scenes, at every SYNC.
+        """
+        state, moved, mode = self.state, self._moved, self.mode
+        state[-2] = torque
+        mode.works[0](state, self._rows)
+        self._row_sum(self._shifted, self._work)
+        self.totals += self._work
+        mode.flows[0](state, moved)
+        self.state, self._moved = moved, state
         self.products += 1
-        self._commit(self.mode, 0)
+        return moved.item(0)
 
     def run_free(self, ticks: int) -> None:
         """Moves by `ticks` ignoring guards: whole sample times, then one step per bit."""

@@ -13,6 +13,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.assembly import MOTOR, Body, LinearPart, Rows, Scene
+from canhaptic.sim.compiler import Mode
 from canhaptic.sim.effects import Effect
 from canhaptic.sim.machine import Machine
 from canhaptic.sim.propagator import LEVELS, TICKS
@@ -165,6 +166,11 @@ class Plant:
         return self._machine.products
 
     @property
+    def first_mode(self) -> Mode:
+        """The mode the scene starts in, as data."""
+        return self._machine.first_mode
+
+    @property
     def is_exact(self) -> bool:
         """True when every effect is solved exactly between its events."""
         return self._splitting is None
@@ -217,13 +223,12 @@ class Plant:
         return stored + self._splitting.stored(self._machine.state.item(0)) if self._splitting else stored
 
     def _linear_hold(self, ticks: int, torque: float) -> None:
-        machine = self._machine
-        machine.state[-2] = torque
         if ticks == TICKS:
-            machine.period()
+            self.position = self._machine.period(torque)
         else:
-            machine.run_free(ticks)
-        self.position = machine.state.item(0)
+            self._machine.state[-2] = torque
+            self._machine.run_free(ticks)
+            self.position = self._machine.state.item(0)
 
     def _general_hold(self, ticks: int, torque: float) -> None:
         machine = self._machine

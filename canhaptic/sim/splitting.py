@@ -2,8 +2,8 @@
 
 All such forces act on the motor's body. Over a substep their sum F is constant for the core, which stays exact; F is
 the mean of each force along the travel that it causes itself (a discrete gradient where the force has a potential),
-found by a bracketed secant. Order 2 in the substep, order 1 in a substep with an event. The work booked is F times travel, so
-that the balance of energies closes whatever the step (Gonzalez, J. Nonlinear Science 6, 1996).
+found by a bracketed secant. Order 2 in the substep, order 1 in a substep with an event. The work booked is
+F times travel, so that the balance of energies closes whatever the step (Gonzalez, J. Nonlinear Science 6, 1996).
 """
 
 import math

@@ -92,7 +92,7 @@ def reference(
             events = []
             for way in current.ways:
 
-                def event(t: float, y: State, _torque: float, value: Leave = way.value) -> float:
+                def event(t: float, y: State, torque: float, value: Leave = way.value) -> float:
                     return value(t, y, torque)
 
                 event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]

@@ -1,0 +1,182 @@
+"""An effect that a scene does not name has no state, no executed line and no import; proved without a clock."""
+
+import itertools
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+from plant_scenes import MS, make_plant, run
+
+from canhaptic.sim import effects as effects_package
+from canhaptic.sim.plant import Plant
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+STOP = {"type": "hard_stop", "position": 0.01, "stiffness": 1e6, "damping": 30}
+COULOMB = {"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5}
+SHAFT = {"type": "shaft_compliance", "stiffness": 1e5, "load_mass": 0.1}
+CURRENT = {"type": "current_loop", "time_constant": 5e-5}
+COGGING = {"type": "cogging", "amplitude": 0.1, "pitch": 0.01}
+LUGRE = {
+    "type": "lugre_friction", "kinetic": 0.3, "static": 0.5, "stribeck_velocity": 0.01, "bristle_stiffness": 1e5,
+}  # fmt: skip
+TREMOR = {"type": "tremor", "amplitude": 1e-3}
+SATURATION = {"type": "torque_saturation", "limit": 1.0}
+VISCOUS = {"type": "viscous_friction", "damping": 0.2}
+THERMAL = {"type": "thermal_derating", "torque_limit": 2, "copper_loss": 1, "thermal_resistance": 9, "time_constant": 1}
+BARE = ("position", "velocity", "motion_sine", "motion_cosine", "torque", "one")
+
+ADDED: list[tuple[dict[str, Any], set[str]]] = [
+    (STOP, {"upper_stop_depth"}),
+    (COULOMB, set()),
+    (SHAFT, {"twist", "load_velocity"}),
+    (CURRENT, {"motor_torque"}),
+    (COGGING, {"travel", "effort"}),
+    (LUGRE, {"travel", "effort", "bristle_deflection"}),
+    (TREMOR, {"tremor_sine", "tremor_cosine"}),
+    (SATURATION, set()),
+    (VISCOUS, set()),
+    (THERMAL, {"winding_temperature"}),
+]
+
+
+@pytest.mark.parametrize(("effect", "added"), ADDED, ids=lambda value: value["type"] if isinstance(value, dict) else "")
+def test_a_scene_has_exactly_the_states_it_names(effect, added):
+    assert make_plant().state_names == BARE
+    assert set(make_plant(effect).state_names) - set(BARE) == added
+    assert make_plant(user=None).state_names == ("position", "velocity", "torque", "one")
+
+
+SCRIPT = """
+import sys
+{leak}
+sys.path[:0] = [{tests!r}]
+from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.effects import read_effect
+plant = Plant(PlantParameters(mass=0.25), None, [read_effect(e) for e in {effects!r}], 1_000_000)
+plant.begin(0)
+for k in range(3):
+    plant.advance_to((k + 1) * 1_000_000, 1.0)
+print(*sorted(m for m in sys.modules if m.startswith("canhaptic.sim") or m in ("scipy", "numba", "can", "canopen")))
+"""
+
+
+def imported(effects: list[dict[str, Any]], leak: str = "") -> set[str]:
+    script = SCRIPT.format(leak=leak, tests=str(REPOSITORY), effects=effects)
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment, timeout=60
+    )
+    return set(done.stdout.split())
+
+
+def effect_modules(modules: set[str]) -> set[str]:
+    return {name.rpartition(".")[2] for name in modules if name.startswith("canhaptic.sim.effects.")}
+
+
+def test_a_scene_imports_only_the_modules_of_its_effects():
+    bare = imported([])
+    assert effect_modules(bare) == set()
+    assert not {"scipy", "numba", "can", "canopen"} & bare
+    assert effect_modules(imported([STOP])) == {"hard_stop", "contact"}
+    assert effect_modules(imported([COULOMB, CURRENT])) == {"coulomb_friction", "current_loop"}
+
+
+def test_an_import_that_leaks_is_caught():
+    assert effect_modules(imported([], leak="import canhaptic.sim.effects.cogging")) == {"cogging"}
+
+
+def executed(plant: Plant, holds: int = 4) -> Counter[tuple[str, str]]:
+    """Bytecodes executed per (file, function) in some holds, the first one excluded."""
+    counts: Counter[tuple[str, str]] = Counter()
+
+    def trace(frame: FrameType, event: str, _argument: object) -> Any:
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            counts[Path(frame.f_code.co_filename).name, frame.f_code.co_name] += 1
+        return trace
+
+    plant.begin(0)
+    plant.advance_to(MS, 0.0)
+    previous = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        for k in range(1, holds + 1):
+            plant.advance_to((k + 1) * MS, 0.0)
+    finally:
+        sys.settrace(previous)
+    return counts
+
+
+def test_a_bare_scene_executes_the_same_bytecodes_when_every_effect_is_gone(monkeypatch):
+    with_package = executed(make_plant())
+    monkeypatch.setattr(effects_package, "EFFECTS", {})
+    for name in [name for name in sys.modules if name.startswith("canhaptic.sim.effects.")]:
+        monkeypatch.delitem(sys.modules, name)
+    without = executed(make_plant())
+    assert with_package == without
+    assert sum(without.values()) // 4 <= 120  # per hold
+    assert {file for file, _ in without} == {"plant.py", "machine.py"}
+
+
+def test_an_effect_that_leaks_a_bytecode_is_caught(monkeypatch):
+    honest = executed(make_plant())
+    original = Plant.advance_to
+
+    def leaking(self: Plant, now: int, torque: float) -> None:
+        if self.scene.commands:
+            torque = 0.0
+        original(self, now, torque)
+
+    monkeypatch.setattr(Plant, "advance_to", leaking)
+    assert sum(executed(make_plant()).values()) > sum(honest.values())
+
+
+LINEAR = {"shaft": SHAFT, "current": CURRENT, "tremor": TREMOR, "viscous": VISCOUS}
+
+
+def size(*effects: dict[str, Any]) -> tuple[int, int, int]:
+    """Static cost: states, works, guards of the first mode."""
+    plant = make_plant(*effects)
+    scene = plant.scene
+    return len(scene.names), len(scene.works), len(plant.first_mode.exits)
+
+
+@pytest.mark.parametrize("pair", list(itertools.combinations([STOP, COULOMB, SHAFT, CURRENT, TREMOR, VISCOUS], 2)))
+def test_static_costs_of_two_effects_add_up(pair):
+    bare, one, other, both = (np.array(size(*chosen)) for chosen in ((), pair[:1], pair[1:], pair))
+    assert np.array_equal(both - bare, (one - bare) + (other - bare))
+
+
+@pytest.mark.parametrize("pair", list(itertools.combinations([SATURATION, THERMAL], 2)))
+def test_executed_bytecodes_of_two_commands_add_up(pair):
+    base = {"type": "torque_quantisation", "quantum": 0.1}
+    bare, one, other, both = (
+        sum(executed(make_plant(base, *chosen), 1).values()) for chosen in ((), pair[:1], pair[1:], pair)
+    )
+    assert both - bare == (one - bare) + (other - bare)
+
+
+@pytest.mark.parametrize("effect", [None, STOP, COULOMB, LUGRE])
+def test_registering_another_effect_changes_no_bit(effect, monkeypatch):
+    chosen = [effect] if effect else []
+    torques = [2.0 * (k % 7 - 3) for k in range(200)]
+    before = run(make_plant(*chosen), torques)
+    monkeypatch.setitem(effects_package.EFFECTS, "new_effect", "canhaptic.sim.effects.cogging:Cogging")
+    after = run(make_plant(*chosen), torques)
+    assert before.tobytes() == after.tobytes()
+
+
+@pytest.mark.parametrize("effect", [STOP, COULOMB, LUGRE, SHAFT])
+def test_a_plant_repeats_itself_bit_for_bit_after_reset(effect):
+    plant = make_plant(effect)
+    torques = [2.0 * (k % 7 - 3) for k in range(200)]
+    first, energy = run(plant, torques), plant.energy()
+    plant.reset()
+    assert run(plant, torques).tobytes() == first.tobytes()
+    assert plant.energy() == energy
