@@ -8,7 +8,8 @@ of whoever saved a DCF. This reader returns the same types and differs in:
 - an entry that is empty or unreadable counts as not given: no value, no limit, not mappable;
 - a mapping object (0x1600-0x17FF, 0x1A00-0x1BFF) declared ARRAY is read as RECORD, so that each entry is its own;
 - a DCF saved for another node ID: its values of objects relative to $NODEID are dropped, the defaults remain;
-- limits that contradict each other are dropped, since a dictionary that allows nothing states nothing.
+- limits that contradict each other are dropped, since a dictionary that allows nothing states nothing; so is a limit
+  of the consumer heartbeat time (0x1016) that leaves no room for the node ID in its upper half.
 
 What cannot be read at all raises `DictionaryError` with file and section.
 """
@@ -20,6 +21,7 @@ from typing import Any, Final, NamedTuple
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
 from canhaptic.errors import DictionaryError
+from canhaptic.object_dictionary import CONSUMER_HEARTBEAT_TIME
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
 _DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = 2, 7, 8, 9  # object types (CiA 301, table 42)
@@ -219,7 +221,8 @@ def _read_variable(source: _Source, section: str, index: int, subindex: int, nam
     low = _value(source, variable, entries.get("lowlimit", ""))
     high = _value(source, variable, entries.get("highlimit", ""))
     if variable.data_type in datatypes.NUMBER_TYPES and (low is None or high is None or low <= high):
-        variable.min, variable.max = low, high
+        excludes_nodes = index == CONSUMER_HEARTBEAT_TIME and subindex > 0 and high is not None and high <= 0xFFFF
+        variable.min, variable.max = low, None if excludes_nodes else high
     default_text, value_text = entries.get("defaultvalue", ""), entries.get("parametervalue", "")
     variable.relative = "$NODEID" in default_text.upper()
     variable.default = _value(source, variable, default_text)

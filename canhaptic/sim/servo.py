@@ -1,6 +1,8 @@
 """The power stage of the simulated drive: states, cyclic torque, measurement, and the motor behind it. No bus."""
 
 import math
+from collections.abc import Callable
+from operator import attrgetter
 from typing import Final, Protocol
 
 from canopen.objectdictionary import datatypes
@@ -40,7 +42,10 @@ _LIMITED: Final = int(StatusBit.INTERNAL_LIMIT)
 
 
 class Motor(Protocol):
-    """The plant that the drive moves: motor, load and user."""
+    """The plant that the drive moves: motor, load and user.
+
+    One that has `encoder_position` besides is read there; one that has not, has an encoder without effects.
+    """
 
     @property
     def position(self) -> float:
@@ -86,6 +91,9 @@ class Servo:
         self.demand, self.torque = 0, 0.0
         self._counts_per_unit = parameters.counts_per_unit
         self._rounds = parameters.encoder == "round"
+        self._read_encoder: Callable[[Motor], float] = attrgetter(
+            "encoder_position" if hasattr(motor, "encoder_position") else "position"
+        )
         self._controlword = store.entry(CONTROLWORD, datatypes.UNSIGNED16)
         self._statusword = store.entry(STATUSWORD, datatypes.UNSIGNED16)
         self._mode = store.entry(MODES_OF_OPERATION, datatypes.INTEGER8)
@@ -199,7 +207,7 @@ class Servo:
             self.motor.begin(self.now)
             self.is_running = True
         self._moved_to = self.now
-        self._position.value = self._counts(self.motor.position)
+        self._position.value = self._counts(self._read_encoder(self.motor))
         if self.measures_velocity:
             self.velocity_entry.value = self._counts(self.motor.velocity)
         self.show_torque()
@@ -211,7 +219,7 @@ class Servo:
     def measure(self) -> None:
         """Measures now, for an SDO upload or an event-driven TPDO."""
         self._move()
-        self._position.value = self._counts(self.motor.position)
+        self._position.value = self._counts(self._read_encoder(self.motor))
         self.velocity_entry.value = self._counts(self.motor.velocity)
         self._current_actual.value = self.demand  # the motor's torque is proportional to its current
         self.show_torque()

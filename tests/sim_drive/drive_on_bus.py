@@ -51,11 +51,13 @@ class Mass:
 class Rig:
     """The drive, its motor, and the far end of its bus."""
 
-    def __init__(self, eds: Path = SERVO_EDS, node_id: int = NODE, **parameters: Any) -> None:
+    def __init__(
+        self, eds: Path = SERVO_EDS, node_id: int = NODE, motor: Mass | None = None, **parameters: Any
+    ) -> None:
         channel = object()
         self.bus = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
         self._drive_bus = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
-        self.motor = Mass()
+        self.motor = motor or Mass()
         values = {"counts_per_unit": 1e6, "rated_torque": 1.0, **parameters}
         self.drive = SimulatedDrive(
             self._drive_bus,

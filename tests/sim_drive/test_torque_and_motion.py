@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from drive_on_bus import PERIOD, Rig
+from drive_on_bus import PERIOD, Mass, Rig
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters, parse_place
@@ -212,3 +212,14 @@ def test_mode_zero_is_no_mode_and_nothing_but_listed_modes_is_taken(rig: Rig) ->
     assert rig.read(0x6061)[:2] == "0a"
     rig.enable()
     assert rig.drive.state is DriveState.OPERATION_ENABLED
+
+
+def test_motor_with_an_encoder_of_its_own_is_read_there() -> None:
+    class WithEncoder(Mass):
+        @property
+        def encoder_position(self) -> float:
+            return self.position + 7e-6
+
+    with Rig(motor=WithEncoder()) as rig:
+        rig.start()
+        assert rig.sync() == [(0x185, "50 02 07 00 00 00 00 00")]
