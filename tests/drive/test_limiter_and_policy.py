@@ -1,0 +1,79 @@
+"""The limiter and the link policy on their own, dense near the limits."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canhaptic.drive.limiter import TorqueLimiter
+from canhaptic.drive.link_policy import STOP_TABLE, Action, LinkPolicy, StopReason
+from canhaptic.errors import ControlError, RigError
+
+LIMIT, SAMPLE_TIME, RATE, POWER = 5.0, 1e-3, 1000.0, 2.0
+near = st.one_of(st.floats(-20, 20), st.sampled_from([LIMIT, -LIMIT, math.nextafter(LIMIT, 9), 0.0, -0.0, 1.0, -1.0]))
+
+
+@given(st.lists(st.tuples(near, near), min_size=1, max_size=20))
+def test_no_torque_ever_leaves_magnitude_rate_and_power(commands: list[tuple[float, float]]) -> None:
+    limiter, last = TorqueLimiter(LIMIT, SAMPLE_TIME, RATE, POWER), 0.0
+    for torque, velocity in commands:
+        limited = limiter.limit(torque, velocity)
+        assert abs(limited) <= LIMIT
+        assert abs(limited) <= abs(last) or abs(limited - last) <= RATE * SAMPLE_TIME * (1 + 1e-12)
+        assert limited * velocity <= POWER * (1 + 1e-12)
+        assert (limited == torque) == (limiter.saturation == 0)
+        last = limited
+
+
+def test_a_limit_that_is_not_given_limits_nothing() -> None:
+    limiter = TorqueLimiter(LIMIT, SAMPLE_TIME)
+    assert limiter.limit(LIMIT, 1e9) == LIMIT
+    assert limiter.limit(-LIMIT, 1e9) == -LIMIT
+    assert limiter.saturated_cycles == 0
+
+
+@pytest.mark.parametrize(
+    ("torque", "velocity", "limited", "saturation"),
+    [(9.0, 0.0, 1.0, 3), (0.9, 0.0, 0.9, 0), (1.0, 4.0, 0.5, 4), (1.0, -4.0, 1.0, 0), (-9.0, 0.0, -1.0, 3)],
+)
+def test_what_was_cut_is_reported(torque: float, velocity: float, limited: float, saturation: int) -> None:
+    limiter = TorqueLimiter(LIMIT, SAMPLE_TIME, RATE, POWER)
+    assert limiter.limit(torque, velocity) == pytest.approx(limited)
+    assert limiter.saturation == saturation
+
+
+def test_the_rate_limit_never_delays_a_fall_to_zero() -> None:
+    limiter = TorqueLimiter(LIMIT, SAMPLE_TIME, RATE)
+    for _ in range(10):
+        limiter.limit(LIMIT, 0.0)
+    assert limiter.last == LIMIT
+    assert limiter.limit(0.0, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_a_torque_that_is_not_finite_is_no_torque(wrong: float) -> None:
+    limiter = TorqueLimiter(LIMIT, SAMPLE_TIME)
+    limiter.limit(1.0, 0.0)
+    with pytest.raises(ControlError, match=str(wrong)):
+        limiter.limit(wrong, 0.0)
+    assert limiter.last == 0.0
+
+
+def test_the_policy_holds_ramps_and_stops_as_its_table_says() -> None:
+    policy = LinkPolicy(hold_cycles=2, stop_cycles=6)
+    seen = []
+    for _ in range(7):
+        policy.count(heard=False)
+        seen.append((policy.action(), policy.share()))
+    assert [action for action, _ in seen] == [Action.HOLD] * 2 + [Action.RAMP] * 3 + [Action.STOP] * 2
+    assert [share for _, share in seen] == pytest.approx([1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0])
+    policy.count(heard=True)
+    assert (policy.action(), policy.missed, policy.missed_total) == (Action.RUN, 0, 7)
+    assert policy.success_rate() == pytest.approx(1 / 8)
+
+
+def test_every_reason_that_is_raised_has_words_and_an_exception_of_the_rig() -> None:
+    without = {StopReason.NONE, StopReason.OPERATOR, StopReason.EXCEPTION}
+    assert set(STOP_TABLE) == set(StopReason) - without
+    assert all(words and issubclass(kind, RigError) for words, kind in STOP_TABLE.values())
