@@ -5,7 +5,7 @@ import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
 from canhaptic.cli.output import failure, write_failure, write_json, write_note
@@ -17,6 +17,8 @@ from canhaptic.errors import CanHapticError, InputError
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.method import method_line
+
+_PICTURES: Final = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +42,7 @@ def execute(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         energy_log = arguments.log or scene.log.energy
         if arguments.png is not None:
-            _check_folder(arguments.png)
+            _check_picture(arguments.png)
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         stop = stack.enter_context(StopSignal())
@@ -94,7 +96,9 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
     return result
 
 
-def _check_folder(path: Path) -> None:
+def _check_picture(path: Path) -> None:
+    if path.suffix not in _PICTURES:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
 

@@ -1,0 +1,242 @@
+"""The `canhaptic` command: what it prints, where, and its exit statuses."""
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from canhaptic.cli import drive as drive_command
+from canhaptic.cli.arguments import seconds
+from canhaptic.cli.main import COMMANDS, main
+from canhaptic.cli.progress import RunProgress
+from canhaptic.cycle import run
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.scene.build import build, build_drive_group
+from canhaptic.scene.bus import open_bus
+from canhaptic.scene.load import load_scene
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+DEMO = str(CONFIGS / "demo.yaml")
+SHORT = [DEMO, "--duration", "0.2"]
+
+Captured = pytest.CaptureFixture[str]
+
+
+# --- main ---------------------------------------------------------------------------------------------------------
+
+
+def test_only_the_module_of_the_subcommand_is_imported() -> None:
+    program = (
+        "import sys, contextlib\n"
+        "from canhaptic.cli.main import main\n"
+        "with contextlib.suppress(SystemExit): main(['--help'])\n"
+        "heavy = ('can', 'h5py', 'matplotlib', 'rich', 'canhaptic.scene', 'canhaptic.sim')\n"
+        "print(sorted(set(heavy) & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert all(name in done.stdout for name in COMMANDS)
+
+
+def test_nothing_unknown_is_accepted(capsys: Captured) -> None:
+    for words in ([], ["walk"], ["run"], ["run", DEMO, "--pace", "fast"], ["run", DEMO, "--duration", "-1"]):
+        with pytest.raises(SystemExit) as caught:
+            main(words)
+        assert caught.value.code == 2
+    assert "expected 0 < duration" in capsys.readouterr().err
+
+
+def test_a_duration_may_carry_its_unit() -> None:
+    assert [seconds(text) for text in ("10", "10 s", "500 ms", "2 min", "1e-3")] == [10.0, 10.0, 0.5, 120.0, 1e-3]
+
+
+# --- run ----------------------------------------------------------------------------------------------------------
+
+
+def test_run_prints_the_energy_account(capsys: Captured) -> None:
+    assert main(["run", *SHORT]) == 0
+    out = capsys.readouterr().out
+    for words in ("completed", "200 cycles", "least margin (eq. 4)", "believed minus true", "timing", "link", "method"):
+        assert words in out
+
+
+def test_run_json_is_one_object_with_the_names_of_the_design(capsys: Captured, tmp_path: Path) -> None:
+    log = tmp_path / "a.h5"
+    assert main(["run", DEMO, "--duration", "1.9", "--json", "--log", str(log)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert {"status", "config_hash", "cycles", "ports", "truth", "timing", "link", "method"} <= result.keys()
+    assert (result["status"], result["cycles"]) == ("completed", 1900)
+    port = result["ports"]["handle"]
+    names = "in out stored dissipated surplus recovered leaked deficit margin least_interaction certificate branches"
+    assert set(names.split()) | {"damping_rendered"} <= port.keys()
+    assert port["in"] > 1e-3
+    with EnergyLog.open(log) as opened:
+        assert opened.rows == 1900
+        assert sum(h for h in opened.ports["handle"]["h_i"] if h > 0) == pytest.approx(port["in"], rel=1e-12)
+
+
+def test_two_runs_in_lock_step_give_the_same_bus_log(tmp_path: Path) -> None:
+    logs = [tmp_path / f"{name}.log" for name in "ab"]
+    for log in logs:
+        assert main(["run", *SHORT, "--pace", "free", "--bus-log", str(log)]) == 0
+    first, second = (log.read_bytes() for log in logs)
+    assert first == second
+    assert first.count(b"080#") >= 200
+
+
+def test_the_scene_names_its_logs_and_options_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", *SHORT, "--set", "log={energy: scene.h5, bus: scene.log}", "--log", "option.h5"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["option.h5", "scene.log"]
+
+
+def test_a_picture_needs_no_log(tmp_path: Path) -> None:
+    assert main(["run", *SHORT, "--png", str(tmp_path / "a.png")]) == 0
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "expected"),
+    [
+        (["--set", "axes.0.nodeid=3"], 2, "unknown key; did you mean 'node_id'?"),
+        (["--set", "bus.bitrate=125000"], 2, "the cycle does not fit the bus"),
+        (["--set", "bus.interface=telepathy", "--set", "bus.channel=x"], 2, "python-can cannot use it"),
+        (["--log", "/nonexistent/a.h5"], 2, "/nonexistent/a.h5"),
+        (["--bus-log", "/nonexistent/a.log"], 2, "/nonexistent/a.log"),
+        (["--png", "/nonexistent/a.png"], 2, "no such folder /nonexistent"),
+        (["--png", "a.nonsense"], 2, "expected a name that ends in .png, .svg or .pdf"),
+        (["--pace", "free", "--set", "simulation=null", "--set", "bus.channel=x"], 2, "needs drives simulated"),
+        (["--set", "simulation=null", "--set", "bus.channel=nobody"], 3, "handle"),
+        (["--set", "simulation.drive.objects.0x6502=0"], 3, "0x6502"),
+        (["--set", "simulation.drive.objects.0x1000=0x00020191"], 3, "0x1000"),
+    ],
+)
+def test_a_failure_is_one_clear_message_and_its_exit_status(
+    words: list[str], status: int, expected: str, capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", *SHORT, "--json", *words]) == status
+    captured = capsys.readouterr()
+    answer = json.loads(captured.out)
+    assert (answer["status"], answer["exit_status"]) == ("error", status)
+    assert expected in captured.err
+    assert expected in "\n".join(answer["faults"])
+    assert captured.err.startswith("canhaptic: error")
+    assert "Traceback" not in captured.err
+
+
+def test_without_json_a_failure_leaves_standard_output_alone(capsys: Captured) -> None:
+    assert main(["run", "/nonexistent.yaml"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+
+
+# --- progress -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("pace", "cycles"), [("real", 5000), ("free", None)])
+def test_progress_is_shown_after_a_second_and_not_before(
+    pace: str, cycles: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (tmp_path / "terminal").open("w+") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        with RunProgress(cycles, 1e-3, "real" if pace == "real" else "free") as progress:
+            progress(64)
+            assert (tmp_path / "terminal").read_bytes() == b""
+            progress._next = 0
+            progress(2048)
+        monkeypatch.undo()
+    assert b"2.0 s" in (tmp_path / "terminal").read_bytes()
+
+
+def test_a_bar_is_drawn_where_the_end_is_known(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    with RunProgress(4096, 1e-3, "free") as progress:
+        progress._next = 0
+        progress(2048)
+        progress._next = 0
+        progress(4096)
+    assert "running" in capsys.readouterr().err
+
+
+# --- check, drive, schema -----------------------------------------------------------------------------------------
+
+
+def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captured) -> None:
+    assert main(["check", DEMO]) == 0
+    out = capsys.readouterr().out
+    for words in ("stiffness: 100.0", "1 SYNC x 55 + 1 TPDO x 135", "0x6071 target torque", "Colgate", "processors"):
+        assert words in out
+
+
+def test_check_json_is_one_object(capsys: Captured) -> None:
+    assert main(["check", DEMO, "--set", "environment.stiffness=500", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["bus"]["worst_cycle"] == pytest.approx(705e-6)
+    assert answer["config"]["axes"]["handle"]["environment"]["stiffness"] == 500.0
+    assert [hint["exceeded"] for hint in answer["stability"]][:2] == [True, True]
+    assert {finding["verdict"] for finding in answer["drives"]["handle"]} == {"fit"}
+
+
+def test_check_lists_everything_that_an_unfit_drive_lacks(capsys: Captured, vendor_eds: Path) -> None:
+    assert main(["check", DEMO, "--set", f"axes.0.eds={vendor_eds / 'schunk_prl.dcf'}"]) == 2
+    err = capsys.readouterr().err
+    assert "0x6071 target torque: missing" in err
+    assert "0x6502 supported drive modes: got 0x0043" in err
+
+
+def test_check_needs_no_bus(capsys: Captured) -> None:
+    assert main(["check", str(CONFIGS / "socketcan_example.yaml")]) == 0
+    assert "socketcan" in capsys.readouterr().out
+
+
+def test_drive_refuses_a_bus_that_nobody_else_can_reach(capsys: Captured) -> None:
+    assert main(["drive", DEMO]) == 2
+    assert "no master can reach the drive" in capsys.readouterr().err
+
+
+def test_drive_lives_for_its_duration(capsys: Captured) -> None:
+    assert main(["drive", DEMO, "--set", "bus.channel=alone", "--duration", "50 ms"]) == 0
+    assert "handle (node 1) on virtual alone" in capsys.readouterr().err
+
+
+def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
+    far = load_scene(DEMO, ["bus.channel=two-sides", "bus.rate=100"])
+    master = load_scene(DEMO, ["bus.channel=two-sides", "bus.rate=100", "simulation=null"])
+    stop = drive_command.StopSignal()
+    with open_bus(far.bus, "two-sides") as bus:
+        group = build_drive_group(far, bus)
+        thread = threading.Thread(target=drive_command._live, args=(group, bus, 20.0, stop))
+        thread.start()
+        try:
+            with build(master) as experiment:
+                run(experiment.cycle, cycles=30)
+                assert experiment.pace == "real"
+                assert experiment.cycle.cycles == 30
+        finally:
+            stop.number = 2
+            thread.join(5.0)
+
+
+def test_the_schema_knows_every_key_of_every_shipped_configuration(capsys: Captured) -> None:
+    assert main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    for path in CONFIGS.glob("*.yaml"):
+        scene = load_scene(path)
+        properties = schema["properties"]
+        assert scene.bus.model_fields_set <= properties["bus"]["properties"].keys()
+        assert scene.axes[0].parameters.model_fields_set <= properties["axes"]["items"]["properties"].keys()
+        [wall] = [
+            s for s in properties["environment"]["oneOf"] if s["properties"]["type"]["const"] == "spring_damper_wall"
+        ]
+        assert "stiffness" in wall["required"]
+        names = [s["properties"]["algorithm"]["const"] for s in properties["passivity"]["oneOf"]]
+        assert scene.axes[0].passivity.name in names
+    text = json.dumps(schema)
+    for name in schema["$defs"]:
+        assert f"#/$defs/{name}" in text
