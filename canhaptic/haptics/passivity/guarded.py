@@ -143,9 +143,9 @@ class Guarded:
         else:
             self._end_gap(displacement, torque_applied)
             damper = modulated = 0.0
-        last = self._state if zone == before else 0.0
+        same = zone == before
+        last = self._state if same else 0.0
         state = environment.true_state(position, displacement, last) if zone else 0.0
-        travel = (state - last) / holds
         h_i = interaction_energy(torque_applied, displacement)
         h_pas = modulated * displacement
         ceiling = environment.stored_energy(state) if zone else 0.0
@@ -160,8 +160,14 @@ class Guarded:
         torque = rendered = 0.0
         certificate = _UNBOUNDED
         if zone:
-            torque, rendered, certificate = self._render(state, travel, ceiling)
-            branch = _START if zone != before else _STICKY if h_i > 0.0 and displacement * state < 0.0 else _EXACT
+            spring = environment.effort(state)
+            travel, inside = displacement, displacement
+            if same:
+                travel = state - last
+            else:
+                inside = state - environment.admissible(state - displacement, state)
+            torque, rendered, certificate = self._render(state, travel / holds, inside / holds, spring, ceiling)
+            branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
         else:
             self._send(0.0, 0.0, 0.0)
             self._fade()
@@ -234,15 +240,19 @@ class Guarded:
             energy += min(0.0, self._kept_back - self._bound.unsure())
         return energy
 
-    def _render(self, state: float, travel: float, ceiling: float) -> tuple[float, float, int]:
+    def _render(
+        self, state: float, travel: float, displacement: float, spring: float, ceiling: float
+    ) -> tuple[float, float, int]:
         """Sends the torque for the next free hold; returns (torque, damping rendered, certificate)."""
-        velocity = travel / self._sample_time
+        velocity = displacement / self._sample_time
         energy = self._certain()
-        spring, lead, damper, covered = self._efforts(state, travel, velocity, energy, ceiling)
+        ahead = self._environment.admissible(state + self._lead * travel, state)
+        lead = self._environment.effort(ahead) - spring
+        spring, lead, damper, covered = self._efforts(spring, lead, velocity, energy, ceiling)
         rendered = damper / velocity if velocity else self._damping
         modulated = 0.0
         if self._alpha and self._h_dis > 0.0 and velocity:
-            extra = modulated_damping(self._alpha, self._h_dis, rendered, self._cap, travel, self._sample_time)
+            extra = modulated_damping(self._alpha, self._h_dis, rendered, self._cap, displacement, self._sample_time)
             modulated = extra * velocity
             rendered += extra
         torque = -(spring + lead + damper + modulated)
@@ -268,13 +278,10 @@ class Guarded:
         return torque, rendered, certificate
 
     def _efforts(
-        self, state: float, travel: float, velocity: float, energy: float, ceiling: float
+        self, spring: float, lead: float, velocity: float, energy: float, ceiling: float
     ) -> tuple[float, float, float, bool]:
         """Returns efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
-        environment = self._environment
-        spring, damper = environment.effort(state), self._damping * velocity
-        ahead = state + self._lead * travel
-        lead = (environment.effort(ahead) if ahead * state > 0.0 else 0.0) - spring
+        damper = self._damping * velocity
         bound, size, room = self._bound, abs(spring), self._cap * abs(velocity)
         permitted = 2.0 * self._calm_stiffness * energy
         if self._damped_stiffness:
@@ -285,7 +292,7 @@ class Guarded:
         covered = permitted >= size * size
         if not covered:
             held = math.sqrt(permitted) if permitted > 0.0 else 0.0
-            if velocity * state > 0.0:
+            if velocity * spring > 0.0:
                 catch_up = min(size - held, room)
                 held += catch_up
                 room -= catch_up
