@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from canhaptic.errors import CanHapticError
-from canhaptic.view.inspect_command import add_arguments, run
+from canhaptic.view.inspect_command import add_arguments, execute
 
 
 def main() -> int:
@@ -12,7 +12,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     add_arguments(parser)
     try:
-        return run(parser.parse_args())
+        return execute(parser.parse_args())
     except CanHapticError as error:
         print(error, file=sys.stderr)
         return error.exit_status

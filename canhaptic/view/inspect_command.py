@@ -17,6 +17,7 @@ from canhaptic.view.energy_table import make_console
 from canhaptic.view.inspect_table import comparison_report, inspection_report
 from canhaptic.view.inspection import inspect
 from canhaptic.view.picture import draw_energy
+from canhaptic.view.recompute import recompute_all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,11 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
     for option in ("--png", "--svg"):
         parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")
+    parser.add_argument(
+        "--recompute",
+        action="store_true",
+        help="feed the logged inputs to the controllers again; exit with 1 unless every output is equal bit for bit",
+    )
+    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene of --recompute; by default the log's own")
     parser.add_argument("--repair", type=Path, metavar="FILE", help="save all that can be read into a clean log")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Does what the arguments ask for and returns the exit status: 0, or 1 when a check or the comparison failed.
+def execute(arguments: argparse.Namespace) -> int:
+    """Does what the arguments ask for; returns 0, or 1 when a check, the comparison or the recomputation failed.
 
     Raises:
         InputError: A log or an argument that cannot be used.
@@ -58,6 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.compare is not None:
             with EnergyLog.open(arguments.compare) as other:
                 result["comparison"] = compare(log, other)
+        if arguments.recompute:
+            result["recomputed"] = recompute_all(log, arguments.config)
         for path in (arguments.csv, arguments.parquet, arguments.mat):
             if path is not None:
                 _suffix_fits(path, arguments)
@@ -66,8 +75,10 @@ def run(arguments: argparse.Namespace) -> int:
             if path is not None:
                 draw_energy(log, path, arguments.start, arguments.stop)
     _show(result, console, as_json=arguments.json)
-    identical = result.get("comparison", {"identical": True})["identical"]
-    return 0 if identical and all(outcome["holds"] for outcome in result["checks"]) else 1
+    good = [outcome["holds"] for outcome in result["checks"]]
+    good += [result["comparison"]["identical"]] if "comparison" in result else []
+    good += [port["mismatch"] is None for port in result.get("recomputed", [])]
+    return 0 if all(good) else 1
 
 
 def _suffix_fits(path: Path, arguments: argparse.Namespace) -> None:

@@ -1,8 +1,11 @@
 """Feeds the logged inputs to the same controller again: every logged output must come out bit for bit."""
 
+import json
 import struct
-from typing import Final, NamedTuple, Protocol
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol, cast
 
+from canhaptic.errors import InputError
 from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.logs.energy_reader import EnergyLog
@@ -50,6 +53,36 @@ def recompute(log: EnergyLog, port: str, controller: Holder) -> Mismatch | None:
             cycle = int(log.timing["sync_index"][row])
             return Mismatch(port, cycle, _LOGGED[number], expected[number], balance[number])
     return None
+
+
+def recompute_all(log: EnergyLog, config: Path | None = None) -> list[dict[str, Any]]:
+    """Returns `{port, mismatch}` of every port, recomputed with the controllers of the run's own scene.
+
+    Args:
+        log: An open energy log that holds the run from its first cycle.
+        config: The scene file; by default the one that the log names.
+
+    Raises:
+        InputError: The scene cannot be read, or is not the one of the run.
+    """
+    from canhaptic.scene.load import load_scene
+    from canhaptic.scene.parts import build_axis_controller
+
+    overrides = json.loads(str(log.attributes.get("config_overrides", "[]")))
+    path = config or Path(str(log.attributes.get("config_source", "")))
+    if not path.is_file():
+        raise InputError(f"{log.path}: its scene {str(path)!r} is not there; name it with --config")
+    scene = load_scene(path, overrides)
+    if scene.config_hash() != log.attributes.get("config_hash"):
+        raise InputError(
+            f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"
+        )
+    found = []
+    for axis in scene.axes:
+        name = axis.parameters.name
+        mismatch = recompute(log, name, cast(Holder, build_axis_controller(axis)))
+        found.append({"port": name, "mismatch": None if mismatch is None else mismatch._asdict()})
+    return found
 
 
 def _differ(left: float, right: float) -> bool:

@@ -13,7 +13,7 @@ from canhaptic.haptics.balance import EnergyBalance, Ledger
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view.checks import check
 from canhaptic.view.compare import compare
-from canhaptic.view.inspect_command import add_arguments, run
+from canhaptic.view.inspect_command import add_arguments, execute
 from canhaptic.view.inspection import inspect, quantiles
 
 
@@ -125,7 +125,7 @@ def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Pat
 def command(*words: str | Path) -> int:
     parser = argparse.ArgumentParser()
     add_arguments(parser)
-    return run(parser.parse_args([str(word) for word in words]))
+    return execute(parser.parse_args([str(word) for word in words]))
 
 
 def test_the_command_prints_tables_that_fit_a_hundred_columns(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

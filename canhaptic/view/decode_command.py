@@ -1,0 +1,84 @@
+"""`canhaptic decode`: every frame of a bus log in words, one line each."""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from canhaptic.logs.bus_reader import read_bus_log
+from canhaptic.logs.decoder import BusDecoder, NodeDescription
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the arguments of `decode` to a parser."""
+    parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
+    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file, for names, units and dictionaries")
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="from this time on [s]")
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="up to this time [s]")
+    parser.add_argument("--only", action="append", metavar="KIND", help="NMT, SYNC, EMCY, SDO, TPDO1, heartbeat, ...")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Prints the frames and returns 0.
+
+    Raises:
+        InputError: The log or the scene cannot be used.
+    """
+    nodes = [] if arguments.config is None else describe_nodes(arguments.config)
+    for frame in decode_log(arguments.bus_log, nodes, arguments.start, arguments.stop):
+        if not arguments.only or frame["kind"].lower() in {kind.lower() for kind in arguments.only}:
+            sys.stdout.write((json.dumps(frame) if arguments.json else line(frame)) + "\n")
+    return 0
+
+
+def describe_nodes(config: Path) -> list[NodeDescription]:
+    """Returns what a scene tells of the nodes on its bus."""
+    from canhaptic.dictionary import read_dictionary
+    from canhaptic.scene.load import load_scene
+
+    axes = [axis.parameters for axis in load_scene(config).axes]
+    return [
+        NodeDescription(
+            axis.node_id,
+            axis.name,
+            read_dictionary(axis.eds, axis.node_id),
+            axis.counts_per_unit,
+            axis.unit,
+            axis.rated_torque,
+        )
+        for axis in axes
+    ]
+
+
+def decode_log(
+    path: Path, nodes: list[NodeDescription], start: float | None = None, stop: float | None = None
+) -> Iterator[dict[str, Any]]:
+    """Yields `{time, direction, id, data, kind, node, text}` of every frame between two times [s].
+
+    Frames before `start` are decoded too, since the PDO maps are learnt from the bring-up.
+    """
+    decoder = BusDecoder(nodes)
+    for frame in read_bus_log(path):
+        decoded = decoder.decode(frame.can_id, frame.data)
+        time = frame.timestamp_ns / 1e9
+        if stop is not None and time >= stop:
+            return
+        if start is None or time >= start:
+            yield {
+                "time": time,
+                "direction": "R" if frame.is_rx else "T",
+                "id": frame.can_id,
+                "data": frame.data.hex().upper(),
+                **decoded._asdict(),
+            }
+
+
+def line(frame: dict[str, Any]) -> str:
+    """Returns one decoded frame as a line of text."""
+    return (
+        f"{frame['time']:14.6f} {frame['direction']} {frame['id']:03X} {frame['data']:<16} "
+        f"{frame['kind']:<9} {frame['node']:<10} {frame['text']}"
+    ).rstrip()
