@@ -150,7 +150,7 @@ class Scene:
     encoders: list[Encoder] = field(default_factory=list)
     efforts: list[Effort] = field(default_factory=list)
     schedule: list[tuple[float, str, str]] = field(default_factory=list)  # (time [s], part, mode)
-    shift: dict[str, float] = field(default_factory=dict)  # state -> value about which energies are evaluated
+    deflection: dict[str, float] = field(default_factory=dict)  # name -> factor: hand's deflection minus position
     slots: dict[str, str] = field(default_factory=dict)  # what may be there once -> the effect that is
     hand: HandPart | None = None
     shaft: tuple[float, float] | None = None  # stiffness and damping of the shaft

@@ -56,14 +56,14 @@ def compile_mode(scene: Scene, key: tuple[str, ...]) -> Mode:
 
 
 def _forms(rows: Rows, scene: Scene) -> tuple[list[Product], list[Product]]:
-    """Returns the flows, and the works evaluated about the scene's shift.
+    """Returns the flows, and the works evaluated with the hand's deflection in the place of the position.
 
-    About q = 0 the squares of a stiff hand that rests far from there would cancel: 1e6 N/m at 10 mm is 50 J, against
-    the 0.1 J that flow.
+    In q and x_u the squares of a stiff hand would cancel: 1e6 N/m at 10 mm is 50 J, against the 0.1 J that flow.
     """
-    shift, back = np.eye(rows.size), np.eye(rows.size)
-    for state, value in scene.shift.items():
-        shift[rows.index[state], -1], back[rows.index[state], -1] = -value, value
+    shift = np.eye(rows.size)
+    for name, factor in scene.deflection.items():
+        shift[rows.index["position"], rows.index[name]] = factor
+    back = 2.0 * np.eye(rows.size) - shift
     flows, _ = dyadic_flows(rows.rates, (), scene.sample_time)
     powers = [back.T @ power @ back for power in rows.powers]
     _, works = dyadic_flows(shift @ rows.rates @ back, powers, scene.sample_time)

@@ -82,7 +82,8 @@ class Hand:
         scene.parts.append(self)
         if user.stiffness or user.damping:
             scene.hand = self
-        scene.shift["position"] = self._rest
+        scene.deflection["one"] = -self._rest
+        scene.deflection.update({name: factor for name, factor in scene.bodies[-1].position if name != "position"})
         if user.motion:
             omega = 2.0 * math.pi * user.motion.frequency
             self.follow(scene, "motion", user.motion.amplitude, omega, user.motion.phase)
@@ -91,6 +92,7 @@ class Hand:
         """Adds a sinusoid to what the hand follows, as two states of an oscillator."""
         scene.add_state(f"{name}_sine", math.sin(phase))
         scene.add_state(f"{name}_cosine", math.cos(phase))
+        scene.deflection[f"{name}_sine"] = -amplitude
         self._targets.append((name, amplitude, omega))
 
     def add_grasp(self, stiffness: float, damping: float) -> str:

@@ -1,0 +1,176 @@
+"""Where simulators of haptic rigs usually fail; each against something independent."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from plant_scenes import DAMPING, MASS, MS, ReferenceMode, Way, hand, largest_flow, make_plant, reference, residual, run
+
+from canhaptic.sim.user import SinusoidMotion, UserParameters
+
+CURRENT = {"type": "current_loop", "time_constant": 5e-5}
+
+
+@pytest.mark.parametrize("period", [100_000, 500_000, MS, 5 * MS, 20 * MS])
+def test_an_elastic_stop_returns_the_speed_at_any_sample_time(period):
+    """A mass that flies into 1e6 N/m and back: contact lasts pi sqrt(m / k), speed and energy come back whole."""
+    plant = make_plant(
+        {"type": "hard_stop", "position": 0.01, "stiffness": 1e6},
+        user=None,
+        damping=0.0,
+        initial_velocity=0.3,
+        period=period,
+    )
+    holds = 200 * MS // period
+    positions = run(plant, [0.0] * holds)
+    flight, contact = 0.01 / 0.3, math.pi * math.sqrt(MASS / 1e6)
+    times = np.arange(holds + 1) * period * 1e-9
+    expected = np.where(times < flight, 0.3 * times, 0.01 - 0.3 * (times - flight - contact))
+    inside = (times > flight) & (times < flight + contact)
+    expected[inside] = 0.01 + 0.3 * contact / math.pi * np.sin((times[inside] - flight) * math.pi / contact)
+    assert np.abs(positions - expected).max() <= 1e-8 * 0.01
+    assert plant.velocity == pytest.approx(-0.3, rel=1e-9)
+    assert residual(plant) <= 1e-12 * 0.5 * MASS * 0.3**2
+
+
+@pytest.mark.parametrize("depth", [1e-4, 1e-6, 1e-9, 1e-12])
+def test_grazing_contact_inside_one_hold_is_not_missed(depth):
+    """At constant torque the mass rises to its apex `depth` beyond a stop and falls back within one hold."""
+    period, torque, stiffness = 20 * MS, -2.5, 1e4
+    deceleration = -torque / MASS
+    speed = deceleration * 8e-3  # the apex is reached 8 ms into the hold
+    apex = speed**2 / (2 * deceleration)
+    stop = {"type": "hard_stop", "position": apex - depth, "stiffness": stiffness}
+    plant = make_plant(stop, user=None, damping=0.0, initial_velocity=speed, period=period)
+    run(plant, [torque])
+
+    enter_speed = math.sqrt(2 * deceleration * depth)
+    pace = math.sqrt(stiffness / MASS)
+    contact = 2 * math.atan2(enter_speed * pace, deceleration) / pace
+    flight = 20e-3 - (speed - enter_speed) / deceleration - contact
+    assert plant.events == 2
+    assert plant.position == pytest.approx(
+        apex - depth - enter_speed * flight - deceleration * flight**2 / 2, abs=1e-8 * apex
+    )
+    assert plant.velocity == pytest.approx(-enter_speed - deceleration * flight, rel=1e-8)
+
+
+def test_a_stop_just_out_of_reach_is_not_touched():
+    deceleration, speed = 10.0, 0.08
+    apex = speed**2 / (2 * deceleration)
+    stop = {"type": "hard_stop", "position": apex * (1 + 1e-9), "stiffness": 1e6}
+    plant = make_plant(stop, user=None, damping=0.0, initial_velocity=speed, period=20 * MS)
+    run(plant, [-2.5])
+    assert plant.events == 0
+    assert plant.position == pytest.approx(speed * 0.02 - deceleration * 0.02**2 / 2, abs=1e-15)
+
+
+@pytest.mark.parametrize("ratio", [20, 400])
+def test_the_stiff_scene_without_substeps_agrees_with_an_event_located_reference(ratio):
+    """1e6 N/m stop, stiff grip, current loop 50 us, at T = 1 ms and 20 ms."""
+    user = UserParameters(stiffness=1e6, damping=200, motion=SinusoidMotion(amplitude=0.003, frequency=8.0))
+    period = ratio * 50_000
+    stiffness, damping, limit = 1e6, 100.0, 0.002
+
+    def common(t: float, y: Any, u: float, push: float) -> list[float]:
+        force = y[3] + hand(t, y[0], y[1], user) - DAMPING * y[1] - push
+        return [y[1], force / MASS, 0.0, (u - y[3]) / 5e-5]
+
+    def push(y: Any) -> float:
+        return stiffness * y[2] + damping * y[1]
+
+    def apart(t: float, y: Any, u: float) -> list[float]:
+        rates = common(t, y, u, 0.0)
+        rates[2] = -stiffness / damping * y[2]
+        return rates
+
+    def touching(t: float, y: Any, u: float) -> list[float]:
+        rates = common(t, y, u, push(y))
+        rates[2] = y[1]
+        return rates
+
+    modes = {
+        "apart": ReferenceMode(
+            apart,
+            [Way(lambda t, y, u: 1e3 * (y[2] - y[0] + limit), "touching",
+                 lambda y: np.array([y[0], y[1], y[0] - limit, y[3]]))],
+        ),
+        "touching": ReferenceMode(touching, [Way(lambda t, y, u: push(y), "apart")]),
+    }  # fmt: skip
+    holds = 120_000_000 // period
+    torques = [3.0 if k % 2 else -1.0 for k in range(holds)]
+    expected = reference(modes, "apart", [0.0, 0.0, 0.0, 0.0], torques, period * 1e-9)
+    stop = {"type": "hard_stop", "position": limit, "stiffness": stiffness, "damping": damping}
+    plant = make_plant(stop, CURRENT, user=user, period=period)
+    positions = run(plant, torques)
+    assert np.abs(positions - expected[:, 0]).max() <= 1e-8 * 0.003
+    assert plant.events >= 2
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
+    assert plant.products <= 400 * holds
+
+
+def test_a_mass_ratio_of_ten_thousand_agrees_with_the_exact_two_body_oscillation():
+    stiffness, load = 1e6, MASS / 1e4
+    shaft = {"type": "shaft_compliance", "stiffness": stiffness, "load_mass": load}
+    plant = make_plant(shaft, user=None, damping=0.0)
+    positions = run(plant, [1.0] * 200)
+    times = np.arange(201) * 1e-3
+    pace = math.sqrt(stiffness * (1 / MASS + 1 / load))
+    twist = 1.0 / (MASS * pace**2) * (1 - np.cos(pace * times))
+    expected = (0.5 * times**2 + load * twist) / (MASS + load)
+    assert np.abs(positions - expected).max() <= 1e-12 * expected.max()
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
+
+
+def test_backlash_chatter_stays_under_the_cap_and_loses_energy():
+    shaft = {"type": "shaft_compliance", "stiffness": 1e6, "damping": 0.5, "load_mass": 0.1}
+    plant = make_plant(shaft, {"type": "backlash", "gap": 1e-5}, user=None, initial_velocity=0.3)
+    run(plant, [3.0 if k % 3 else -4.0 for k in range(300)])
+    assert plant.events > 100
+    assert plant.capped_holds == 0
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
+
+
+def test_more_events_than_the_cap_are_counted_and_never_hang():
+    """An elastic ball between two stops 2 nm apart: a million impacts in one hold."""
+    stops = [
+        {"type": "hard_stop", "position": 1e-9, "stiffness": 1e10},
+        {"type": "hard_stop", "position": -1e-9, "side": "lower", "stiffness": 1e10},
+    ]
+    plant = make_plant(*stops, user=None, damping=0.0, initial_velocity=10.0, mass=1e-6)
+    run(plant, [0.0] * 2)
+    assert plant.capped_holds == 2
+    assert 2 * 1000 <= plant.events <= 2 * 1001
+
+
+def test_a_force_at_the_very_edge_of_stiction_holds_and_a_hair_more_slides():
+    friction = {"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5}
+    still, sliding = make_plant(friction, user=None), make_plant(friction, user=None)
+    run(still, [0.5] * 10)
+    run(sliding, [0.5 * (1 + 1e-9)] * 10)
+    assert still.position == 0.0
+    assert sliding.position == pytest.approx(0.5 * (0.2 / MASS) * 0.01**2, rel=2e-3)
+
+
+def test_a_stop_met_while_already_beyond_it_pushes_back():
+    plant = make_plant(
+        {"type": "hard_stop", "position": 0.0, "stiffness": 1e4, "damping": 10}, user=None, initial_position=1e-3
+    )
+    run(plant, [0.0] * 100)
+    assert plant.position < 0.0
+    assert plant.velocity < 0.0
+
+
+def test_a_late_sync_moves_the_plant_by_the_time_that_passed():
+    """A SYNC that comes 137 us late, and one that is lost: the plant knows only time."""
+    effects = [{"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5}, CURRENT]
+    punctual, late = make_plant(*effects), make_plant(*effects)
+    for plant in (punctual, late):
+        plant.begin(0)
+    for k in range(1, 300):
+        punctual.advance_to(k * MS, 1.5)
+        if k % 10 != 5:
+            late.advance_to(k * MS + (137_000 if k % 10 == 2 else 0), 1.5)
+    assert late.position == pytest.approx(punctual.position, rel=1e-9)
+    assert late.energy().user == pytest.approx(punctual.energy().user, rel=1e-9)
