@@ -124,9 +124,16 @@ class Link:
         return True
 
     def pump(self, deadline: int) -> None:
-        """Handles frames until `deadline` [ns] and then whatever still waits."""
-        while self.poll(deadline):
-            pass
+        """Handles frames until `deadline` [ns] and then whatever still waits.
+
+        Raises:
+            LinkError: The bus failed, or what waits does not end.
+        """
+        now = self.clock.now
+        while now() < deadline:
+            if not self.poll(deadline):
+                return
+        self.drain()
 
     def drain(self) -> None:
         """Handles the frames that wait already.

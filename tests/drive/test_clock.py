@@ -1,0 +1,152 @@
+"""The clocks: virtual time moves only while somebody waits; real time is never cut short and never bursts."""
+
+import itertools
+from collections.abc import Iterator
+
+import can
+import pytest
+from drive_bench import FreeMass, axis, dictionary, make_bench, private_channel
+
+from canhaptic.drive.clock import VirtualClock, WallClock
+from canhaptic.drive.link import Link
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.rig import Rig
+from canhaptic.drive.servo_drive import build_drive
+from canhaptic.sim.drive_node import SimulatedDrive
+from canhaptic.sim.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.state_machine import DriveState
+
+MS = 1_000_000
+
+
+class Metronome:
+    """A far side with a timer every 3 ms, which notes when it is processed."""
+
+    def __init__(self, bus: can.BusABC | None = None) -> None:
+        self.bus, self.ticks, self.due = bus, list[int](), 3 * MS
+
+    def process(self, now: int) -> None:
+        while now >= self.due:
+            self.ticks.append(now)
+            self.due += 3 * MS
+            if self.bus is not None:
+                self.bus.send(can.Message(arbitration_id=0x705, is_extended_id=False, timestamp=now * 1e-9))
+
+    def next_due(self) -> int:
+        return self.due
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[can.BusABC, can.BusABC]]:
+    channel = private_channel()
+    buses = [can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) for _ in range(2)]
+    yield buses[0], buses[1]
+    for bus in buses:
+        bus.shutdown()
+
+
+def test_virtual_time_stands_still_until_somebody_waits() -> None:
+    clock = VirtualClock(start=5)
+    assert [clock.now() for _ in range(3)] == [5, 5, 5]
+    clock.wait_until(100)
+    assert clock.now() == 100
+    clock.wait_until(50)
+    assert clock.now() == 100
+
+
+def test_virtual_time_stops_at_every_timer_of_the_far_sides() -> None:
+    far_side = Metronome()
+    clock = VirtualClock([far_side])
+    clock.wait_until(10 * MS)
+    assert far_side.ticks == [3 * MS, 6 * MS, 9 * MS]
+
+
+def test_a_frame_is_received_at_the_instant_it_was_sent(pair: tuple[can.BusABC, can.BusABC]) -> None:
+    clock = VirtualClock([Metronome(pair[1])])
+    message = clock.receive(pair[0], 10 * MS)
+    assert message is not None
+    assert clock.now() == 3 * MS
+    assert message.timestamp == pytest.approx(0.003)
+
+
+def test_receiving_ends_at_the_deadline_and_not_before(pair: tuple[can.BusABC, can.BusABC]) -> None:
+    clock = VirtualClock()
+    assert clock.receive(pair[0], 10 * MS) is None
+    assert clock.now() == 10 * MS
+
+
+def test_a_timer_that_stays_overdue_cannot_hold_time_up() -> None:
+    class Stuck(Metronome):
+        def process(self, now: int) -> None:
+            pass
+
+    clock = VirtualClock([Stuck()])
+    clock.wait_until(10 * MS)
+    assert clock.now() == 10 * MS
+
+
+@pytest.mark.parametrize("far_sides", [0, 1])
+def test_real_waiting_never_ends_early(pair: tuple[can.BusABC, can.BusABC], far_sides: int) -> None:
+    clock = WallClock([Metronome()] * far_sides, spin_margin=1e-4)
+    for wait in (0, 10_000, 300_000, 3 * MS):
+        deadline = clock.now() + wait
+        clock.wait_until(deadline)
+        assert clock.now() >= deadline
+        deadline = clock.now() + wait
+        assert clock.receive(pair[0], deadline) is None
+        assert clock.now() >= deadline
+
+
+def test_a_frame_ends_a_real_wait_at_once(pair: tuple[can.BusABC, can.BusABC]) -> None:
+    clock = WallClock()
+    pair[1].send(can.Message(arbitration_id=0x123, is_extended_id=False))
+    deadline = clock.now() + 5_000 * MS
+    assert clock.receive(pair[0], deadline) is not None
+    assert clock.now() < deadline
+
+
+def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC, can.BusABC]) -> None:
+    parameters, of_axis = BusParameters(rate=200.0), axis()
+    drive = SimulatedDrive(
+        pair[1],
+        of_axis.node_id,
+        dictionary(of_axis),
+        FreeMass(),
+        SimulatedDriveParameters(counts_per_unit=of_axis.counts_per_unit, rated_torque=10.0),
+        parameters.sample_time_ns,
+    )
+    syncs: list[int] = []
+
+    def record(timestamp: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
+        if can_id == 0x080:
+            syncs.append(timestamp)
+
+    clock = WallClock([drive])
+    link = Link(pair[0], clock, record)
+    rig = Rig(link, [build_drive(link, of_axis, dictionary(of_axis), parameters)], parameters)
+    with rig:
+        syncs.clear()
+        for cycle in range(30):
+            rig.sync()
+            rig.write_torques([0.5])
+            if cycle == 10:
+                clock.wait_until(clock.now() + 33 * MS)
+    gaps = [later - earlier for earlier, later in itertools.pairwise(syncs)]
+    assert min(gaps) >= 2 * MS
+    assert rig.skipped_syncs >= 5
+    assert drive.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_the_timing_of_a_cycle_is_recorded() -> None:
+    bench = make_bench()
+    bench.rig.start()
+    bench.run(5)
+    assert bench.rig.timing == (0, 0, 0, 0)
+    bench.rig.sync()
+    bench.clock.wait_until(bench.clock.now() + 250_000)
+    bench.rig.write_torques([0.0])
+    assert bench.rig.timing.compute == 250_000
+    bench.clock.wait_until(bench.clock.now() + MS)
+    bench.rig.sync()
+    assert bench.rig.timing.wakeup_lateness == 250_000
+    bench.close()

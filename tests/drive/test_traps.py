@@ -1,0 +1,132 @@
+"""Traps of the libraries (design 3.5) that are not already the subject of another test, and arbitrary bytes."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import can
+import pytest
+from drive_bench import REPOSITORY, Bench, axis, make_bench
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canhaptic.errors import CanHapticError
+from canhaptic.sim.state_machine import DriveState
+
+MakeBench = Callable[..., Bench]
+TRAITS = REPOSITORY / "tests" / "sim_drive" / "eds"
+
+
+@contextmanager
+def running_bench() -> Iterator[Bench]:
+    b = make_bench()
+    try:
+        b.rig.start()
+        b.run(5, torque=1.0)
+        yield b
+    finally:
+        b.close()
+
+
+def test_a_mapping_declared_as_array_gets_its_entries_written(bench: MakeBench) -> None:
+    """canopen's save() writes no entries there and switches the PDO on all the same."""
+    b = bench([axis(eds=TRAITS / "array_maps.eds")])
+    b.rig.start()
+    written = [data[4:].hex() for data in b.sent(0x605) if data[0] == 0x23 and data[1:3] in (b"\x00\x16", b"\x00\x1a")]
+    assert {"10004060", "10007160", "10004160", "20006460"} <= set(written)
+    assert b.run(5, torque=1.0)[-1].torque_applied == pytest.approx(1.0)
+
+
+def test_fixed_maps_are_never_written(bench: MakeBench) -> None:
+    b = bench([axis(eds=TRAITS / "fixed_maps.eds")])
+    b.rig.start()
+    fixed = [
+        plan.mapping_index for plan in (b.rig.drives[0].map.rpdo, *b.rig.drives[0].map.tpdos) if not plan.is_written
+    ]
+    assert fixed
+    writes = [int.from_bytes(data[1:3], "little") for data in b.sent(0x605) if data[0] in (0x23, 0x27, 0x2B, 0x2F)]
+    assert not set(fixed) & set(writes)
+    assert b.run(5, torque=1.0)[-1].fresh
+
+
+def test_a_drive_that_never_indicates_the_size_of_an_answer_is_brought_up(bench: MakeBench) -> None:
+    b = bench(drive_values={"sdo_size_indicated": False})
+    b.rig.start()
+    assert b.drives[0].state is DriveState.OPERATION_ENABLED
+
+
+def test_a_drive_in_nmt_stopped_is_brought_up(bench: MakeBench) -> None:
+    b = bench()
+    b.drives[0].process(0)
+    b.buses[0].send(can.Message(arbitration_id=0x000, is_extended_id=False, data=b"\x02\x05"))
+    b.rig.start()
+    assert b.drives[0].state is DriveState.OPERATION_ENABLED
+
+
+def test_no_pdo_but_the_chosen_ones_stays_switched_on(bench: MakeBench) -> None:
+    b = bench()
+    b.rig.start()
+    for index in (0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803):
+        assert b.rig.drives[0].sdo.read(index, 1) & 0x80000000
+
+
+def test_a_lost_sdo_answer_does_not_end_the_start(bench: MakeBench) -> None:
+    b = bench()
+    lost: list[can.Message] = []
+
+    def lose_every_tenth(message: can.Message) -> can.Message | None:
+        if message.arbitration_id == 0x585:
+            lost.append(message)
+            if len(lost) % 10 == 0:
+                return None
+        return message
+
+    b.tampered.on_receive = lose_every_tenth
+    b.rig.start()
+    assert len(lost) > 20
+    assert b.drives[0].state is DriveState.OPERATION_ENABLED
+
+
+IDENTIFIERS = st.sampled_from([0x000, 0x080, 0x085, 0x185, 0x205, 0x285, 0x585, 0x605, 0x705, 0x77E, 0x123])
+FRAMES = st.lists(st.tuples(IDENTIFIERS, st.binary(max_size=8)), min_size=1, max_size=8)
+
+
+@settings(max_examples=60)
+@given(FRAMES)
+def test_arbitrary_frames_in_the_cycle_never_give_torque_beyond_the_limit_or_an_unknown_error(
+    frames: list[tuple[int, bytes]],
+) -> None:
+    with running_bench() as b:
+        try:
+            for can_id, data in frames:
+                b.buses[1].send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
+                b.run(1, torque=1.0)
+        except CanHapticError:
+            assert b.drives[0].torque == 0.0
+            assert b.drives[0].state is not DriveState.OPERATION_ENABLED
+        assert all(abs(torque) <= 800 for torque in b.torques_sent())
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 60), st.sampled_from([0x585, 0x705, 0x185]), st.binary(max_size=8))
+def test_an_arbitrary_answer_anywhere_in_the_start_never_ends_in_torque_or_an_unknown_error(
+    which: int, can_id: int, data: bytes
+) -> None:
+    b = make_bench()
+    seen: list[can.Message] = []
+
+    def corrupt(message: can.Message) -> can.Message:
+        if message.arbitration_id == can_id:
+            seen.append(message)
+            if len(seen) == which:
+                message.data, message.dlc = bytearray(data), len(data)
+        return message
+
+    b.tampered.on_receive = corrupt
+    try:
+        b.rig.start()
+        b.run(2)
+    except CanHapticError:
+        assert b.drives[0].state is not DriveState.OPERATION_ENABLED
+    finally:
+        b.close()
+    assert set(b.torques_sent()) <= {0}
