@@ -78,6 +78,22 @@ def test_run_json_is_one_object_with_the_names_of_the_design(capsys: Captured, t
         assert sum(h for h in opened.ports["handle"]["h_i"] if h > 0) == pytest.approx(port["in"], rel=1e-12)
 
 
+@pytest.mark.parametrize("name", ["elmo_gold.dcf", "kollmorgen_rgm.eds", "maxon_epos4.dcf", "zeroerr_erob.eds"])
+def test_the_demo_runs_on_every_cyclic_torque_dictionary(name: str, vendor_eds: Path, capsys: Captured) -> None:
+    words = ["--set", f"axes.0.eds={vendor_eds / name}", "--set", "environment.side=above"]
+    assert main(["run", DEMO, "--duration", "0.5", "--json", *words]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["ports"]["handle"]["in"] > 1e-3
+    assert result["truth"]["handle"]["believed_error"] < 1e-3 * result["ports"]["handle"]["in"]
+
+
+@pytest.mark.parametrize("name", ["elmo_simpliq.dcf", "maxon_epos2.eds", "schunk_prl.dcf"])
+def test_the_demo_refuses_every_dictionary_without_cyclic_torque(name: str, vendor_eds: Path, capsys: Captured) -> None:
+    assert main(["run", DEMO, "--set", f"axes.0.eds={vendor_eds / name}"]) == 2
+    err = capsys.readouterr().err
+    assert "0x6071 target torque: missing" in err or "expected bit 9 (cyclic synchronous torque) set" in err
+
+
 def test_two_runs_in_lock_step_give_the_same_bus_log(tmp_path: Path) -> None:
     logs = [tmp_path / f"{name}.log" for name in "ab"]
     for log in logs:
