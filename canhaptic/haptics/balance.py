@@ -139,7 +139,7 @@ class LedgerSummary(NamedTuple):
         }
 
 
-class _Sum:
+class CompensatedSum:
     """A sum whose rounding errors are summed beside it (two-sum, Knuth): no drift over any number of terms."""
 
     __slots__ = ("_error", "_total")
@@ -159,6 +159,7 @@ class _Sum:
 
     @property
     def value(self) -> float:
+        """The sum."""
         return self._total + self._error
 
 
@@ -170,8 +171,8 @@ class Ledger:
 
     def reset(self) -> None:
         """Forgets every hold."""
-        self._interaction, self._in, self._dissipated, self._margin = _Sum(), _Sum(), _Sum(), _Sum()
-        self._recovered, self._leaked, self._paid, self._deficit, self._generated = (_Sum() for _ in range(5))
+        self._interaction, self._in, self._dissipated, self._margin = (CompensatedSum() for _ in range(4))
+        self._recovered, self._leaked, self._paid, self._deficit, self._generated = (CompensatedSum() for _ in range(5))
         self._branches = [0] * len(Branch)
         self._last = AT_REST
         self._least_interaction = self._least_margin = self._surplus_max = 0.0

@@ -2,7 +2,15 @@
 
 import importlib.util
 
+from canhaptic.haptics.environments.coulomb_surface import CoulombSurface
+from canhaptic.haptics.environments.damper_wall import DamperWall
+from canhaptic.haptics.environments.detents import Detents
+from canhaptic.haptics.environments.free_space import FreeSpace
+from canhaptic.haptics.environments.hardening_wall import HardeningWall
 from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.haptics.environments.two_sided_wall import TwoSidedWall
+from canhaptic.haptics.environments.viscoelastic_medium import ViscoelasticMedium
+from canhaptic.haptics.environments.viscous_medium import ViscousMedium
 from canhaptic.haptics.passivity import ALGORITHMS, build_controller
 from canhaptic.haptics.passivity.protocol import LoopProperties
 
@@ -12,6 +20,23 @@ EXAMPLES = {
         SpringDamperWall(stiffness=800.0, damping=4.0, position=0.004),
         SpringDamperWall(stiffness=800.0, damping=4.0, position=-0.004, side="above"),
     ),
+    "two_sided_wall": (
+        TwoSidedWall(stiffness=600.0, damping=3.0, lower=-0.006, upper=0.004),
+        TwoSidedWall(stiffness=600.0, damping=3.0, lower=-0.004, upper=0.006),
+    ),
+    "hardening_wall": (
+        HardeningWall(stiffness=200.0, hardening=2e6, damping=2.0, position=0.002),
+        HardeningWall(stiffness=200.0, hardening=2e6, damping=2.0, position=-0.002, side="above"),
+    ),
+    "detents": (
+        Detents(peak=2.0, pitch=0.01, damping=0.5, position=0.0037),
+        Detents(peak=2.0, pitch=0.01, damping=0.5, position=-0.0037),
+    ),
+    "viscous_medium": (ViscousMedium(damping=6.0),) * 2,
+    "viscoelastic_medium": (ViscoelasticMedium(stiffness=500.0, relaxation_time=0.05, damping=1.0),) * 2,
+    "coulomb_surface": (CoulombSurface(friction=1.5, stiffness=2000.0, damping=0.5),) * 2,
+    "damper_wall": (DamperWall(damping=8.0, position=0.003), DamperWall(damping=8.0, position=-0.003, side="above")),
+    "free_space": (FreeSpace(),) * 2,
 }
 
 SAMPLE_TIME = 1e-3

@@ -42,7 +42,7 @@ def drive(made, delay, script):
 
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1, 3])
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(script=moves)
 def test_every_joule_of_every_hold_has_a_name(environment, algorithm, delay, script):
     made = controller(algorithm, EXAMPLES[environment][0], delay)
@@ -57,7 +57,7 @@ def test_every_joule_of_every_hold_has_a_name(environment, algorithm, delay, scr
 
 
 @every_algorithm
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(script=moves)
 def test_mirrored_motion_gives_the_mirrored_torque_and_the_same_energies(environment, algorithm, script):
     one, other = (controller(algorithm, side, 1) for side in EXAMPLES[environment])

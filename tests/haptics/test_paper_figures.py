@@ -56,7 +56,7 @@ def test_the_papers_force_varies_less_than_one_and_a_half_times_the_continuous_w
     assert run.position.min() == pytest.approx(reference[wall["damping"]][0].min(), abs=0.006)
 
 
-# 10 Ns/m at 40 Hz with one sample of delay is beyond what any sampled damper can do on 0.25 kg: there the cap is needed.
+# 10 Ns/m at 40 Hz with one sample of delay is beyond any sampled damper on 0.25 kg: there the cap is needed.
 @pytest.mark.parametrize(
     ("wall", "rate", "mass"),
     [

@@ -45,6 +45,12 @@ class Environment(Protocol):
                 environments that are not fixed in space use it.
         """
 
+    def admissible(self, state: float, true: float) -> float:
+        """Returns the state [m or rad], or the nearest one that the zone of contact of the state `true` has.
+
+        Behind the surface of a wall there is no tension spring: the nearest is then 0. The identity where any state is.
+        """
+
     def stored_energy(self, state: float) -> float:
         """Returns the energy [J] stored at a state, >= 0, and 0 at state 0."""
 

@@ -1,8 +1,9 @@
 """The paper's virtual wall: a spring and a damper side by side, felt on one side of a plane (eqs. 12-14)."""
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
+from canhaptic.haptics.environments.sides import Side
 from canhaptic.parameters import Parameters, quantity
 
 
@@ -12,8 +13,7 @@ class SpringDamperWall(Parameters):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     position: Annotated[float, quantity("m", "rad")] = 0.0
-    side: Literal["below", "above"] = "below"
-    """Where the wall is solid: below `position` (q < q_w, eq. 12) or above it."""
+    side: Side = "below"
 
     relaxes: ClassVar[bool] = False
 
@@ -29,6 +29,10 @@ class SpringDamperWall(Parameters):
     def true_state(self, position: float, displacement: float, previous: float) -> float:
         """Returns x = q - q_w [m or rad] (eq. 14): negative in a wall below, positive in a wall above."""
         return position - self.position
+
+    def admissible(self, state: float, true: float) -> float:
+        """Returns the state, or 0 where it lies outside the wall."""
+        return state if state * true >= 0.0 else 0.0
 
     def stored_energy(self, state: float) -> float:
         """Returns k x^2 / 2 [J]."""

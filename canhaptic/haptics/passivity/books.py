@@ -1,5 +1,6 @@
 """Opening and closing the books of one hold: what came in, and what the next command is made of."""
 
+import math
 from typing import NamedTuple
 
 from canhaptic.haptics.balance import EnergyBalance
@@ -28,8 +29,25 @@ class Books:
     __slots__ = ("_alpha", "_cap", "_certificate", "_damping", "_in_flight", "_sample_time", "h_dis")
 
     def __init__(
-        self, *, delay: int, sample_time: float, damping: float, damping_cap: float, alpha: float, certificate: int
+        self,
+        *,
+        delay: int,
+        sample_time: float,
+        certificate: int,
+        damping: float = 0.0,
+        damping_cap: float = math.inf,
+        alpha: float = 0.0,
     ) -> None:
+        """Opens the books of one axis.
+
+        Args:
+            delay: Whole holds between computation and action.
+            sample_time: [s].
+            certificate: What the algorithm promises (`Certificate`).
+            damping: Of the model, rendered in contact [N*s/m or N*m*s/rad]; `close` only.
+            damping_cap: Of model and modulated damper together; `close` only.
+            alpha: Of the modulated damper [s/m^2 or s/rad^2]; `close` only.
+        """
         self._in_flight = CommandsInFlight(delay)
         self._sample_time = sample_time
         self._damping = damping
@@ -56,10 +74,15 @@ class Books:
         displacement, damper, modulated = ended
         return Hold(displacement, damper, interaction_energy(torque_applied, displacement), modulated * displacement)
 
+    @property
+    def torques_in_flight(self) -> tuple[float, ...]:
+        """Torques computed earlier whose hold has not ended [N or N*m], the next to act first."""
+        return self._in_flight.torques
+
     def close(
         self, hold: Hold, account: Account, contact: bool, spring: float, velocity: float, state: float, h_s: float
     ) -> EnergyBalance:
-        """Sends the next command and returns the balance of the hold.
+        """Sends spring, damper and the modulated damper of eq. 19, and returns the balance of the hold.
 
         Args:
             hold: As it was opened.
@@ -70,20 +93,42 @@ class Books:
             state: Displacement of the storage [m or rad].
             h_s: Energy stored there [J].
         """
-        displacement, _, h_i, h_pas = hold
+        if not contact:
+            return self.send(hold, account, (0.0, 0.0, 0.0), 0.0, state, h_s)
+        rendered = self._damping
+        damper, modulated = rendered * velocity, 0.0
+        if self._alpha > 0.0:
+            surplus = self._surplus_after(hold, account)[0]
+            displacement, sample_time = hold.displacement, self._sample_time
+            extra = modulated_damping(self._alpha, surplus, rendered, self._cap, displacement, sample_time)
+            modulated = extra * displacement / sample_time
+            rendered += extra
+        return self.send(hold, account, (spring, damper, modulated), rendered, state, h_s)
+
+    def send(
+        self,
+        hold: Hold,
+        account: Account,
+        efforts: tuple[float, float, float],
+        rendered: float,
+        state: float,
+        h_s: float,
+    ) -> EnergyBalance:
+        """Sends a command of given efforts (spring, damper, modulated) and returns the balance of the hold.
+
+        Args:
+            hold: As it was opened.
+            account: What the algorithm did with it.
+            efforts: Inside the command [N or N*m].
+            rendered: Total damping inside the command [N*s/m or N*m*s/rad].
+            state: Displacement of the storage [m or rad].
+            h_s: Energy stored there [J].
+        """
+        _, _, h_i, h_pas = hold
         branch, h_r, gen, deficit, leak = account
-        surplus = self.h_dis + gen + deficit - h_pas
-        paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0
-        self.h_dis = surplus = surplus - paid
-        torque = damper = modulated = rendered = 0.0
-        if contact:
-            rendered = self._damping
-            damper = rendered * velocity
-            if surplus > 0.0 and self._alpha > 0.0:
-                extra = modulated_damping(self._alpha, surplus, rendered, self._cap, displacement, self._sample_time)
-                modulated = extra * displacement / self._sample_time
-                rendered += extra
-            torque = -spring - damper - modulated
+        self.h_dis, paid = self._surplus_after(hold, account)
+        spring, damper, modulated = efforts
+        torque = -spring - damper - modulated
         self._in_flight.send(torque, damper, modulated)
         return EnergyBalance(
             torque,
@@ -92,7 +137,7 @@ class Books:
             h_i - h_pas,
             h_r,
             h_s,
-            surplus,
+            self.h_dis,
             gen,
             deficit,
             leak,
@@ -102,3 +147,10 @@ class Books:
             self._certificate,
             state,
         )
+
+    def _surplus_after(self, hold: Hold, account: Account) -> tuple[float, float]:
+        """Returns (surplus, part of the leak that paid for it) after a hold [J]."""
+        _, _, gen, deficit, leak = account
+        surplus = self.h_dis + gen + deficit - hold.h_pas
+        paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0
+        return surplus - paid, paid

@@ -78,6 +78,7 @@ class InternalDissipation:
         storage = self._storage
         if hold is None:
             storage.begin(position)
+            self._blind = 0
             return AT_REST
         changed = storage.follow(position, hold.displacement)
         if storage.zone:
@@ -100,8 +101,7 @@ class InternalDissipation:
         if fresh or self._blind:
             if entered or storage.pushed_inward(hold.displacement):
                 self._blind = self._delay if fresh else self._blind - 1
-                inside = abs(storage.true) < abs(hold.displacement)
-                return storage.start(storage.true if inside else hold.displacement, hold.h_i - hold.h_pas)
+                return storage.start(storage.entered_by(hold.displacement), hold.h_i - hold.h_pas)
             self._blind = 0
         return self._exchange(hold)
 
@@ -137,4 +137,4 @@ class InternalDissipation:
         def slope(change: float) -> float:
             return environment.effort(state + change) + damper
 
-        return solve_balance_nonlinear(gain, slope, h_m, 2.0 * abs(displacement))
+        return solve_balance_nonlinear(gain, slope, h_m, 2.0 * displacement)

@@ -75,6 +75,7 @@ class Original:
         storage = self._storage
         if hold is None:
             storage.begin(position)
+            self._met = False
             return AT_REST
         changed = storage.follow(position, hold.displacement)
         if storage.zone:
@@ -91,9 +92,10 @@ class Original:
         storage = self._storage
         self._met = self._met or entered
         if entered or (storage.deadlocked and storage.pushed_inward(hold.displacement)):
-            whole = abs(storage.true) < abs(hold.displacement) or (self._rearm_as_printed and self._met)
+            printed = self._rearm_as_printed and self._met and not entered
             self._met = True
-            return storage.start(storage.true if whole else hold.displacement, hold.h_i - hold.h_pas)
+            change = storage.true if printed else storage.entered_by(hold.displacement)
+            return storage.start(change, hold.h_i - hold.h_pas)
         return self._update(hold)
 
     def _update(self, hold: Hold) -> Account:

@@ -78,16 +78,14 @@ def solve_balance_nonlinear(
         gain: Energy that a state change takes up, stored and dissipated [J]; gain(0) = 0.
         slope: Its derivative [N or N*m].
         energy: H, what the model received [J].
-        limit: Largest state change to look at, >= 0 [m or rad]. With more received than the limit takes up the answer
-            is the limit, and the caller leaks the rest.
+        limit: Largest state change to look at [m or rad]; its sign decides where nothing opposes motion at first.
+            With more received than the limit takes up the answer is the limit, and the caller leaks the rest.
     """
     if energy == 0.0 or limit == 0.0:
         return 0.0 if energy >= 0.0 else None
     effort = slope(0.0)
-    if effort == 0.0:
-        return None
-    far = math.copysign(limit, energy * effort)
-    if (slope(far) > 0.0) != (effort > 0.0):
+    far = math.copysign(limit, energy * effort) if effort else limit
+    if effort and (slope(far) > 0.0) != (effort > 0.0):
         far = _turning_point(slope, far)
     if abs(gain(far)) < abs(energy) or (gain(far) > 0.0) != (energy > 0.0):
         return far if energy > 0.0 else None
@@ -110,7 +108,8 @@ def _turning_point(slope: Callable[[float], float], far: float) -> float:
 
 def _newton(gain: Callable[[float], float], slope: Callable[[float], float], energy: float, far: float) -> float:
     """Returns the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
-    near, guess = 0.0, energy / slope(0.0)
+    effort = slope(0.0)
+    near, guess = 0.0, energy / effort if effort else 0.5 * far
     step = abs(far)
     for _ in range(_ITERATIONS):
         if not min(near, far) < guess < max(near, far):

@@ -8,26 +8,30 @@ from typing import NamedTuple
 
 from canhaptic.haptics.balance import Branch
 from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.haptics.passivity.books import Hold
 
 _FREE, _START, _EXACT, _EXIT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value, Branch.EXIT.value
 
 
 class ModelStep(NamedTuple):
-    """What one hold did to the sampled environment; energies in [J], efforts in [N or N*m]."""
+    """What one hold did to the sampled environment."""
 
     branch: int
-    h_r: float
-    h_s: float
-    gen: float
-    leak: float
-    spring: float  # effort of the storage for the next hold
-    damper: float  # effort of the damper for the next hold
+    h_r: float  # [J]
+    contact: bool  # whether the next command carries a torque
+    spring: float  # effort of the storage for the next hold [N or N*m]
+    damper: float  # effort of the damper for the next hold [N or N*m]
 
 
 class SampledModel:
-    """Follows the true state of an environment and books what that costs."""
+    """Follows the true state of an environment and books what that costs.
 
-    __slots__ = ("_environment", "_h_s", "_rendered", "_sample_time", "_state", "_zone")
+    Attributes:
+        state: Displacement of the storage that is rendered [m or rad].
+        h_s: Energy stored there [J].
+    """
+
+    __slots__ = ("_environment", "_sample_time", "_true", "_zone", "h_s", "state")
 
     def __init__(self, environment: Environment, sample_time: float) -> None:
         self._environment = environment
@@ -37,49 +41,53 @@ class SampledModel:
     def reset(self) -> None:
         """Out of contact, nothing stored."""
         self._zone = 0
-        self._state = self._rendered = self._h_s = 0.0
-
-    @property
-    def state(self) -> float:
-        """Displacement of the storage that is rendered [m or rad]."""
-        return self._rendered
+        self.state = self._true = self.h_s = 0.0
 
     def begin(self, position: float) -> None:
         """Takes the first position; a state that is already displaced there stores energy nobody put in."""
         self.reset()
-        self._zone = self._environment.contact(position)
+        self._zone = zone = self._environment.contact(position)
+        self._true = self._environment.true_state(position, 0.0, 0.0) if zone else 0.0
 
-    def advance(self, position: float, displacement: float, damper: float, h_m: float) -> ModelStep:
-        """Returns the account of the hold that ended and the efforts for the next.
+    def advance(self, position: float, hold: Hold) -> ModelStep:
+        """Follows one hold and returns what it dissipated and the efforts for the next; `settle` must follow.
 
         Args:
             position: At the end of the hold [m or rad].
-            displacement: During the hold [m or rad].
-            damper: Effort of the model's damper inside the torque that was applied [N or N*m].
-            h_m: Energy that the model received [J].
+            hold: As the books opened it.
         """
-        environment = self._environment
+        environment, before = self._environment, self._true
+        displacement, damper = hold.displacement, hold.damper
         zone = environment.contact(position)
         if zone == 0:
-            return self._out_of_contact(h_m, damper)
-        before = self._state if zone == self._zone else 0.0
-        state = environment.true_state(position, displacement, before)
+            left = self._zone
+            h_r = max(0.0, damper * (environment.admissible(before + displacement, before) - before)) if left else 0.0
+            self._zone, self._true = 0, 0.0
+            return ModelStep(_EXIT if left or hold.h_i or self.h_s else _FREE, h_r, False, 0.0, 0.0)
+        entered = zone != self._zone
+        state = environment.true_state(position, displacement, 0.0 if entered else before)
+        before = environment.admissible(state - displacement if entered else before, state)
         h_r = max(0.0, damper * (state - before))
         if environment.relaxes:
             strained = environment.stored_energy(state)
             state = environment.relaxed(state, self._sample_time)
             h_r += strained - environment.stored_energy(state)
-        h_s = environment.stored_energy(state)
-        rest = self._h_s + h_m - h_r - h_s
-        branch = _EXACT if zone == self._zone else _START
-        self._zone, self._state, self._rendered, self._h_s = zone, state, state, h_s
+        self._zone, self._true = zone, state
         velocity = displacement / self._sample_time
-        gen, leak = max(0.0, -rest), max(0.0, rest)
-        return ModelStep(branch, h_r, h_s, gen, leak, environment.effort(state), environment.damping * velocity)
+        return ModelStep(
+            _START if entered else _EXACT, h_r, True, environment.effort(state), environment.damping * velocity
+        )
 
-    def _out_of_contact(self, h_m: float, damper: float) -> ModelStep:
-        branch = _FREE if self._zone == 0 and h_m == 0.0 and self._h_s == 0.0 else _EXIT
-        h_r = max(0.0, -damper * self._state) if self._zone else 0.0
-        rest = self._h_s + h_m - h_r
-        self.reset()
-        return ModelStep(branch, h_r, 0.0, max(0.0, -rest), max(0.0, rest), 0.0, 0.0)
+    def settle(self, share: float, h_m: float, h_r: float) -> tuple[float, float]:
+        """Stores the state that is rendered and closes the account; returns (gen, leak) [J].
+
+        Args:
+            share: Part of the model's effort that is rendered in the next hold, 0..1.
+            h_m: Energy the model received in this hold [J].
+            h_r: Energy dissipated in it [J].
+        """
+        self.state = self._true if share == 1.0 else share * self._true
+        stored_before = self.h_s
+        self.h_s = h_s = self._environment.stored_energy(self.state)
+        rest = stored_before + h_m - h_r - h_s
+        return max(0.0, -rest), max(0.0, rest)

@@ -80,6 +80,10 @@ class Storage:
         effort = self._environment.effort(self.true)
         return effort * displacement > 0.0 or (effort == 0.0 and displacement != 0.0)
 
+    def entered_by(self, displacement: float) -> float:
+        """Returns the part of a motion [m or rad] that was inside the contact."""
+        return self.true - self._environment.admissible(self.true - displacement, self.true)
+
     def start(self, change: float, h_m: float) -> Account:
         """First-order start (eq. 14): the state is the true one, and the energy for it is created.
 
@@ -103,9 +107,9 @@ class Storage:
             limited: True when the change takes up less than was received; what is left over leaks.
         """
         before = self.h_s
-        state = self.state + change
-        if state * self.true < 0.0:
-            state, limited = 0.0, True  # the contact has no other side
+        moved = self.state + change
+        state = self._environment.admissible(moved, self.true)
+        limited = limited or state != moved
         h_s = self._environment.stored_energy(state)
         self.velocity = change / self._sample_time
         leak = rest_of(before + h_m, h_r + h_s) if limited else 0.0

@@ -1,0 +1,67 @@
+"""Detents: resting positions at a regular pitch, with the effort of a sine between them."""
+
+import math
+from typing import Annotated, ClassVar
+
+from canhaptic.parameters import Parameters, quantity
+
+
+class Detents(Parameters):
+    """A periodic potential: H = peak pitch / pi sin^2(pi x / pitch).
+
+    Every stretch between two resting positions is a zone of contact of its own: at a resting position nothing is
+    stored, so that the state is exact again with every detent that is passed. Within a zone x is counted from the
+    nearer resting position, positive from the lower and negative from the upper; x and x + pitch store the same.
+    """
+
+    peak: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
+    """Largest effort, a quarter of a pitch beside a resting position."""
+    pitch: Annotated[float, quantity("m", "rad", gt=0.0)]
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    position: Annotated[float, quantity("m", "rad")] = 0.0
+    """Any one of the resting positions."""
+
+    relaxes: ClassVar[bool] = False
+
+    @property
+    def linear_stiffness(self) -> None:
+        """None: a sine is no linear spring."""
+        return
+
+    def contact(self, position: float) -> int:
+        """Returns an odd number for every stretch between two resting positions, 0 exactly on one."""
+        turns = (position - self.position) / self.pitch
+        whole = math.floor(turns)
+        return 2 * whole + 1 if turns != whole else 0
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Returns the distance from the nearer resting position [m or rad]."""
+        offset = position - self.position
+        return offset - round(offset / self.pitch) * self.pitch
+
+    def admissible(self, state: float, true: float) -> float:
+        """Returns the state, a whole pitch away where that is nearer to the true one, kept within the stretch."""
+        nearest = state - round((state - true) / self.pitch) * self.pitch
+        return min(max(nearest, 0.0), self.pitch) if true >= 0.0 else max(min(nearest, 0.0), -self.pitch)
+
+    def stored_energy(self, state: float) -> float:
+        """Returns peak pitch / pi sin^2(pi x / pitch) [J]."""
+        sine = math.sin(math.pi * state / self.pitch)
+        return self.peak * self.pitch / math.pi * sine * sine
+
+    def effort(self, state: float) -> float:
+        """Returns peak sin(2 pi x / pitch) [N or N*m]."""
+        return self.peak * math.sin(2.0 * math.pi * state / self.pitch)
+
+    def state_of_energy(self, energy: float, like: float) -> float:
+        """Returns the state on the same flank of the crest as `like`; the crest where no state stores so much."""
+        crest = self.peak * self.pitch / math.pi
+        if energy <= 0.0 or crest == 0.0:
+            state = 0.0
+        else:
+            state = math.asin(math.sqrt(min(1.0, energy / crest))) * self.pitch / math.pi
+        return math.copysign(state if abs(like) <= 0.5 * self.pitch else self.pitch - state, like)
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Returns the state: nothing relaxes."""
+        return state

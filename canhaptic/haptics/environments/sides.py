@@ -1,0 +1,16 @@
+"""What environments with a surface share: which side of it is solid, and that the storage stays on that side."""
+
+from typing import Literal
+
+Side = Literal["below", "above"]
+"""Where a wall is solid: below its position (q < q_w, eq. 12) or above it."""
+
+
+def is_beyond(position: float, surface: float, side: Side) -> bool:
+    """Returns True where a position is inside a wall with its surface at `surface` [m or rad] (eq. 12)."""
+    return position < surface if side == "below" else position > surface
+
+
+def kept_on_side(state: float, true: float) -> float:
+    """Returns the state [m or rad], or 0 where it lies across the surface from the true one."""
+    return state if state * true >= 0.0 else 0.0
