@@ -6,6 +6,7 @@ tick; there the mode changes. No root finder and no adaptive step; at most `max_
 counted, and the rest of that hold runs on without guards.
 """
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ class Machine:
 
     Attributes:
         state: z, shape (n,); the torque is the last but one component.
-        totals: Work booked since the start, in the order of `scene.works` [J].
+        totals: Work booked since the last `tidy`, in the order of `scene.works` [J].
         events: Mode changes since the start.
         capped: Holds in which the cap on events was reached.
         tick_time: T / 2^24 [s].
@@ -47,7 +48,10 @@ class Machine:
         self.tick_time = scene.sample_time / TICKS
         self._modes: dict[tuple[str, ...], Mode] = {}
         self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
-        size, works = len(scene.names), len(scene.works)
+        names = scene.names
+        sines = [name for name in names if name.endswith("_sine")]
+        self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
+        size, works = len(names), len(scene.works)
         self._rows = np.zeros((works + 1) * size)
         self._row_sum = self._rows[: works * size].reshape(works, size).dot
         self._shifted = self._rows[works * size :]
@@ -59,6 +63,7 @@ class Machine:
         self.state = initial_state(self.scene)
         self._moved = self.state.copy()
         self.totals = np.zeros(len(self.scene.works))
+        self._sums, self._carries = self.totals.copy(), self.totals.copy()
         self.mode = self._mode_of(first_key(self.scene))
         self.events = self.capped = self.products = 0
 
@@ -76,6 +81,26 @@ class Machine:
         np.copyto(self.state, saved.state)
         np.copyto(self.totals, saved.totals)
         self.mode, self.events, self.capped = saved.mode, saved.events, saved.capped
+
+    def works(self) -> list[float]:
+        """Returns the work booked since the start, in the order of `scene.works` [J]."""
+        total: list[float] = (self._sums + (self._carries + self.totals)).tolist()
+        return total
+
+    def tidy(self) -> None:
+        """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.
+
+        Folds the totals into compensated sums and brings the hand's oscillators back to unit amplitude.
+        """
+        sums = self._sums + self.totals
+        part = sums - self._sums
+        self._carries += (self._sums - (sums - part)) + (self.totals - part)
+        self._sums = sums
+        self.totals.fill(0.0)
+        for sine, cosine in self._oscillators:
+            norm = math.hypot(self.state[sine], self.state[cosine])
+            self.state[sine] /= norm
+            self.state[cosine] /= norm
 
     def stored(self) -> float:
         """Returns the kinetic and elastic energy [J]."""

@@ -25,6 +25,10 @@ MAX_EVENTS: Final = 1000
 """Events in one hold beyond which the rest of the hold runs without guards, counted in `Plant.capped_holds`."""
 
 
+_TIDY: Final = TICKS << 10
+"""Ticks between two tidyings of rounding: every 1024 sample times, whoever reads in between."""
+
+
 class PlantParameters(Parameters):
     """The moving mass of one axis, as seen by the encoder."""
 
@@ -195,15 +199,19 @@ class Plant:
             self._tick += TICKS
             self._next_period = now + self.sample_time_ns
             self._hold(TICKS, torque)
+            if not self._tick & (_TIDY - 1):
+                self._machine.tidy()
         elif self._epoch is not None:
             ticks = self._ticks_until(now, self._epoch)
             if ticks:
                 self._hold(ticks, torque)
+                if (self._tick - ticks) // _TIDY != self._tick // _TIDY:
+                    self._machine.tidy()
 
     def energy(self) -> PlantEnergy:
         """Returns the true energies since the start [J]."""
         sums = {"motor": 0.0, "user": 0.0, "dissipated": 0.0}
-        for account, work in zip(self.scene.works.values(), self._machine.totals.tolist(), strict=True):
+        for account, work in zip(self.scene.works.values(), self._machine.works(), strict=True):
             sums[account] += work
         if self._splitting:
             for account, work in self._splitting.work.items():
@@ -213,7 +221,7 @@ class Plant:
 
     def work_by_part(self) -> dict[str, float]:
         """Returns the work of each part since the start [J]; losses positive, as in `PlantEnergy.dissipated`."""
-        works = dict(zip(self.scene.works, self._machine.totals.tolist(), strict=True))
+        works = dict(zip(self.scene.works, self._machine.works(), strict=True))
         if self._splitting:
             works.update({f"efforts_{account}": work for account, work in self._splitting.work.items()})
         return works
