@@ -82,10 +82,9 @@ class Machine:
         np.copyto(self.totals, saved.totals)
         self.mode, self.events, self.capped = saved.mode, saved.events, saved.capped
 
-    def works(self) -> list[float]:
+    def works(self) -> Array:
         """Returns the work booked since the start, in the order of `scene.works` [J]."""
-        total: list[float] = (self._sums + (self._carries + self.totals)).tolist()
-        return total
+        return self._sums + (self._carries + self.totals)
 
     def tidy(self) -> None:
         """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.
@@ -104,7 +103,7 @@ class Machine:
 
     def stored(self) -> float:
         """Returns the kinetic and elastic energy [J]."""
-        return float(self.state @ self.mode.storage @ self.state)
+        return float(self.mode.storage.dot(self.state).dot(self.state))
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Puts one part into another mode, at a time that the scene fixed beforehand."""

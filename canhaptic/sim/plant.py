@@ -9,6 +9,8 @@ ticks of T / 2^24 since the plant's epoch, so that k whole sample times are exac
 from collections.abc import Callable, Sequence
 from typing import Annotated, Final
 
+import numpy as np
+
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.signals import PlantEnergy
@@ -25,6 +27,7 @@ MAX_EVENTS: Final = 1000
 """Events in one hold beyond which the rest of the hold runs without guards, counted in `Plant.capped_holds`."""
 
 
+_ACCOUNTS: Final = ("motor", "user", "dissipated")
 _TIDY: Final = TICKS << 10
 """Ticks between two tidyings of rounding: every 1024 sample times, whoever reads in between."""
 
@@ -106,6 +109,8 @@ class Plant:
         self._splitting = Splitting(self._machine, substeps) if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
+        accounts = list(self.scene.works.values())
+        self._accounts = np.array([[a == account for a in accounts] for account in _ACCOUNTS], dtype=float)
         kept = [name for command in self.scene.commands for name in command.state_names]
         kept += [name for effort in self.scene.efforts for name in effort.state_names]
         self.state_names = (*self.scene.names, *kept)
@@ -210,18 +215,15 @@ class Plant:
 
     def energy(self) -> PlantEnergy:
         """Returns the true energies since the start [J]."""
-        sums = {"motor": 0.0, "user": 0.0, "dissipated": 0.0}
-        for account, work in zip(self.scene.works.values(), self._machine.works(), strict=True):
-            sums[account] += work
+        motor, user, dissipated = self._accounts.dot(self._machine.works()).tolist()
         if self._splitting:
-            for account, work in self._splitting.work.items():
-                sums[account] += work
-        stored = self._stored() - self._stored_at_start
-        return PlantEnergy(sums["motor"], sums["user"], sums["dissipated"], stored)
+            work = self._splitting.work
+            motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
+        return PlantEnergy(motor, user, dissipated, self._stored() - self._stored_at_start)
 
     def work_by_part(self) -> dict[str, float]:
         """Returns the work of each part since the start [J]; losses positive, as in `PlantEnergy.dissipated`."""
-        works = dict(zip(self.scene.works, self._machine.works(), strict=True))
+        works = dict(zip(self.scene.works, self._machine.works().tolist(), strict=True))
         if self._splitting:
             works.update({f"efforts_{account}": work for account, work in self._splitting.work.items()})
         return works

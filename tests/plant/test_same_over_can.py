@@ -31,7 +31,7 @@ def test_can_and_direct_rig_agree_bit_for_bit(name, rpdo, tmp_path):
     path.write_text(f"{text}\n  effects: [{EFFECTS[name]}]\n  seed: 5\n")
     eds = REPOSITORY / "eds" / "cia402_servo.eds"
     scene = load_scene(path, [f"axes.0.eds={eds}", f"bus.rpdo={rpdo}", "simulation.user.motion.phase=2.6"])
-    axis, cycles, seen = scene.axes[0], 800, []
+    axis, cycles, seen = scene.axes[0], 600, []
     with build(scene, "free") as experiment:
         [controller] = experiment.cycle.controllers
         step = controller.step
