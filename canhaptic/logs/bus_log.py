@@ -49,6 +49,7 @@ class BusLogWriter:
             old.unlink()
         job = {
             "kind": "bus",
+            "pace": pace,
             "path": f"{self.path}.log" if convert else str(self.path),
             "channel": channel,
             "file_size": file_size,

@@ -55,7 +55,7 @@ class EnergyLogWriter:
         schema = LogSchema(
             tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), not self._free, dict(attributes)
         )
-        job = {"kind": "energy", "path": str(self.path), "schema": schema.to_json()}
+        job = {"kind": "energy", "path": str(self.path), "pace": pace, "schema": schema.to_json()}
         self._process = WriterProcess(job, [schema.ring(ring_rows), EVENT_RING])
         rows, self._events = self._process.rings
         self._push = rows.push

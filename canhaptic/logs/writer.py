@@ -16,6 +16,7 @@ from canhaptic.logs.ring import AreaState, RingShape, SharedArea
 FAILED: Final = (
     74  # exit status when the file cannot be written (EX_IOERR of sysexits.h); starting again would not help
 )
+_NICENESS: Final = 10
 _PAUSE: Final = 0.01  # [s] between two looks at the ring
 _INTERRUPTED: Final = "interrupted: the controlling process ended without closing the log"
 
@@ -70,17 +71,23 @@ def serve(area: SharedArea, sink: Sink, parent: int) -> None:
     sink.finish(area.text("status") or (_INTERRUPTED if gone else "complete"))
 
 
-def become_ordinary() -> None:
-    """Gives up real-time priority and processor pinning inherited from the controlling process."""
+def become_ordinary(patient: bool) -> None:
+    """Gives up real-time priority and processor pinning inherited from the controlling process.
+
+    Args:
+        patient: Whether to give way to ordinary processes too, as beside a cycle at wall-clock pace.
+    """
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    if patient:
+        os.nice(_NICENESS)
 
 
 def main() -> None:
     """Reads the job, says `ready` once the file is open, and serves."""
-    become_ordinary()
     job = json.load(sys.stdin)
+    become_ordinary(patient=job["pace"] == "real")
     area, sink = make_sink(job, int(sys.argv[1]))
     try:
         sink.open(job["restart"])
