@@ -213,15 +213,14 @@ class Servo:
         self.show_torque()
 
     def show_torque(self) -> None:
-        """Lets 0x6074 and 0x6077 show the demand in force."""
-        self._torque_demand.value = self._torque_actual.value = self.demand
+        """Lets 0x6074, 0x6077 and 0x6078 show the demand in force; the current is proportional to the torque."""
+        self._torque_demand.value = self._torque_actual.value = self._current_actual.value = self.demand
 
     def measure(self) -> None:
         """Measures now, for an SDO upload or an event-driven TPDO."""
         self._move()
         self._position.value = self._counts(self._read_encoder(self.motor))
         self.velocity_entry.value = self._counts(self.motor.velocity)
-        self._current_actual.value = self.demand  # the motor's torque is proportional to its current
         self.show_torque()
 
     def _move(self) -> None:

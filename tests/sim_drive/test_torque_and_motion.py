@@ -55,6 +55,21 @@ def test_limit_of_the_parameters_acts_besides_the_object() -> None:
         assert rig.drive.torque == 0.2
 
 
+def test_of_two_limits_the_lower_acts() -> None:
+    with Rig(torque_limit=0.7) as rig:
+        rig.enable()
+        rig.write(0x6072, 0, 500, 2)
+        rig.send(0x205, "0f00" + torque(900))
+        assert rig.drive.torque == 0.5
+
+
+def test_torque_and_current_are_sampled_at_the_sync_when_mapped(rig: Rig) -> None:
+    rig.write(0x1802, 1, 0x385, 4)  # TPDO3: torque actual, current actual
+    rig.enable()
+    rig.send(0x205, "0f00" + torque(100))
+    assert (0x385, "64 00 64 00") in rig.sync()
+
+
 def test_demand_and_actual_report_the_hold_that_just_ended(rig: Rig) -> None:
     rig.enable()
     rig.send(0x205, "0f00" + torque(100))
