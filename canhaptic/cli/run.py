@@ -47,6 +47,7 @@ def execute(arguments: argparse.Namespace) -> int:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         stop = stack.enter_context(StopSignal())
         experiment = build(scene, arguments.pace, energy_log, arguments.bus_log)
+        stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         if error is None and arguments.png is not None and energy_log is not None:
             _draw(energy_log, arguments.png)
@@ -71,8 +72,12 @@ def _run(
     status = "completed" if error is None else f"failed: {type(error).__name__}"
     if error is None and stop.requested():
         status = "stopped"
-    experiment.close(status)
-    return _account(experiment, status, elapsed), error
+    result = _account(experiment, status, elapsed)
+    try:
+        experiment.close(status)
+    except CanHapticError as raised:
+        error = error or raised
+    return result, error
 
 
 def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, Any]:

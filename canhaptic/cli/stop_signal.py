@@ -9,7 +9,7 @@ _SHELL_OFFSET: Final = 128  # exit status of a process ended by signal n is 128 
 
 
 class StopSignal:
-    """Within the block, a signal sets `requested` instead of ending the process; a second one interrupts.
+    """Within the block, a signal sets `requested` instead of ending the process; a second one ends it at once.
 
     Attributes:
         number: The signal that came first; 0 while none did.
@@ -40,5 +40,5 @@ class StopSignal:
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         if self.number:
-            raise KeyboardInterrupt
+            raise SystemExit(self.exit_status)
         self.number = number

@@ -49,19 +49,26 @@ def read_axis(
     environment = _environment(overlay(shared, section, "environment", "type", faults), faults, motion)
     passivity_section = overlay(shared, section, "passivity", "algorithm", faults)
     passivity = _passivity(passivity_section, faults, motion)
-    loop = _loop(passivity_section, parameters, bus, faults, motion)
+    loop = _loop(passivity_section or MarkedMapping(section.mark), parameters, bus, faults, motion)
     simulation_section = _simulation_of(shared, str(section.get("name")), faults)
-    simulation = simulation_section and _simulation(simulation_section, own, seed, faults, motion)
+    simulation = None
+    if simulation_section is not None:
+        simulation = _simulation(simulation_section, own, seed, faults, motion)
     if parameters is None or environment is None or passivity is None or loop is None:
         return None
     if simulation_section is not None and simulation is None:
         return None
-    return AxisScene(parameters, environment, passivity, loop, simulation or None)
+    return AxisScene(parameters, environment, passivity, loop, simulation)
 
 
-def overlay(shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Faults) -> MarkedMapping:
-    """Returns a section of an axis: its own keys over the shared ones, unless it names another type."""
-    below: MarkedMapping | None = None
+def overlay(
+    shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Faults
+) -> MarkedMapping | None:
+    """Returns a section of an axis: its own keys over the shared ones, unless it names another type.
+
+    None, with a fault, when there is no such section.
+    """
+    before, result = len(faults), None
     for owner in (shared, own):
         value = owner.get(name)
         if value is None:
@@ -69,15 +76,13 @@ def overlay(shared: MarkedMapping, own: MarkedMapping, name: str, selector: str,
         section = read_mapping(value, owner.value_at(name), faults, f"{selector} and its parameters")
         if section is None:
             continue
-        if below is None or section.get(selector, below.get(selector)) != below.get(selector):
-            below = section
+        if result is None or section.get(selector, result.get(selector)) != result.get(selector):
+            result = section
         else:
-            below = laid_over(section, below)
-    if below is None:
-        if shared.get(name) is None and own.get(name) is None:
-            faults.add(shared.value_at(name), f"missing; give it here or in the axis, with {selector}")
-        return MarkedMapping(shared.value_at(name))
-    return below
+            result = laid_over(section, result)
+    if result is None and len(faults) == before:
+        faults.add(shared.value_at(name), f"missing; give it here or in the axis, with {selector}")
+    return result
 
 
 def laid_over(upper: MarkedMapping, lower: MarkedMapping) -> MarkedMapping:
@@ -95,15 +100,9 @@ def _motion(section: MarkedMapping) -> Motion | None:
 
 
 def _typed(
-    section: MarkedMapping,
-    selector: str,
-    kind: str,
-    table: Mapping[str, str],
-    faults: Faults,
+    section: MarkedMapping, selector: str, kind: str, table: Mapping[str, str], faults: Faults
 ) -> tuple[str, type[Any]] | None:
     """Returns (name, class) of a section that chooses from a table; None, with a fault, when it does not."""
-    if not section:
-        return None  # noted where the section was looked up
     name, at = section.get(selector), section.value_at(selector)
     if not isinstance(name, str):
         seen = "missing" if name is None else f"got {shown(name)}"
@@ -118,18 +117,18 @@ def _typed(
     return None
 
 
-def _environment(section: MarkedMapping, faults: Faults, motion: Motion | None) -> Typed | None:
-    found = _typed(section, "type", "environment", ENVIRONMENTS, faults)
-    if found is None:
+def _environment(section: MarkedMapping | None, faults: Faults, motion: Motion | None) -> Typed | None:
+    found = None if section is None else _typed(section, "type", "environment", ENVIRONMENTS, faults)
+    if section is None or found is None:
         return None
     name, model = found
     parameters = read_section(model, section.without("type"), faults, motion, also=("type",))
     return None if parameters is None else Typed(name, parameters)
 
 
-def _passivity(section: MarkedMapping, faults: Faults, motion: Motion | None) -> Typed | None:
-    found = _typed(section, "algorithm", "passivity algorithm", ALGORITHMS, faults)
-    if found is None:
+def _passivity(section: MarkedMapping | None, faults: Faults, motion: Motion | None) -> Typed | None:
+    found = None if section is None else _typed(section, "algorithm", "passivity algorithm", ALGORITHMS, faults)
+    if section is None or found is None:
         return None
     name, algorithm = found
     model: type[Parameters] = algorithm.parameters_type

@@ -75,13 +75,13 @@ def _read(document: Any, source: str, text: str, overrides: Sequence[str], fault
     sections = read_mapping(document, top, faults, ", ".join(SECTIONS))
     if sections is None:
         faults.raise_if_any()
-        raise AssertionError("a section that is no mapping is a fault")
+        raise SceneError([f"{source}: no mapping"])
     apply_overrides(sections, overrides, faults)
     refuse_unknown_keys(sections, SECTIONS, faults)
     scene = _sections(sections, source, text, tuple(overrides), faults)
     faults.raise_if_any()
     if scene is None:
-        raise AssertionError("a scene that is not complete is a fault")
+        raise SceneError([f"{source}: incomplete"])
     cross_check(scene, sections, faults)
     faults.raise_if_any()
     return scene

@@ -59,6 +59,7 @@ def test_the_second_signal_does_not_wait() -> None:
         signal.raise_signal(signal.SIGTERM)
         assert stop.requested()
         assert stop.exit_status == 143
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(SystemExit) as caught:
             signal.raise_signal(signal.SIGINT)
+        assert caught.value.code == 143
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

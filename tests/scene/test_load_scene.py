@@ -161,6 +161,12 @@ def test_a_fault_is_shown_with_its_place_value_and_limits(
     assert any(expected in line for line in lines), "\n".join(lines)
 
 
+@pytest.mark.parametrize("section", ["environment", "passivity", "bus", "simulation"])
+def test_an_empty_section_is_a_fault_of_its_own(tmp_path: Path, section: str) -> None:
+    lines = faults(tmp_path, overrides=(f"{section}={{}}",))
+    assert all(line.startswith(f"--set {section}={{}}: {section}.") and "missing" in line for line in lines)
+
+
 def test_all_faults_are_shown_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
     lines = faults(
         tmp_path,

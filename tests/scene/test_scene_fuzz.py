@@ -49,6 +49,7 @@ def accepts_or_refuses(path: Path, overrides: list[str]) -> None:
         faults = list(error.faults)
     assert faults
     assert all(fault and fault.isprintable() for fault in faults)
+    assert not any(fault.endswith((": incomplete", ": no mapping")) for fault in faults)  # what is wrong has a place
 
 
 @FAST
