@@ -13,6 +13,7 @@ from canhaptic.haptics.balance import AT_REST, residual
 
 pytestmark = pytest.mark.parametrize("environment", sorted(EXAMPLES))
 UNPROTECTED_START = {"direct", "passivity_observer"}
+UNDERFLOW = 1e-150  # J: squares of such efforts are no longer normal numbers
 every_algorithm = pytest.mark.parametrize("algorithm", algorithms())
 
 tiny_or_large = st.one_of(
@@ -47,7 +48,7 @@ def drive(made, delay, script):
 def test_every_joule_of_every_hold_has_a_name(environment, algorithm, delay, script):
     made = controller(algorithm, EXAMPLES[environment][0], delay)
     for balance, before in drive(made, delay, script):
-        assert abs(residual(balance, before.h_s)) <= 1e-12 * largest(balance, before.h_s) + 1e-300
+        assert abs(residual(balance, before.h_s)) <= 1e-12 * largest(balance, before.h_s) + UNDERFLOW
         for loss in (balance.h_r, balance.gen, balance.deficit, balance.leak, balance.paid, balance.h_s):
             assert loss >= 0.0
         surplus = before.h_dis + balance.gen + balance.deficit - balance.h_pas

@@ -59,6 +59,8 @@ def solve_balance(stiffness: float, effort: float, energy: float, displacement: 
         if stiffness == 0.0 or energy < 0.0:
             return None
         return math.copysign(math.sqrt(2.0 * energy / stiffness), displacement)
+    if stiffness == 0.0:
+        return energy / effort
     under_root = discriminant(effort, 2.0 * stiffness, energy)
     if under_root < 0.0:
         return None
@@ -109,26 +111,38 @@ def _turning_point(slope: Callable[[float], float], far: float) -> float:
 def _newton(gain: Callable[[float], float], slope: Callable[[float], float], energy: float, far: float) -> float:
     """Returns the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
     effort = slope(0.0)
-    near, guess = 0.0, energy / effort if effort else 0.5 * far
+    near, gain_far = 0.0, gain(far)
+    guess = energy / effort if effort else far
     step = abs(far)
     for _ in range(_ITERATIONS):
         if not min(near, far) < guess < max(near, far):
-            guess = 0.5 * (near + far)
+            guess = _between(near, far, energy, gain_far)
             step = abs(far - near)
             if guess in (near, far):
                 break
-        missing = energy - gain(guess)
+        gained = gain(guess)
+        missing = energy - gained
         if missing == 0.0:
             break
         if (missing > 0.0) == (energy > 0.0):
             near = guess
         else:
-            far = guess
+            far, gain_far = guess, gained
         steep = slope(guess)
         halving = abs(2.0 * missing) <= step * abs(steep)
-        following = guess + missing / steep if halving else 0.5 * (near + far)
+        following = guess + missing / steep if halving else _between(near, far, energy, gain_far)
         step = abs(following - guess)
         if step <= _SMALLEST_STEP * abs(guess):
             break
         guess = following
     return guess
+
+
+def _between(near: float, far: float, energy: float, gain_far: float) -> float:
+    """Returns a place inside the bracket: its middle, or, while it begins at 0, where a parabola would have the root.
+
+    Halving alone would not get from a motion of a millimetre to the root of a vanishing energy.
+    """
+    if near == 0.0 and gain_far != 0.0:
+        return far * min(0.5, math.sqrt(energy / gain_far))
+    return 0.5 * (near + far)
