@@ -56,14 +56,17 @@ class TorqueBound:
         self._displacement, self._torque = displacement, torque
 
     def ended_gap(self, displacement: float, torques: tuple[float, ...]) -> None:
-        """Takes several holds of which only the whole displacement is known, with the torques that may have acted.
+        """Takes several holds of which only the whole displacement is known, with the torques sent for them.
+
+        In all but the last, whose torque was read back, any of them or the one before may have acted.
 
         Booked with the last torque, the energy is wrong by at most |difference of torque| times the excursion in the
         hold, which is bounded by the whole displacement and the reach of the hand in the others - not by the
         displacement alone: a reversal has next to none.
         """
         declared, holds = self._declared, len(torques)
-        last, largest = torques[-1], max(abs(torque) for torque in torques)
+        last, candidates = torques[-1], (self._torque, *torques)
+        largest = max(abs(torque) for torque in candidates)
         count = declared.encoder_count
         self._history.clear()
         if declared.response is not None:
@@ -76,8 +79,8 @@ class TorqueBound:
             excursion = declared.speed * declared.sample_time
         else:
             excursion = abs(displacement) + count
-        self._unsure += sum(abs(torque - last) for torque in torques) * excursion
-        self._unsure += 0.5 * count * (abs(torques[0] - self._torque) + 2.0 * largest)
+        self._unsure += (holds - 1) * max(abs(torque - last) for torque in candidates) * excursion
+        self._unsure += holds * count * largest
         self._displacement, self._torque = displacement / holds, last
 
     def unsure(self) -> float:
