@@ -87,8 +87,6 @@ class Rig:
         self._exchange.skipped = 0
         self.sync_index = 0
         self._is_running = True
-        for drive in self.drives:
-            drive.begin_run()
         self._first_samples = [drive.sample(0) for drive in self.drives]
 
     # --- the cycle ----------------------------------------------------------------------------------------------------

@@ -56,7 +56,7 @@ class _PumpedClient(SdoClient):
             self._link.statistics.short += 1
             return
         named = data[0] == _ABORT or (self._waits_for_initiate and data[0] & _SPECIFIER in _INITIATE_RESPONSES)
-        if not self._waits or self._answer is not None or (named and data[1:4] != self._object):
+        if not self._waits or (named and data[1:4] != self._object):
             self._link.statistics.late += 1
             return
         self._answer = bytes(data)

@@ -97,10 +97,6 @@ class ServoDrive:
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)
         self._pending = 0  # one bit for each TPDO that may come now
         self.is_complete = False
-        self.begin_run()
-
-    def begin_run(self) -> None:
-        """Starts the run at the SYNC just answered: positions and torques count from here."""
         self.scaling.reset()
         self.limiter.reset()
         self.policy.reset()

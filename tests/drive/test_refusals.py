@@ -151,6 +151,43 @@ def test_a_refused_axis_leaves_the_other_axes_disabled_too(bench: MakeBench) -> 
     assert set(b.torques_sent(0x205)) | set(b.torques_sent(0x206)) <= {0}
 
 
+def test_an_axis_that_was_enabled_already_is_disabled_when_another_refuses(bench: MakeBench) -> None:
+    def stay_ready(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x186:
+            message.data[0:2] = b"\x31\x02"
+        return message
+
+    b = bench([axis(5), axis(6)])
+    b.tampered.on_receive = stay_ready
+    with pytest.raises(StartError, match="axis6: enable: got READY TO SWITCH ON"):
+        b.rig.start()
+    assert b"\x0f\0\0\0" in b.sent(0x205)
+    assert {drive.state for drive in b.drives} == {DriveState.SWITCH_ON_DISABLED}
+    assert set(b.torques_sent(0x205)) | set(b.torques_sent(0x206)) == {0}
+
+
+def test_a_target_torque_that_is_not_the_one_sent_is_refused_before_the_drive_is_enabled(bench: MakeBench) -> None:
+    def other_torque(message: can.Message) -> can.Message:
+        if bytes(message.data[:4]) == bytes.fromhex("4b716000") and b.sent(0x080):
+            message.data[4] = 0x64
+        return message
+
+    b = bench()
+    b.tampered.on_receive = other_torque
+    refuse(b, "zero torque", "0x6071 = 100 after an RPDO with 0")
+
+
+def test_a_demand_that_is_not_zero_before_the_drive_is_enabled_is_refused(bench: MakeBench) -> None:
+    def other_demand(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x185:
+            message.data[6] = 0x64
+        return message
+
+    b = bench()
+    b.tampered.on_receive = other_demand
+    refuse(b, "zero torque", "0x6074 = 100 in the TPDO")
+
+
 # --- before any drive is asked ------------------------------------------------------------------------------------
 
 

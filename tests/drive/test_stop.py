@@ -43,8 +43,10 @@ def test_the_operators_stop_ramps_to_zero_then_disables_then_leaves_operational(
     b.rig.stop()
     rpdos = b.sent(0x205)[before:]
     torques = [int.from_bytes(data[2:4], "little", signed=True) for data in rpdos if data[0] == 0x0F]
-    assert torques == sorted(torques, reverse=True)
-    assert torques[-1] == 0
+    steps = max(1, round(ramp * rate))
+    line = [round(400 * (1.0 - step / steps)) for step in range(1, steps + 1)]
+    assert torques[: len(line)] == line
+    assert set(torques[len(line) :]) <= {0}
     first_zero = next(t for t, i, d, rx in b.frames if i == 0x205 and not rx and t > begin and d[2:4] == b"\0\0")
     assert first_zero - begin <= 50_000_000
     assert rpdos[-1] == bytes(4)
@@ -161,6 +163,19 @@ def test_a_lost_heartbeat_stops_the_rig_though_tpdos_still_come(bench: MakeBench
     assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
 
 
+def test_a_heartbeat_with_another_nmt_state_stops_the_rig(bench: MakeBench) -> None:
+    def pre_operational(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x705:
+            message.data = bytearray(b"\x7f")
+        return message
+
+    b, _ = running(bench)
+    b.tampered.on_receive = pre_operational
+    with pytest.raises(DriveFaultError, match=r"left NMT OPERATIONAL.*NMT_STATE_LEFT"):
+        b.run(50, torque=4.0)
+    assert b.drives[0].torque == 0.0
+
+
 @pytest.mark.parametrize("command", ["80 05", "02 05", "81 05", "82 00"])
 def test_an_nmt_command_from_elsewhere_ends_in_no_torque(bench: MakeBench, command: str) -> None:
     b, _ = running(bench)
@@ -203,7 +218,7 @@ def test_a_killed_master_leaves_the_drive_to_its_own_watchdog(bench: MakeBench) 
 def test_the_watchdog_is_disarmed_by_a_regular_stop(bench: MakeBench) -> None:
     b, _ = running(bench)
     b.rig.stop()
-    b.clock.wait_until(b.clock.now() + 1_000_000_000)
+    b.links[0].pump(b.clock.now() + 1_000_000_000)
     assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
     assert b.received(0x085) == []
 

@@ -63,7 +63,7 @@ def test_a_drive_in_nmt_stopped_is_brought_up(bench: MakeBench) -> None:
 
 
 def test_no_pdo_but_the_chosen_ones_stays_switched_on(bench: MakeBench) -> None:
-    b = bench()
+    b = bench(objects={"0x1801.1": 0x285, "0x1402.1": 0x405})
     b.rig.start()
     for index in (0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803):
         assert b.rig.drives[0].sdo.read(index, 1) & 0x80000000
