@@ -27,7 +27,7 @@ class Mode(NamedTuple):
 
     key: tuple[str, ...]  # mode of each part
     flows: list[Product]  # by level: z -> z after T / 2^level
-    works: list[Product]  # by level: z -> [work forms times the shifted z, the shifted z]
+    works: list[Product]  # by level: z -> for each work [form times shifted z, unit row]; then the shifted z
     base: int  # largest step whose guards are near parabolas, as a level
     guards: Array  # values and rates of the guards as rows, shape (2 n_guards, n)
     exits: list[Exit]
@@ -67,8 +67,18 @@ def _forms(rows: Rows, scene: Scene) -> tuple[list[Product], list[Product]]:
     flows, _ = dyadic_flows(rows.rates, (), scene.sample_time)
     powers = [back.T @ power @ back for power in rows.powers]
     _, works = dyadic_flows(shift @ rows.rates @ back, powers, scene.sample_time)
-    stacked = [np.concatenate([form @ shift for form in forms] + [shift]) for forms in works]
-    return [flow.dot for flow in flows], [stack.dot for stack in stacked]
+    return [flow.dot for flow in flows], [_stacked(forms, shift).dot for forms in works]
+
+
+def _stacked(forms: list[Array], shift: Array) -> Array:
+    """Returns the matrix of `Mode.works` for one level; see `machine.Books` for its use."""
+    count, size = len(forms), len(shift)
+    blocks = []
+    for i, form in enumerate(forms):
+        kept = np.zeros((count, size))
+        kept[i, -1] = 1.0  # times the component one: picks total i
+        blocks += [form @ shift, kept]
+    return np.concatenate([*blocks, shift])
 
 
 def _base_level(rates: Array, sample_time: float) -> int:

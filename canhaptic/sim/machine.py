@@ -12,11 +12,35 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.sim.assembly import Scene
-from canhaptic.sim.compiler import Mode, compile_mode, first_key, initial_state
+from canhaptic.sim.compiler import Mode, Product, compile_mode, first_key, initial_state
 from canhaptic.sim.propagator import LEVELS, TICKS, Array
 
 _ROUNDING: Final = 1e-14  # a guard is broken when it is below zero by more than this part of its largest term
 _CHAIN: Final = 16  # switches without time between them
+
+
+class Books(NamedTuple):
+    """Buffers for the work of one step; two of them take turns, so that booking is two products and no sum.
+
+    The first product writes `rows`: for each work [Q y, unit row], then y, the state with the hand's deflection. In the
+    same memory y is followed by the totals, and the second product, [Q y, unit row] . [y, totals], is y'Qy + total.
+    """
+
+    rows: Array  # all but the totals, shape (works * (n + works) + n,)
+    contract: Product  # [y, totals] -> totals after the step
+    vector: Array  # [y, totals], shape (n + works,)
+    totals_after: Array  # the totals in the other buffer, shape (works,)
+
+
+def _two_books(size: int, works: int) -> tuple[Books, Books]:
+    length = works * (size + works)
+    this, other = np.zeros(length + size + works), np.zeros(length + size + works)
+
+    def books(buffer: Array, after: Array) -> Books:
+        contract = buffer[:length].reshape(works, size + works).dot
+        return Books(buffer[: length + size], contract, buffer[length:], after[length + size :])
+
+    return books(this, other), books(other, this)
 
 
 class Snapshot(NamedTuple):
@@ -34,7 +58,6 @@ class Machine:
 
     Attributes:
         state: z, shape (n,); the torque is the last but one component.
-        totals: Work booked since the last `tidy`, in the order of `scene.works` [J].
         events: Mode changes since the start.
         capped: Holds in which the cap on events was reached.
         tick_time: T / 2^24 [s].
@@ -52,17 +75,15 @@ class Machine:
         sines = [name for name in names if name.endswith("_sine")]
         self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
         size, works = len(names), len(scene.works)
-        self._rows = np.zeros((works + 1) * size)
-        self._row_sum = self._rows[: works * size].reshape(works, size).dot
-        self._shifted = self._rows[works * size :]
-        self._work = np.zeros(works)
+        self._size = size
+        self._books, self._spare_books = _two_books(size, works)
         self.reset()
 
     def reset(self) -> None:
         """Returns to the initial state and mode, with no energy booked."""
         self.state = initial_state(self.scene)
         self._moved = self.state.copy()
-        self.totals = np.zeros(len(self.scene.works))
+        self.totals.fill(0.0)
         self._sums, self._carries = self.totals.copy(), self.totals.copy()
         self.mode = self._mode_of(first_key(self.scene))
         self.events = self.capped = self.products = 0
@@ -81,6 +102,11 @@ class Machine:
         np.copyto(self.state, saved.state)
         np.copyto(self.totals, saved.totals)
         self.mode, self.events, self.capped = saved.mode, saved.events, saved.capped
+
+    @property
+    def totals(self) -> Array:
+        """Work booked since the last `tidy`, in the order of `scene.works` [J]; a view."""
+        return self._books.vector[self._size :]
 
     def works(self) -> Array:
         """Returns the work booked since the start, in the order of `scene.works` [J]."""
@@ -116,9 +142,10 @@ class Machine:
         """
         state, moved, mode = self.state, self._moved, self.mode
         state[-2] = torque
-        mode.works[0](state, self._rows)
-        self._row_sum(self._shifted, self._work)
-        self.totals += self._work
+        rows, contract, vector, totals_after = books = self._books
+        mode.works[0](state, rows)
+        contract(vector, totals_after)
+        self._books, self._spare_books = self._spare_books, books
         mode.flows[0](state, moved)
         self.state, self._moved = moved, state
         self.products += 1
@@ -220,9 +247,10 @@ class Machine:
     def _book_and_swap(self, mode: Mode, level: int) -> None:
         """Books the work of a step from `state` and makes the spare state, already moved, the state."""
         state = self.state
-        mode.works[level](state, self._rows)
-        self._row_sum(self._shifted, self._work)
-        self.totals += self._work
+        books = self._books
+        mode.works[level](state, books.rows)
+        books.contract(books.vector, books.totals_after)
+        self._books, self._spare_books = self._spare_books, books
         self.state, self._moved = self._moved, state
 
 

@@ -15,10 +15,10 @@ from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.assembly import MOTOR, Body, LinearPart, Rows, Scene
-from canhaptic.sim.compiler import Mode
+from canhaptic.sim.compiler import Mode, initial_state
 from canhaptic.sim.effects import Effect
 from canhaptic.sim.machine import Machine
-from canhaptic.sim.propagator import LEVELS, TICKS
+from canhaptic.sim.propagator import LEVELS, TICKS, Array
 from canhaptic.sim.splitting import Splitting
 from canhaptic.sim.timetable import Timetable
 from canhaptic.sim.user import UserParameters
@@ -178,6 +178,21 @@ class Plant:
     def first_mode(self) -> Mode:
         """The mode the scene starts in, as data."""
         return self._machine.first_mode
+
+    @property
+    def is_linear(self) -> bool:
+        """True when nothing but a held torque acts on it: no guards, efforts, schedule or commands."""
+        return self._hold == self._linear_hold
+
+    def whole_flow(self) -> Array:
+        """Returns the flow of the first mode over one sample time, shape (n, n)."""
+        flow = self._machine.first_mode.flows[0]
+        identity = np.eye(len(self.scene.names))
+        return np.array([np.asarray(flow(column, np.empty(len(identity)))) for column in identity]).T
+
+    def initial_state(self) -> Array:
+        """Returns the state at the start, shape (n,)."""
+        return initial_state(self.scene)
 
     @property
     def is_exact(self) -> bool:
