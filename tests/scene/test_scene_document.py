@@ -111,7 +111,7 @@ def test_merge_keys_give_defaults_that_written_keys_override() -> None:
         ("a: " + "9" * 5000, "not a plain value"),
         ("a: &x [*x]", "contains itself"),
         ("? [a]\n: b", "a key must be a plain word or number"),
-        ("[" * 5000, "nested too deeply"),
+        ("[" * 1500, "nested too deeply"),
     ],
 )
 def test_what_is_not_plain_data_is_one_clear_fault(text: str, message: str) -> None:

@@ -12,7 +12,7 @@ from scene_text import SCENE, SHIPPED_EDS
 from canhaptic.errors import SceneError
 from canhaptic.scene.load import load_scene, scene_from_mapping
 
-FAST = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+FAST = settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 SCALARS = (
     st.none()
