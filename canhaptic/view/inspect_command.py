@@ -8,21 +8,22 @@ from typing import Any
 from rich.console import Console
 
 from canhaptic.errors import InputError
+from canhaptic.logs.bus_sink import CONVERTIBLE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export
 from canhaptic.logs.repair import repair
 from canhaptic.view.checks import check
 from canhaptic.view.compare import compare
-from canhaptic.view.energy_table import make_console
-from canhaptic.view.inspect_table import comparison_report, inspection_report
+from canhaptic.view.energy_table import energy_report, make_console
+from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report
 from canhaptic.view.inspection import inspect
 from canhaptic.view.picture import draw_energy
-from canhaptic.view.recompute import recompute_all
+from canhaptic.view.recompute import recompute_all, scene_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `inspect` to a parser."""
-    parser.add_argument("log", type=Path, help="an energy log (.h5)")
+    parser.add_argument("log", type=Path, help="an energy log (.h5), or a bus log together with --config")
     parser.add_argument("--from", dest="start", type=float, metavar="S", help="count from this time on [s]")
     parser.add_argument("--to", dest="stop", type=float, metavar="S", help="count up to this time [s]")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
@@ -43,7 +44,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="feed the logged inputs to the controllers again; exit with 1 unless every output is equal bit for bit",
     )
-    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene of --recompute; by default the log's own")
+    parser.add_argument(
+        "--config", type=Path, metavar="CONFIG", help="scene of the run; by default the one the log names"
+    )
+    parser.add_argument(
+        "--bus-log",
+        type=Path,
+        metavar="FILE",
+        help="derive the account again from the frames alone; exit with 1 unless it is that of the log bit for bit",
+    )
     parser.add_argument("--repair", type=Path, metavar="FILE", help="save all that can be read into a clean log")
 
 
@@ -59,26 +68,70 @@ def execute(arguments: argparse.Namespace) -> int:
         if not arguments.json:
             console.print(f" {arguments.repair}: {kept} cycles saved, {lost} could not be read", soft_wrap=True)
         arguments.log = arguments.repair
+    if arguments.log.suffix.lower() in {".log", *CONVERTIBLE}:
+        return _inspect_frames(arguments, console)
     with EnergyLog.open(arguments.log) as log:
         result = inspect(log, arguments.start, arguments.stop)
-        result["checks"] = [outcome for expression in arguments.check for outcome in check(result, expression)]
-        if arguments.compare is not None:
-            with EnergyLog.open(arguments.compare) as other:
-                result["comparison"] = compare(log, other)
-        if arguments.recompute:
-            result["recomputed"] = recompute_all(log, arguments.config)
-        for path in (arguments.csv, arguments.parquet, arguments.mat):
-            if path is not None:
-                _suffix_fits(path, arguments)
-                export(log, path)
-        for path in (arguments.png, arguments.svg):
-            if path is not None:
-                draw_energy(log, path, arguments.start, arguments.stop)
+        result["checks"] = _checks(result, arguments)
+        _judge(log, result, arguments)
+        _write_files(log, arguments)
     _show(result, console, as_json=arguments.json)
-    good = [outcome["holds"] for outcome in result["checks"]]
-    good += [result["comparison"]["identical"]] if "comparison" in result else []
-    good += [port["mismatch"] is None for port in result.get("recomputed", [])]
-    return 0 if all(good) else 1
+    return 0 if _is_good(result) else 1
+
+
+def _checks(result: dict[str, Any], arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    return [outcome for expression in arguments.check for outcome in check(result, expression)]
+
+
+def _judge(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
+    """Adds what the log is held against: another log, its own controllers, the frames of the same run."""
+    if arguments.compare is not None:
+        with EnergyLog.open(arguments.compare) as other:
+            result["comparison"] = compare(log, other)
+    if arguments.recompute:
+        result["recomputed"] = recompute_all(log, arguments.config)
+    if arguments.bus_log is not None:
+        from canhaptic.view.rederive import rederive
+
+        result["rederived"] = rederive(arguments.bus_log, scene_of(log, arguments.config), log)
+
+
+def _is_good(result: dict[str, Any]) -> bool:
+    return (
+        all(outcome["holds"] for outcome in result["checks"])
+        and result.get("comparison", {}).get("identical", True)
+        and all(port["mismatch"] is None for port in result.get("recomputed", []))
+        and not result.get("rederived", {}).get("differences")
+    )
+
+
+def _write_files(log: EnergyLog, arguments: argparse.Namespace) -> None:
+    for path in (arguments.csv, arguments.parquet, arguments.mat):
+        if path is not None:
+            _suffix_fits(path, arguments)
+            export(log, path)
+    for path in (arguments.png, arguments.svg):
+        if path is not None:
+            draw_energy(log, path, arguments.start, arguments.stop)
+
+
+def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
+    """The account of a run of which only the frames are there."""
+    from canhaptic.scene.load import load_scene
+    from canhaptic.view.rederive import rederive
+
+    if arguments.config is None:
+        raise InputError(f"{arguments.log}: is a bus log; name the scene of the run with --config")
+    result: dict[str, Any] = {"status": f"derived from the frames of {arguments.log.name}"}
+    result |= rederive(arguments.log, load_scene(arguments.config))
+    result["checks"] = _checks(result, arguments)
+    if arguments.json:
+        console.file.write(json.dumps(result, indent=1) + "\n")
+    else:
+        console.print(energy_report(result))
+        if result["checks"]:
+            console.print(checks_table(result["checks"]))
+    return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
 
 
 def _suffix_fits(path: Path, arguments: argparse.Namespace) -> None:

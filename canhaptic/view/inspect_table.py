@@ -26,9 +26,11 @@ def inspection_report(result: Result) -> RenderableType:
     if result.get("events"):
         parts.append(_events_table(result["events"]))
     if result.get("checks"):
-        parts.append(_checks_table(result["checks"]))
+        parts.append(checks_table(result["checks"]))
     for mismatch in result.get("recomputed", []):
         parts.append(_recomputed_line(mismatch))
+    if "rederived" in result:
+        parts.append(_rederived_line(result["rederived"]))
     return Group(*parts)
 
 
@@ -71,7 +73,8 @@ def _events_table(events: list[Result]) -> Table:
     return table
 
 
-def _checks_table(checks: list[Result]) -> Table:
+def checks_table(checks: list[Result]) -> Table:
+    """Returns the outcome of every check."""
     table = _table(" checks")
     for column in ("check", "value of", "is", ""):
         table.add_column(column, overflow="fold")
@@ -90,6 +93,18 @@ def _recomputed_line(recomputed: Result) -> Text:
         f"{mismatch['recomputed']!r}, logged was {mismatch['logged']!r}"
     )
     return Text(words, style="bold red")
+
+
+def _rederived_line(rederived: Result) -> Text:
+    if not rederived["differences"]:
+        words = f" from the frames alone: {rederived['cycles']} cycles, samples and account equal bit for bit"
+        return Text(words, style="green")
+    lines = (
+        f" {found['port']}: from the frames, {found['quantity']} of cycle {found['cycle']} is {found['rederived']!r}, "
+        f"logged was {found['logged']!r}"
+        for found in rederived["differences"]
+    )
+    return Text("\n".join(lines), style="bold red")
 
 
 def comparison_report(comparison: Result) -> RenderableType:

@@ -3,12 +3,15 @@
 import json
 import struct
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, cast
 
 from canhaptic.errors import InputError
 from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.logs.energy_reader import EnergyLog
+
+if TYPE_CHECKING:
+    from canhaptic.scene.models import Scene
 
 _LOGGED: Final = tuple("torque_command" if name == "torque" else name for name in EnergyBalance._fields)
 
@@ -65,8 +68,28 @@ def recompute_all(log: EnergyLog, config: Path | None = None) -> list[dict[str, 
     Raises:
         InputError: The scene cannot be read, or is not the one of the run.
     """
-    from canhaptic.scene.load import load_scene
     from canhaptic.scene.parts import build_axis_controller
+
+    scene = scene_of(log, config)
+    found = []
+    for axis in scene.axes:
+        name = axis.parameters.name
+        mismatch = recompute(log, name, cast(Holder, build_axis_controller(axis)))
+        found.append({"port": name, "mismatch": None if mismatch is None else mismatch._asdict()})
+    return found
+
+
+def scene_of(log: EnergyLog, config: Path | None = None) -> "Scene":
+    """Returns the scene of the run that a log holds, with the overrides of that run.
+
+    Args:
+        log: An open energy log.
+        config: The scene file; by default the one that the log names.
+
+    Raises:
+        InputError: The scene cannot be read, or is not the one of the run.
+    """
+    from canhaptic.scene.load import load_scene
 
     overrides = json.loads(str(log.attributes.get("config_overrides", "[]")))
     path = config or Path(str(log.attributes.get("config_source", "")))
@@ -77,12 +100,7 @@ def recompute_all(log: EnergyLog, config: Path | None = None) -> list[dict[str, 
         raise InputError(
             f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"
         )
-    found = []
-    for axis in scene.axes:
-        name = axis.parameters.name
-        mismatch = recompute(log, name, cast(Holder, build_axis_controller(axis)))
-        found.append({"port": name, "mismatch": None if mismatch is None else mismatch._asdict()})
-    return found
+    return scene
 
 
 def _differ(left: float, right: float) -> bool:

@@ -1,0 +1,186 @@
+"""The energy account of a run from its raw bus log and scene alone: frames -> samples -> controllers -> ledger.
+
+What the drives sent is decoded here with the maps and rated torques told in the log's own bring-up; the master's
+codecs and its record of the run take no part, so the account can be held against the one that was logged.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, cast
+
+from canhaptic import object_dictionary as od
+from canhaptic.dictionary import read_dictionary
+from canhaptic.drive.cia402 import is_enabled
+from canhaptic.drive.fitness import agreed_rated_torque
+from canhaptic.drive.parameters import AxisParameters
+from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.scaling import AxisScaling
+from canhaptic.errors import InputError
+from canhaptic.haptics.balance import Ledger
+from canhaptic.logs.bus_reader import Frame, read_bus_log
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.pdo_decoder import PdoMaps
+from canhaptic.logs.sdo_decoder import SdoDecoder
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.parts import build_axis_controller
+from canhaptic.signals import Sample
+from canhaptic.view.recompute import Holder
+
+_TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
+
+
+class _ListenedAxis:
+    """What the frames tell of one axis."""
+
+    def __init__(self, axis: AxisParameters) -> None:
+        self.axis = axis
+        self._sdo = SdoDecoder(lambda index, subindex: f"0x{index:04X}.{subindex}")
+        self._maps = PdoMaps(axis.node_id, read_dictionary(axis.eds, axis.node_id))
+        self._tpdos = self._map()
+        self._rated_counts: int | None = None
+        self._scaling: AxisScaling | None = None
+        self._reported = 0
+        self._stage: dict[int, int] = {}
+        self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
+
+    def _map(self) -> dict[int, int]:
+        return {cob_id: mapping for cob_id, name, mapping in self._maps.cob_ids() if name.startswith("TPDO")}
+
+    def take(self, frame: Frame) -> None:
+        """Takes any frame of the bus."""
+        if frame.can_id == od.SDO_REQUEST_BASE + self.axis.node_id:
+            self._sdo.request(frame.data)
+        elif frame.can_id == od.SDO_RESPONSE_BASE + self.axis.node_id:
+            _, access = self._sdo.response(frame.data)
+            if access is not None and access[:2] == (od.RATED_TORQUE, 0):
+                self._rated_counts = int.from_bytes(access.value, "little")
+            if access is not None and self._maps.learn(access):
+                self._tpdos = self._map()
+        elif frame.can_id in self._tpdos:
+            fields = self._maps.fields(self._tpdos[frame.can_id], frame.data)
+            for field in [] if isinstance(fields, str) else fields:
+                self._stage.setdefault(field.object_index, field.raw)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether statusword, position and torque of the last SYNC have come."""
+        return {od.STATUSWORD, od.POSITION_ACTUAL} <= set(self._stage) and any(t in self._stage for t in _TORQUES)
+
+    @property
+    def is_enabled(self) -> bool:
+        """Whether the last SYNC was answered in OPERATION ENABLED."""
+        return self.is_complete and is_enabled(self._stage[od.STATUSWORD])
+
+    @property
+    def has_left(self) -> bool:
+        """Whether the last SYNC was answered in another state."""
+        return self.is_complete and not self.is_enabled
+
+    def forget(self) -> None:
+        """Clears what was heard, at the next SYNC."""
+        self._stage.clear()
+
+    def sample(self, sync_index: int) -> Sample:
+        """Returns what was heard since the last SYNC."""
+        if not self.is_complete:
+            self._last = self._last._replace(sync_index=sync_index, fresh=False)
+            return self._last
+        if self._scaling is None:
+            resolution = quirks_of(self.axis.drive).rated_torque_resolution
+            rated = agreed_rated_torque(self.axis, self._rated_counts, resolution)
+            self._scaling = AxisScaling(self.axis.counts_per_unit, rated, self.axis.direction)
+        reported = next(self._stage[torque] for torque in _TORQUES if torque in self._stage)
+        if self.axis.demand_reported == "after":
+            reported, self._reported = self._reported, reported
+        position = self._scaling.position(self._stage[od.POSITION_ACTUAL])
+        torque = self._scaling.torque(reported)
+        self._last = Sample(sync_index, position, torque, self._stage[od.STATUSWORD], fresh=True)
+        return self._last
+
+
+def samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
+    """Yields the samples of every cycle, from the first SYNC that all axes answered in OPERATION ENABLED to the last.
+
+    The stop's ramp is included: the frames do not tell it from the run.
+
+    Raises:
+        LogFormatError: The bus log cannot be read.
+    """
+    axes = [_ListenedAxis(axis.parameters) for axis in scene.axes]
+    cycle = -1
+    for frame in read_bus_log(bus_log):
+        if frame.can_id != od.SYNC_FRAME_COB_ID:
+            for axis in axes:
+                axis.take(frame)
+            continue
+        if any(axis.has_left for axis in axes) and cycle >= 0:
+            return
+        if cycle >= 0 or all(axis.is_enabled for axis in axes):
+            cycle += 1
+            yield [axis.sample(cycle) for axis in axes]
+        for axis in axes:
+            axis.forget()
+
+
+def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> dict[str, Any]:
+    """Returns the account of a run from its frames, and where it departs from the logged one.
+
+    Args:
+        bus_log: The frames, bring-up included.
+        scene: The scene of the run.
+        log: The energy log of the same run; its length then ends the account.
+
+    Returns:
+        `{cycles, ports: {NAME: account}}` with the names of `run --json`, and with a log `differences`: one
+        `{port, cycle, quantity, logged, rederived}` per port whose first departure that is.
+
+    Raises:
+        InputError: The log holds no answered SYNC with all axes enabled.
+    """
+    controllers = [cast(Holder, build_axis_controller(axis)) for axis in scene.axes]
+    ledgers = [Ledger() for _ in controllers]
+    judges = [] if log is None else [_Judge(log, axis) for axis in scene.axes]
+    cycles = 0
+    for samples in samples_of(bus_log, scene):
+        if log is not None and cycles == log.rows:
+            break
+        for axis, (sample, controller) in enumerate(zip(samples, controllers, strict=True)):
+            balance = controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
+            ledgers[axis].add(balance, cycles)
+            if judges:
+                judges[axis].compare(cycles, (sample.position, sample.torque_applied, *balance[1:]))
+        cycles += 1
+    if not cycles:
+        raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
+    names = [axis.parameters.name for axis in scene.axes]
+    ports = {
+        name: {"unit": axis.parameters.unit, **ledger.summary().as_json(scene.bus.sample_time)}
+        for name, axis, ledger in zip(names, scene.axes, ledgers, strict=True)
+    }
+    differences = [judge.difference for judge in judges if judge.difference is not None]
+    return {"cycles": cycles, "ports": ports, **({} if log is None else {"differences": differences})}
+
+
+class _Judge:
+    """Holds the rederived values of one axis against the logged ones."""
+
+    _NAMES: Final = ("position", "torque_applied", "h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit")
+
+    def __init__(self, log: EnergyLog, axis: AxisScene) -> None:
+        self._port = axis.parameters.name
+        if self._port not in log.ports:
+            raise InputError(f"{log.path}: has no port {self._port!r}; it is the log of another scene")
+        self._rows = zip(*(log.ports[self._port][name].tolist() for name in self._NAMES), strict=True)
+        self.difference: dict[str, Any] | None = None
+
+    def compare(self, cycle: int, values: tuple[float, ...]) -> None:
+        """Takes the next cycle."""
+        for name, logged, found in zip(self._NAMES, next(self._rows), values, strict=False):
+            if logged != found and self.difference is None:
+                self.difference = {
+                    "port": self._port,
+                    "cycle": cycle,
+                    "quantity": name,
+                    "logged": logged,
+                    "rederived": found,
+                }
