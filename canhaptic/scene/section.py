@@ -101,7 +101,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
 
 
 def _unknown_key(key: str, names: Iterable[str]) -> str:
-    known = sorted(names)
+    known = sorted(set(names))
     return f"unknown key{nearest(key, known) or '; expected one of: ' + ', '.join(known)}"
 
 
