@@ -49,7 +49,7 @@ class Rig:
         records: The last cycles, newest last.
 
     Raises:
-        InputError: Two drives share a node ID on one bus.
+        InputError: A node ID is used twice on one bus.
         BusBudgetError: The frames of one cycle do not fit a bus.
     """
 
@@ -250,7 +250,7 @@ class Rig:
 
 def _budget(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
     """Returns the budget of one bus after checking that its node IDs differ."""
-    names: dict[int, str] = {}
+    names = {bus.master_id: "the master's heartbeat (bus.master_id)"}
     for drive in drives:
         node_id, name = drive.axis.node_id, drive.axis.name
         if node_id in names:

@@ -17,7 +17,6 @@ from canhaptic.drive.pdo_map import AxisMap, PdoPlan, choose_map
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.scaling import AxisScaling
 from canhaptic.drive.sdo import SdoChannel
-from canhaptic.errors import InputError
 from canhaptic.signals import Sample
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}
@@ -61,6 +60,9 @@ class ServoDrive:
         is_complete: Whether every TPDO of the last SYNC came in its window.
         nmt_state: As its last heartbeat said; None before the first.
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
+
+    Raises:
+        DictionaryError: The dictionary is not fit for cyclic torque.
     """
 
     def __init__(self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters) -> None:
@@ -68,6 +70,7 @@ class ServoDrive:
         self.axis = axis
         self.bus = bus
         self.dictionary = dictionary
+        require_fit(dictionary, axis)
         self.quirks = quirks_of(axis.drive)
         self.map: AxisMap = choose_map(dictionary, axis)
         self.sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
@@ -285,15 +288,3 @@ class ServoDrive:
         emergency = Emergency(int.from_bytes(padded[:2], "little"), padded[2], bytes(data[3:]))
         if emergency.code and self.emergency is None:
             self.emergency = emergency
-
-
-def build_drive(link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters) -> ServoDrive:
-    """Returns a drive whose dictionary has been found fit.
-
-    Raises:
-        InputError: It is not.
-    """
-    if axis.node_id == bus.master_id:
-        raise InputError(f"{axis.name}: node_id {axis.node_id} is the master's own heartbeat ID; change bus.master_id")
-    require_fit(dictionary, axis)
-    return ServoDrive(link, axis, dictionary, bus)

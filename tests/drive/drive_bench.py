@@ -14,7 +14,7 @@ from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import build_drive
+from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
@@ -191,5 +191,5 @@ def make_bench(
         clock,
         lambda time, can_id, data, is_rx: frames.append((time, can_id, bytes(data), is_rx)),
     )
-    drives = [build_drive(link, a, dictionary(a), parameters) for a in axes]
+    drives = [ServoDrive(link, a, dictionary(a), parameters) for a in axes]
     return Bench(Rig(link, drives, parameters), [link], clock, tampered, simulated, buses, frames)

@@ -11,7 +11,7 @@ from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import build_drive
+from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.state_machine import DriveState
@@ -123,7 +123,7 @@ def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC,
 
     clock = WallClock([drive])
     link = Link(pair[0], clock, record)
-    rig = Rig(link, [build_drive(link, of_axis, dictionary(of_axis), parameters)], parameters)
+    rig = Rig(link, [ServoDrive(link, of_axis, dictionary(of_axis), parameters)], parameters)
     with rig:
         syncs.clear()
         for cycle in range(30):

@@ -8,7 +8,7 @@ from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import build_drive
+from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import LinkError
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
@@ -36,7 +36,7 @@ class TwoBuses:
         ]
         self.clock = VirtualClock(self.simulated)
         self.links = [Link(self.connect(channel), self.clock) for channel in channels]
-        drives = [build_drive(self.links[number // 2], a, dictionary(a), parameters) for number, a in enumerate(axes)]
+        drives = [ServoDrive(self.links[number // 2], a, dictionary(a), parameters) for number, a in enumerate(axes)]
         self.rig = Rig(self.links, drives, parameters)
 
     def connect(self, channel: str) -> can.BusABC:
