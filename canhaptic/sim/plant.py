@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Final
 
 import numpy as np
+from pydantic import model_validator
 
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters, quantity
@@ -22,10 +23,6 @@ from canhaptic.sim.propagator import LEVELS, TICKS, Array
 from canhaptic.sim.splitting import Splitting
 from canhaptic.sim.timetable import Timetable
 from canhaptic.sim.user import UserParameters
-
-MAX_EVENTS: Final = 1000
-"""Events in one hold beyond which the rest of the hold runs without guards, counted in `Plant.capped_holds`."""
-
 
 _ACCOUNTS: Final = ("motor", "user", "dissipated")
 _TIDY: Final = TICKS << 10
@@ -64,6 +61,23 @@ class PlantParameters(Parameters):
             rows.forces[MOTOR] += rows.row(effort=1.0)
 
 
+class AccuracyParameters(Parameters):
+    """What the plant spends on events and on effects that are not exact."""
+
+    event_bits: Annotated[int, quantity("bit", ge=1, le=LEVELS)] = LEVELS
+    """Events are bracketed to T / 2^event_bits."""
+    substeps: Annotated[int, quantity("count", ge=1, le=1024)] = 1
+    """Substeps in one sample time for effects that are not exact; a power of two."""
+    max_events: Annotated[int, quantity("count", ge=1, le=1_000_000)] = 1000
+    """Events in one hold; beyond it the rest of the hold runs without guards, counted in `Plant.capped_holds`."""
+
+    @model_validator(mode="after")
+    def _substeps_divide_the_ticks(self) -> "AccuracyParameters":
+        if self.substeps & (self.substeps - 1):
+            raise ValueError(f"substeps {self.substeps} is no power of two, expected 1, 2, 4, ... 1024")
+        return self
+
+
 class Plant:
     """One simulated axis, moved by a torque that is constant from call to call.
 
@@ -75,8 +89,7 @@ class Plant:
         effects: Effects of `canhaptic.sim.effects`, in the order of the scene.
         sample_time_ns: T [ns]; a whole sample time is cheapest.
         seed: Of every random effect.
-        substeps: Substeps in one sample time for effects that are not exact; a power of two up to 1024.
-        event_bits: Events are bracketed to T / 2^event_bits; 1..24.
+        accuracy: Events and substeps; the defaults when None.
 
     Attributes:
         position: True position of the motor [m or rad].
@@ -91,22 +104,18 @@ class Plant:
         effects: Sequence[Effect],
         sample_time_ns: int,
         seed: int = 0,
-        substeps: int = 1,
-        event_bits: int = LEVELS,
+        accuracy: AccuracyParameters | None = None,
     ) -> None:
         if sample_time_ns < 1:
             raise ParameterError(f"sample time: got {sample_time_ns} ns, expected at least 1 ns; lower the rate")
-        if not 1 <= substeps <= 1024 or substeps & (substeps - 1):
-            raise ParameterError(f"substeps: got {substeps}, expected a power of two from 1 to 1024")
-        if not 1 <= event_bits <= LEVELS:
-            raise ParameterError(f"event_bits: got {event_bits}, expected 1..{LEVELS}")
         self.parameters = parameters
         self.user = user
+        self.accuracy = accuracy or AccuracyParameters()
         self.sample_time_ns = sample_time_ns
         self.seed = seed
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
-        self._machine = Machine(self.scene, MAX_EVENTS, event_bits)
-        self._splitting = Splitting(self._machine, substeps) if self.scene.efforts else None
+        self._machine = Machine(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
+        self._splitting = Splitting(self._machine, self.accuracy.substeps) if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
         accounts = list(self.scene.works.values())

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from canhaptic.sim.effects import read_effect
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant import AccuracyParameters, Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 MS = 1_000_000
@@ -20,12 +20,14 @@ def make_plant(
     *effects: dict[str, Any],
     user: UserParameters | None = USER_S,
     period: int = MS,
-    substeps: int = 1,
+    accuracy: dict[str, int] | None = None,
     seed: int = 1,
     **values: float,
 ) -> Plant:
     parameters = PlantParameters(**{"mass": MASS, "damping": DAMPING, **values})
-    return Plant(parameters, user, [read_effect(e) for e in effects], period, seed, substeps)
+    return Plant(
+        parameters, user, [read_effect(e) for e in effects], period, seed, AccuracyParameters(**(accuracy or {}))
+    )
 
 
 def run(plant: Plant, torques: Sequence[float]) -> np.ndarray:

@@ -64,7 +64,7 @@ def test_the_fitted_order_is_the_declared_order(effect, force):
     substeps = np.array([1, 2, 4, 8, 16])
     errors, order = [], read_effect(effect).order
     for count in substeps:
-        plant = make_plant(effect, substeps=int(count), initial_velocity=0.02)
+        plant = make_plant(effect, accuracy={"substeps": int(count)}, initial_velocity=0.02)
         errors.append(abs(run(plant, TORQUES)[-1] - expected))
         assert residual(plant) <= 1e-12 * largest_flow(plant)
     fitted = -np.polyfit(np.log(substeps), np.log(errors), 1)[0]

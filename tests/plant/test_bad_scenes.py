@@ -70,9 +70,12 @@ def test_a_motion_without_a_hand_is_refused():
         UserParameters(motion=SinusoidMotion(amplitude=0.1, frequency=1.0))
 
 
-@pytest.mark.parametrize("values", [{"substeps": 3}, {"substeps": 0}, {"substeps": 2048}, {"period": 0}])
+@pytest.mark.parametrize(
+    "values",
+    [{"accuracy": {"substeps": 3}}, {"accuracy": {"substeps": 2048}}, {"accuracy": {"event_bits": 25}}, {"period": 0}],
+)
 def test_settings_outside_their_range_are_refused(values):
-    with pytest.raises(ParameterError, match=r"substeps|sample time"):
+    with pytest.raises(ParameterError, match=r"substeps|event_bits|sample time"):
         make_plant(**values)
 
 

@@ -174,3 +174,13 @@ def test_a_late_sync_moves_the_plant_by_the_time_that_passed():
             late.advance_to(k * MS + (137_000 if k % 10 == 2 else 0), 1.5)
     assert late.position == pytest.approx(punctual.position, rel=1e-9)
     assert late.energy().user == pytest.approx(punctual.energy().user, rel=1e-9)
+
+
+def test_the_error_of_an_event_falls_with_every_event_bit():
+    stop = {"type": "hard_stop", "position": 0.01, "stiffness": 1e5, "damping": 100}
+    ends = [
+        run(make_plant(stop, user=None, initial_velocity=0.3, accuracy={"event_bits": bits}), [0.0] * 50)[-1]
+        for bits in (8, 12, 16, 24)
+    ]
+    errors = [abs(end - ends[-1]) for end in ends[:-1]]
+    assert errors[0] > 4 * errors[1] > 16 * errors[2] > 0.0
