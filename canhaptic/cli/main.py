@@ -18,6 +18,8 @@ COMMANDS: Final = {
     "run": "run a scene: bring the drives up, render, print the energy account",
     "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
+    "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
+    "decode": "name every frame of a bus log",
     "schema": "print the JSON Schema of scene files, for editors",
 }
 _INTERRUPTED: Final = 130

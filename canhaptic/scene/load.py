@@ -31,8 +31,20 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
     Raises:
         SceneError: The file cannot be read, or anything in it is wrong; lists every fault with its line.
     """
-    source = str(path)
-    text = _text(Path(path), source)
+    return scene_from_text(_text(Path(path), str(path)), str(path), overrides)
+
+
+def scene_from_text(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
+    """Returns the validated scene of YAML text, such as the one that an energy log keeps.
+
+    Args:
+        text: The scene.
+        source: The file it came from: named in faults, and the place that relative paths start from.
+        overrides: As for `load_scene`.
+
+    Raises:
+        SceneError: Anything in it is wrong; lists every fault with its line.
+    """
     faults = Faults()
     document = parse_yaml(text, source, faults)
     if len(faults) and not isinstance(document, MarkedMapping):

@@ -239,6 +239,24 @@ def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
             thread.join(5.0)
 
 
+def test_inspect_reads_what_run_wrote(capsys: Captured, tmp_path: Path) -> None:
+    log = str(tmp_path / "a.h5")
+    assert main(["run", *SHORT, "--json", "--log", log]) == 0
+    ran = json.loads(capsys.readouterr().out)
+    assert main(["inspect", log, "--json", "--recompute", "--check", "margin >= -1 mJ"]) == 0
+    assert json.loads(capsys.readouterr().out)["config_hash"] == ran["config_hash"]
+    assert main(["inspect", log, "--check", "cycles == 7"]) == 1
+    assert main(["inspect", str(tmp_path / "none.h5")]) == 2
+
+
+def test_decode_names_the_frames_that_run_wrote(capsys: Captured, tmp_path: Path) -> None:
+    log = str(tmp_path / "a.log")
+    assert main(["run", *SHORT, "--json", "--bus-log", log]) == 0
+    capsys.readouterr()
+    assert main(["decode", log, "--config", DEMO]) == 0
+    assert "SYNC" in capsys.readouterr().out
+
+
 def test_the_schema_knows_every_key_of_every_shipped_configuration(capsys: Captured) -> None:
     assert main(["schema"]) == 0
     schema = json.loads(capsys.readouterr().out)

@@ -6,7 +6,7 @@ import pytest
 from scene_text import REPOSITORY, SCENE, SECOND_AXIS, SHIPPED_EDS, scene_file
 
 from canhaptic.errors import SceneError
-from canhaptic.scene.load import load_scene, scene_from_mapping
+from canhaptic.scene.load import load_scene, scene_from_mapping, scene_from_text
 
 Replacement = tuple[str, str]
 
@@ -380,6 +380,13 @@ def test_a_byte_order_mark_is_no_part_of_the_scene(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + SCENE.encode())
     assert load_scene(path).bus.rate == 1000.0
+
+
+def test_the_text_that_a_log_keeps_gives_the_same_scene(tmp_path: Path) -> None:
+    path = scene_file(tmp_path)
+    overrides = ["environment.stiffness=300"]
+    scene = load_scene(path, overrides)
+    assert scene_from_text(scene.text, scene.source, scene.overrides).config_hash() == scene.config_hash()
 
 
 # --- without a file -----------------------------------------------------------------------------------------------
