@@ -109,9 +109,9 @@ class Hdf5File:
         """Yields path and column of everything in the file."""
         found: list[tuple[str, Dataset]] = []
 
-        def visit(path: str, item: Any) -> None:
+        def visit(path: str | bytes, item: Any) -> None:  # h5py leaves a damaged name as bytes
             if isinstance(item, h5py.Dataset):
-                found.append((path, Dataset(item)))
+                found.append((path if isinstance(path, str) else path.decode("utf-8", "replace"), Dataset(item)))
 
         self._file.visititems(visit)
         yield from found

@@ -8,7 +8,8 @@ import pytest
 from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import read_bus_log
-from canhaptic.logs.bus_sink import aside_files
+from canhaptic.logs.bus_sink import FRAME_RING, BusSink, aside_files
+from canhaptic.logs.ring import SharedArea, allocate, size_of
 
 FRAMES = [
     (0, 0x000, b"\x80\x00", False),
@@ -139,3 +140,24 @@ def test_a_damaged_blf_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "a.blf").write_bytes(b"LOGG" + bytes(100))
     with pytest.raises(LogFormatError, match="BLF"):
         list(read_bus_log(tmp_path / "a.blf"))
+
+
+def test_a_writer_killed_between_write_and_release_is_continued_behind_its_last_whole_line(tmp_path: Path) -> None:
+    descriptor = allocate(size_of([FRAME_RING]))
+    area = SharedArea(descriptor, [FRAME_RING])
+    for k in range(10):
+        area.rings[0].push((k * 1000, 0x181, 1, True, bytes([k])))
+    killed = BusSink(tmp_path / "a.log", "can0", area)
+    killed.open(restart=False)
+    killed.drain([7], final=False)
+    area.rings[0].release(2)  # killed before it could say how far it was, in the middle of the next line
+    with (tmp_path / "a.log").open("ab") as file:
+        file.write(b"(0000000000.000007) can0 18")
+    second = BusSink(tmp_path / "a.log", "can0", area)
+    second.open(restart=True)
+    second.drain([10], final=True)
+    second.finish("complete")
+    expected = [f"(0000000000.{k:06d}) can0 181#{k:02X} R" for k in range(10)]
+    assert (tmp_path / "a.log").read_text().splitlines() == expected
+    area.close()
+    os.close(descriptor)

@@ -1,4 +1,6 @@
+import contextlib
 import os
+import random
 import struct
 from pathlib import Path
 
@@ -222,3 +224,17 @@ def test_the_ring_keeps_order_across_its_end_and_refuses_when_full() -> None:
     producer.close()
     consumer.close()
     os.close(descriptor)
+
+
+def test_flipped_bytes_anywhere_are_an_error_or_a_part_never_a_crash(tmp_path: Path, finished: Path) -> None:
+    whole = finished.read_bytes()
+    generator = random.Random(7)
+    path = tmp_path / "flipped.h5"
+    for _ in range(60):
+        content = bytearray(whole)
+        reach = generator.choice([100, 3000, len(whole)])
+        for _ in range(generator.choice([1, 5, 50])):
+            content[generator.randrange(reach)] = generator.randrange(256)
+        path.write_bytes(content)
+        with contextlib.suppress(LogFormatError):
+            read_all(path)

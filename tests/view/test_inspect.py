@@ -30,13 +30,13 @@ def balances(log: EnergyLog, rows: slice) -> list[EnergyBalance]:
     return [EnergyBalance(*row) for row in zip(*(port[name][rows].tolist() for name in names), strict=True)]
 
 
-@pytest.mark.parametrize(("start", "stop"), [(None, None), (1.0, 3.0)])
+@pytest.mark.parametrize(("start", "stop"), [(None, None), (1.0, 3.0), (0.9, 1.0)])
 def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: float | None, stop: float | None) -> None:
     with EnergyLog.open(log) as opened:
         found = inspect(opened, start, stop)["ports"]["handle"]
-        first = 0 if start is None else 1000
+        first = round((start or 0.0) * 1000)
         ledger = Ledger()
-        for cycle, balance in enumerate(balances(opened, slice(first, None if stop is None else 3000))):
+        for cycle, balance in enumerate(balances(opened, slice(first, None if stop is None else round(stop * 1000)))):
             ledger.add(balance, first + cycle)
         expected = ledger.summary().as_json(1e-3)
     for name, value in expected.items():
