@@ -14,6 +14,7 @@ import can
 from canhaptic.signals import FarSide
 
 _POLL_STOP: Final = 20_000  # [ns] before a deadline from which the bus is no longer polled, so that none is overslept
+_LONGEST_DOZE: Final = 200_000  # [ns] between two looks at the bus when nobody blocks in it
 _SHORTEST_SLEEP: Final = 60_000  # [ns]; a shorter sleep takes this long anyhow
 
 
@@ -63,24 +64,22 @@ class WallClock:
             now = time.monotonic_ns()
             for far_side in self._far_sides:
                 far_side.process(now)
-            remaining = deadline - now
-            if remaining <= _POLL_STOP:
+            if deadline - now <= _POLL_STOP:
                 break
-            message = bus.recv(self._blocking_time(deadline, now))
+            message = bus.recv(0.0 if self._far_sides else max(0, deadline - now - self._margin) * 1e-9)
             if message is not None:
                 return message
+            if self._far_sides:
+                self._doze(deadline)
         while time.monotonic_ns() < deadline:
             pass
         return bus.recv(0.0)
 
-    def _blocking_time(self, deadline: int, now: int) -> float:
-        """Returns how long to block in the bus [s]; with far sides in this thread nobody else could wake it."""
-        if self._far_sides:
-            idle = self._next_event(deadline) - self._margin - now
-            if idle > _SHORTEST_SLEEP:
-                time.sleep(min(idle, 200_000) * 1e-9)
-            return 0.0
-        return max(0, deadline - now - self._margin) * 1e-9
+    def _doze(self, deadline: int) -> None:
+        """Sleeps a little while nothing happens in this thread; what another process sends waits so long at most."""
+        idle = self._next_event(deadline) - self._margin - time.monotonic_ns()
+        if idle > _SHORTEST_SLEEP:
+            time.sleep(min(idle, _LONGEST_DOZE) * 1e-9)
 
     def _next_event(self, deadline: int) -> int:
         return min([deadline, *(far_side.next_due() for far_side in self._far_sides)])

@@ -134,12 +134,8 @@ def axis(node_id: int = 5, **values: Any) -> AxisParameters:
 
 
 def dictionary(parameters: AxisParameters) -> ObjectDictionary:
-    """The dictionary of an axis, without a limit that one vendor file puts on 0x1016 and that allows no node ID."""
-    read = read_dictionary(parameters.eds, parameters.node_id)
-    consumer = read.get_variable(0x1016, 1)
-    if consumer is not None and (consumer.max or 0) <= 0xFFFF:
-        consumer.min = consumer.max = None
-    return read
+    """The dictionary of an axis."""
+    return read_dictionary(parameters.eds, parameters.node_id)
 
 
 def private_channel() -> str:

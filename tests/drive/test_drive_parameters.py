@@ -1,0 +1,71 @@
+"""What bus and axis parameters accept, refuse and derive."""
+
+from typing import Any
+
+import pytest
+from drive_bench import axis
+
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.quirks import quirks_of
+from canhaptic.errors import ParameterError
+
+
+@pytest.mark.parametrize(
+    ("rate", "sample_time_ns"), [(1000.0, 1_000_000), ("40 Hz", 25_000_000), ("3 kHz", 333_333), (10_000, 100_000)]
+)
+def test_the_sample_time_is_a_whole_number_of_nanoseconds(rate: Any, sample_time_ns: int) -> None:
+    bus = BusParameters(rate=rate)
+    assert bus.sample_time_ns == sample_time_ns
+    assert bus.sample_time == sample_time_ns * 1e-9
+
+
+@pytest.mark.parametrize(
+    ("rate", "cycles", "silence_ms"), [(1000.0, 20, 100), (100.0, 2, 100), (40.0, 1, 100), (5.0, 1, 600)]
+)
+def test_the_heartbeat_is_counted_in_syncs_and_three_are_always_granted(
+    rate: float, cycles: int, silence_ms: int
+) -> None:
+    bus = BusParameters(rate=rate)
+    assert (bus.heartbeat_cycles, bus.master_silence_ns) == (cycles, silence_ms * 1_000_000)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"rate": 0.0}, "rate"),
+        ({"rate": "100 N"}, "rate"),
+        ({"rate": 100, "bitrate": 2_000_000}, "bitrate"),
+        ({"rate": 100, "hold_cycles": 5, "stop_cycles": 5}, "expected more than hold_cycles"),
+        ({"rate": 100, "stop_ramp": "60 ms"}, "stop_ramp"),
+        ({"rate": 100, "speed": 3}, "speed"),
+    ],
+)
+def test_bad_bus_parameters_are_refused_by_name(values: dict[str, Any], text: str) -> None:
+    with pytest.raises(ParameterError, match=text):
+        BusParameters(**values)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"node_id": 0}, "node_id"),
+        ({"node_id": 128}, "node_id"),
+        ({"counts_per_unit": 0.0}, "counts_per_unit"),
+        ({"torque_limit": -1.0}, "torque_limit"),
+        ({"torque_limit": float("nan")}, "torque_limit"),
+        ({"direction": 2}, "direction"),
+        ({"pdo_cob_ids": {0x1A00: 0x185}}, "0x1a00 is no PDO communication object"),
+        ({"pdo_cob_ids": {0x1804: 0x700}}, "expected a free COB-ID"),
+        ({"pdo_cob_ids": {0x1804: 0x585}}, "expected a free COB-ID"),
+    ],
+)
+def test_bad_axis_parameters_are_refused_by_name(values: dict[str, Any], text: str) -> None:
+    with pytest.raises(ParameterError, match=text):
+        axis(**values)
+
+
+def test_an_unknown_drive_profile_is_refused_with_the_known_ones() -> None:
+    assert quirks_of(None) == quirks_of("generic")
+    assert quirks_of("epos4").rated_torque_resolution == 1e-6
+    with pytest.raises(ParameterError, match="expected one of: epos4, generic"):
+        quirks_of("epos5")
