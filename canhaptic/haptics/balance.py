@@ -21,6 +21,7 @@ class Branch(IntEnum):
     FALLBACK = 4  # no exact solution; dissipation of the last velocity (eq. 18)
     DEPLETED = 5  # the store is empty and more was taken: deficit
     EXIT = 6  # contact ended; what was left in the store is leaked
+    HELD = 7  # no position arrived: the command is repeated, and the hold is booked with the next
 
 
 class Certificate(IntEnum):

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.errors import ControlError
-from canhaptic.haptics.balance import AT_REST, residual
+from canhaptic.haptics.balance import AT_REST, Branch, residual
 
 pytestmark = pytest.mark.parametrize("environment", sorted(EXAMPLES))
 UNPROTECTED_START = {"direct", "passivity_observer"}
-UNDERFLOW = 1e-150  # J: squares of such efforts are no longer normal numbers
+UNDERFLOW = 1e-40  # J: below it squares and differences are no longer normal numbers
 every_algorithm = pytest.mark.parametrize("algorithm", algorithms())
 
 tiny_or_large = st.one_of(
@@ -120,3 +120,41 @@ def test_a_user_at_rest_never_draws_energy(environment, algorithm, delay):
         pending.append(balance.torque)
     assert balance.h_i == 0.0
     assert balance.gen == 0.0
+
+
+@every_algorithm
+def test_a_lost_position_repeats_the_torque_and_books_it_with_the_next(environment, algorithm):
+    made = controller(algorithm, EXAMPLES[environment][0])
+    position, balance, held = 0.01, AT_REST, 0.0
+    for k in range(60):
+        position -= 3e-4
+        balance = made.step(position, held)
+        held = balance.torque
+        if k % 7 == 3:
+            repeated = made.hold()
+            assert (repeated.torque, repeated.h_s, repeated.h_dis) == (held, balance.h_s, balance.h_dis)
+            assert repeated.h_i == repeated.h_r == repeated.gen == repeated.leak == repeated.deficit == 0.0
+            assert repeated.branch == Branch.HELD
+            position -= 3e-4
+            late = made.step(position - 3e-4, held)  # the same torque throughout: exact
+            assert late.h_i == pytest.approx(held * 6e-4, rel=1e-9, abs=1e-15)
+            assert abs(residual(late, balance.h_s)) <= 1e-12 * largest(late, balance.h_s)
+            position, held = position - 3e-4, late.torque
+
+
+@every_algorithm
+def test_before_the_first_position_there_is_nothing_to_repeat(environment, algorithm):
+    made = controller(algorithm, EXAMPLES[environment][0])
+    assert made.hold()._replace(branch=0) == AT_REST
+
+
+@every_algorithm
+def test_a_reversal_hidden_by_a_lost_position_is_booked_at_its_worst(environment, algorithm):
+    """Trap 13: out and back the displacement is near 0, and torque times displacement would be too."""
+    made = controller(algorithm, EXAMPLES[environment][0], delay=1)
+    for position in (0.006, 0.0, -0.006):
+        made.step(position, 0.0)
+    torques = [made.step(-0.008, 0.0).torque, made.step(-0.010, 0.0).torque]
+    made.hold()
+    booked = made.step(-0.010, torques[1]).h_i
+    assert booked <= -abs(torques[1] - torques[0]) * 0.002 + 1e-12

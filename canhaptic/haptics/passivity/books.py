@@ -3,11 +3,14 @@
 import math
 from typing import NamedTuple
 
-from canhaptic.haptics.balance import EnergyBalance
+from canhaptic.haptics.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.haptics.passivity.in_flight import CommandsInFlight
 from canhaptic.haptics.passivity.storage import Account
 from canhaptic.haptics.port import interaction_energy
 from canhaptic.haptics.recovery import modulated_damping
+from canhaptic.haptics.velocity import AdaptiveWindow
+
+_HELD = Branch.HELD.value
 
 
 class Hold(NamedTuple):
@@ -17,6 +20,8 @@ class Hold(NamedTuple):
     damper: float  # effort of the model's damper [N or N*m]
     h_i: float  # [J]
     h_pas: float  # [J]
+    elapsed: float  # [s]; more than one sample time where positions were lost
+    velocity: float  # measured: of this hold, or from the estimator [m/s or rad/s]
 
 
 class Books:
@@ -26,7 +31,17 @@ class Books:
         h_dis: Surplus still to be dissipated [J].
     """
 
-    __slots__ = ("_alpha", "_cap", "_certificate", "_damping", "_in_flight", "_sample_time", "h_dis")
+    __slots__ = (
+        "_alpha",
+        "_cap",
+        "_certificate",
+        "_damping",
+        "_estimator",
+        "_in_flight",
+        "_last",
+        "_sample_time",
+        "h_dis",
+    )
 
     def __init__(
         self,
@@ -37,6 +52,7 @@ class Books:
         damping: float = 0.0,
         damping_cap: float = math.inf,
         alpha: float = 0.0,
+        estimator: AdaptiveWindow | None = None,
     ) -> None:
         """Opens the books of one axis.
 
@@ -47,6 +63,7 @@ class Books:
             damping: Of the model, rendered in contact [N*s/m or N*m*s/rad]; `close` only.
             damping_cap: Of model and modulated damper together; `close` only.
             alpha: Of the modulated damper [s/m^2 or s/rad^2]; `close` only.
+            estimator: Of the velocity that the damper uses; None for that of the last hold.
         """
         self._in_flight = CommandsInFlight(delay)
         self._sample_time = sample_time
@@ -54,11 +71,13 @@ class Books:
         self._cap = damping_cap
         self._alpha = alpha
         self._certificate = certificate
+        self._estimator = estimator
         self.reset()
 
     def reset(self) -> None:
         """No surplus, no torque in flight, no last position."""
         self._in_flight.reset()
+        self._last = AT_REST
         self.h_dis = 0.0
 
     def open(self, position: float, torque_applied: float) -> Hold | None:
@@ -67,12 +86,33 @@ class Books:
         Raises:
             ControlError: The position or torque is not finite.
         """
-        ended = self._in_flight.ended_hold(position, torque_applied)
+        in_flight, estimator = self._in_flight, self._estimator
+        ended = in_flight.ended_hold(position, torque_applied)
         if ended is None:
             self.h_dis = 0.0
+            if estimator is not None:
+                estimator.restart(position)
             return None
         displacement, damper, modulated = ended
-        return Hold(displacement, damper, interaction_energy(torque_applied, displacement), modulated * displacement)
+        h_i = interaction_energy(torque_applied, displacement)
+        elapsed = self._sample_time
+        if in_flight.holds > 1:
+            elapsed *= in_flight.holds
+            h_i -= in_flight.uncertainty
+        velocity = displacement / elapsed
+        if estimator is not None:
+            if in_flight.holds > 1:
+                estimator.restart(position)
+            else:
+                velocity = estimator.update(position)
+        return Hold(displacement, damper, h_i, modulated * displacement, elapsed, velocity)
+
+    def repeat(self) -> EnergyBalance:
+        """Repeats the last command for want of a position, and books nothing."""
+        self._in_flight.lose_hold()
+        return self._last._replace(
+            branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
+        )
 
     @property
     def torques_in_flight(self) -> tuple[float, ...]:
@@ -99,9 +139,8 @@ class Books:
         damper, modulated = rendered * velocity, 0.0
         if self._alpha > 0.0:
             surplus = self._surplus_after(hold, account)[0]
-            displacement, sample_time = hold.displacement, self._sample_time
-            extra = modulated_damping(self._alpha, surplus, rendered, self._cap, displacement, sample_time)
-            modulated = extra * displacement / sample_time
+            extra = modulated_damping(self._alpha, surplus, rendered, self._cap, hold.displacement, hold.elapsed)
+            modulated = extra * hold.displacement / hold.elapsed
             rendered += extra
         return self.send(hold, account, (spring, damper, modulated), rendered, state, h_s)
 
@@ -124,13 +163,13 @@ class Books:
             state: Displacement of the storage [m or rad].
             h_s: Energy stored there [J].
         """
-        _, _, h_i, h_pas = hold
+        h_i, h_pas = hold.h_i, hold.h_pas
         branch, h_r, gen, deficit, leak = account
         self.h_dis, paid = self._surplus_after(hold, account)
         spring, damper, modulated = efforts
         torque = -spring - damper - modulated
         self._in_flight.send(torque, damper, modulated)
-        return EnergyBalance(
+        self._last = balance = EnergyBalance(
             torque,
             h_i,
             h_pas,
@@ -147,6 +186,7 @@ class Books:
             self._certificate,
             state,
         )
+        return balance
 
     def _surplus_after(self, hold: Hold, account: Account) -> tuple[float, float]:
         """Returns (surplus, part of the leak that paid for it) after a hold [J]."""

@@ -7,11 +7,12 @@ from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.haptics.passivity.books import Books
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.haptics.passivity.sampled_model import SampledModel
+from canhaptic.haptics.velocity import DamperVelocity
 from canhaptic.parameters import Parameters
 
 
-class DirectParameters(Parameters):
-    """Nothing to choose."""
+class DirectParameters(DamperVelocity):
+    """Nothing to choose but the velocity of the damper."""
 
 
 class Direct:
@@ -20,15 +21,24 @@ class Direct:
     parameters_type: ClassVar[type[Parameters]] = DirectParameters
 
     def __init__(self, environment: Environment, parameters: DirectParameters, loop: LoopProperties) -> None:
-        self._model = SampledModel(environment, loop.sample_time)
+        self._model = SampledModel(environment)
         self._damping = environment.damping
-        self._books = Books(delay=loop.delay, sample_time=loop.sample_time, certificate=Certificate.NONE.value)
+        self._books = Books(
+            delay=loop.delay,
+            sample_time=loop.sample_time,
+            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
+            certificate=Certificate.NONE.value,
+        )
         self.reset()
 
     def reset(self) -> None:
         """Forgets everything: no torque in flight, no last position."""
         self._model.reset()
         self._books.reset()
+
+    def hold(self) -> EnergyBalance:
+        """Repeats the last command for want of a position; see `Controller.hold`."""
+        return self._books.repeat()
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Books the hold that ended; see `Controller.step`."""

@@ -15,11 +15,12 @@ from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.haptics.passivity.books import Books
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.haptics.passivity.sampled_model import SampledModel
+from canhaptic.haptics.velocity import DamperVelocity
 from canhaptic.parameters import Parameters
 
 
-class EnergyBoundingParameters(Parameters):
-    """Nothing to choose: the device damping is a property of the loop."""
+class EnergyBoundingParameters(DamperVelocity):
+    """Nothing to choose but the velocity of the damper: the device damping is a property of the loop."""
 
 
 class EnergyBounding:
@@ -34,10 +35,14 @@ class EnergyBounding:
                 "without certain damping: measure it and give passivity.device_damping, or choose another algorithm"
             )
         self._damping = environment.damping
-        self._damping_per_time = loop.device_damping / loop.sample_time
-        self._model = SampledModel(environment, loop.sample_time)
+        self._device_damping = loop.device_damping
+        self._sample_time = loop.sample_time
+        self._model = SampledModel(environment)
         self._books = Books(
-            delay=loop.delay, sample_time=loop.sample_time, certificate=Certificate.DEVICE_DAMPING.value
+            delay=loop.delay,
+            sample_time=loop.sample_time,
+            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
+            certificate=Certificate.DEVICE_DAMPING.value,
         )
         self.reset()
 
@@ -47,6 +52,10 @@ class EnergyBounding:
         self._books.reset()
         self._energy = CompensatedSum()
 
+    def hold(self) -> EnergyBalance:
+        """Repeats the last command for want of a position; see `Controller.hold`."""
+        return self._books.repeat()
+
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Books the hold that ended; see `Controller.step`."""
         hold = self._books.open(position, torque_applied)
@@ -55,7 +64,7 @@ class EnergyBounding:
             model.begin(position)
             self._energy = CompensatedSum()
             return AT_REST
-        energy = self._energy.add(hold.h_i + self._damping_per_time * hold.displacement**2)
+        energy = self._energy.add(hold.h_i + self._device_damping * hold.displacement**2 / hold.elapsed)
         branch, h_r, contact, spring, damper = model.advance(position, hold)
         share = self._share(energy, abs(spring + damper))
         gen, leak = model.settle(share, hold.h_i, h_r)
@@ -65,7 +74,7 @@ class EnergyBounding:
 
     def _share(self, energy: float, wanted: float) -> float:
         """Returns the part of a wanted torque [N or N*m] that is within the bound, 0..1."""
-        square = 4.0 * self._damping_per_time * energy
+        square = 4.0 * self._device_damping / self._sample_time * energy
         for torque in self._books.torques_in_flight:
             square -= torque * torque
         if wanted * wanted <= square:

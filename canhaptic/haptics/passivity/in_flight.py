@@ -25,9 +25,14 @@ NO_TORQUE = Command(0.0, 0.0, 0.0)
 
 
 class CommandsInFlight:
-    """Position and commands of the holds that have not been booked yet."""
+    """Position and commands of the holds that have not been booked yet.
 
-    __slots__ = ("_delay", "_position", "_queue")
+    Attributes:
+        holds: How many holds the displacement last returned spans; 1 unless positions were lost.
+        uncertainty: Largest error of torque applied times that displacement [J]; 0 for one hold.
+    """
+
+    __slots__ = ("_delay", "_lost", "_position", "_previous", "_queue", "holds", "uncertainty")
 
     def __init__(self, delay: int) -> None:
         self._delay = delay
@@ -36,6 +41,9 @@ class CommandsInFlight:
     def reset(self) -> None:
         """Forgets the last position; no torque in flight."""
         self._position: float | None = None
+        self._previous = 0.0
+        self._lost: list[float] = []
+        self.holds, self.uncertainty = 1, 0.0
         self._queue: deque[Command] = deque([NO_TORQUE] * (self._delay + 1))
 
     def ended_hold(self, position: float, torque_applied: float) -> tuple[float, float, float] | None:
@@ -62,10 +70,42 @@ class CommandsInFlight:
             share = min(1.0, max(0.0, torque_applied / torque)) if torque else 0.0
             damper *= share
             modulated *= share
+        if self._lost or self.holds != 1:
+            self._span(displacement, torque_applied)
+        self._previous = displacement
         return displacement, damper, modulated
 
+    def _span(self, displacement: float, torque_applied: float) -> None:
+        """Counts the holds since the last position, and what is not known of the energy in them.
+
+        Inside them the axis may have gone out and back, so that the excursion is not the displacement; it is taken as
+        that and the motion before, for every hold lost.
+        """
+        excursion = abs(displacement) + len(self._lost) * abs(self._previous)
+        self.holds = len(self._lost) + 1
+        self.uncertainty = sum(abs(torque - torque_applied) for torque in self._lost) * excursion
+        self._lost.clear()
+
+    def lose_hold(self) -> None:
+        """Takes note of a SYNC without a position: one more hold to be booked later, the newest command repeated."""
+        if self._position is None:
+            return
+        newest = self._queue[-1]
+        self._lost.append(self._queue.popleft().torque)
+        self._queue.append(newest)
+
     def send(self, torque: float, damper: float, modulated: float) -> None:
-        """Takes the command that was just computed."""
+        """Takes the command that was just computed.
+
+        Raises:
+            ControlError: The torque is not finite. Everything is forgotten.
+        """
+        if not isfinite(torque):
+            self.reset()
+            raise ControlError(
+                f"controller: computed torque {torque!r}, expected a finite number; torque is zero and the controller "
+                "is to be reset, check stiffness and damping against the size of the motion"
+            )
         self._queue.append(Command(torque, damper, modulated))
 
     @property

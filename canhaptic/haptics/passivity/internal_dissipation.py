@@ -29,12 +29,13 @@ from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.haptics.passivity.root import solve_balance, solve_balance_nonlinear
 from canhaptic.haptics.passivity.storage import UNTOUCHED, Account, Storage
 from canhaptic.haptics.recovery import Alpha, damping_cap
+from canhaptic.haptics.velocity import DamperVelocity
 from canhaptic.parameters import Parameters
 
 _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
 
 
-class InternalDissipationParameters(Parameters):
+class InternalDissipationParameters(DamperVelocity):
     """What the paper leaves to choose."""
 
     alpha: Alpha = 0.0
@@ -53,7 +54,8 @@ class InternalDissipation:
         self._environment = environment
         self._stiffness = environment.linear_stiffness
         self._damping = min(environment.damping, cap)
-        self._sample_time = loop.sample_time
+        self._windowed = parameters.velocity == "windowed"
+        self._stores = environment.linear_stiffness != 0.0
         self._delay = loop.delay
         self._storage = Storage(environment, loop.sample_time)
         self._books = Books(
@@ -62,6 +64,7 @@ class InternalDissipation:
             damping=self._damping,
             damping_cap=cap,
             alpha=parameters.alpha,
+            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
             certificate=Certificate.NONE.value,
         )
         self.reset()
@@ -80,7 +83,7 @@ class InternalDissipation:
             storage.begin(position)
             self._blind = 0
             return AT_REST
-        changed = storage.follow(position, hold.displacement)
+        changed = storage.follow(position, hold.displacement, hold.elapsed)
         if storage.zone:
             account = self._touch(hold, changed)
         elif changed or hold.h_i != 0.0:
@@ -88,7 +91,13 @@ class InternalDissipation:
         else:
             account = UNTOUCHED
         effort = self._environment.effort(storage.state)
-        return self._books.close(hold, account, storage.zone != 0, effort, storage.velocity, storage.state, storage.h_s)
+        measured = self._windowed and not (self._stores and storage.deadlocked)
+        velocity = hold.velocity if measured else storage.velocity
+        return self._books.close(hold, account, storage.zone != 0, effort, velocity, storage.state, storage.h_s)
+
+    def hold(self) -> EnergyBalance:
+        """Repeats the last command for want of a position; see `Controller.hold`."""
+        return self._books.repeat()
 
     def _touch(self, hold: Hold, entered: bool) -> Account:
         """Books a hold that ended in contact.
@@ -115,7 +124,7 @@ class InternalDissipation:
             change = self._solve(hold.displacement, 0.0, h_m)
         if change is None:
             damping = self._damping
-            return storage.approximate(self._sample_time * hold.damper**2 / damping if damping else 0.0, h_m)
+            return storage.approximate(hold.elapsed * hold.damper**2 / damping if damping else 0.0, h_m)
         furthest = 2.0 * abs(hold.displacement)
         limited = h_m > 0.0 and (abs(change) > furthest or self._stiffness is None)
         if limited and abs(change) > furthest:

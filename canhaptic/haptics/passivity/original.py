@@ -29,10 +29,11 @@ from canhaptic.haptics.passivity.books import Books, Hold
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.haptics.passivity.storage import UNTOUCHED, Account, Storage
 from canhaptic.haptics.recovery import Alpha, damping_cap
+from canhaptic.haptics.velocity import DamperVelocity
 from canhaptic.parameters import Parameters
 
 
-class OriginalParameters(Parameters):
+class OriginalParameters(DamperVelocity):
     """What ref. [12] leaves to choose."""
 
     alpha: Alpha = 0.0
@@ -50,7 +51,8 @@ class Original:
         cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
         self._environment = environment
         self._damping = min(environment.damping, cap)
-        self._sample_time = loop.sample_time
+        self._windowed = parameters.velocity == "windowed"
+        self._stores = environment.linear_stiffness != 0.0
         self._rearm_as_printed = parameters.rearm == "printed"
         self._storage = Storage(environment, loop.sample_time)
         self._books = Books(
@@ -59,6 +61,7 @@ class Original:
             damping=self._damping,
             damping_cap=cap,
             alpha=parameters.alpha,
+            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
             certificate=Certificate.NONE.value,
         )
         self.reset()
@@ -77,7 +80,7 @@ class Original:
             storage.begin(position)
             self._met = False
             return AT_REST
-        changed = storage.follow(position, hold.displacement)
+        changed = storage.follow(position, hold.displacement, hold.elapsed)
         if storage.zone:
             account = self._touch(hold, changed)
         elif changed or hold.h_i != 0.0:
@@ -85,7 +88,13 @@ class Original:
         else:
             account = UNTOUCHED
         effort = self._environment.effort(storage.state)
-        return self._books.close(hold, account, storage.zone != 0, effort, storage.velocity, storage.state, storage.h_s)
+        measured = self._windowed and not (self._stores and storage.deadlocked)
+        velocity = hold.velocity if measured else storage.velocity
+        return self._books.close(hold, account, storage.zone != 0, effort, velocity, storage.state, storage.h_s)
+
+    def hold(self) -> EnergyBalance:
+        """Repeats the last command for want of a position; see `Controller.hold`."""
+        return self._books.repeat()
 
     def _touch(self, hold: Hold, entered: bool) -> Account:
         """Books a hold that ended in contact."""
@@ -101,7 +110,7 @@ class Original:
     def _update(self, hold: Hold) -> Account:
         """Dissipates what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
         damping = self._damping
-        dissipation = self._sample_time * hold.damper**2 / damping if damping else 0.0
+        dissipation = hold.elapsed * hold.damper**2 / damping if damping else 0.0
         account = self._storage.approximate(dissipation, hold.h_i - hold.h_pas)
         if self._storage.h_s == 0.0:
             self._storage.empty()

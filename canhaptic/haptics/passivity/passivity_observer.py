@@ -12,14 +12,15 @@ from typing import Annotated, ClassVar
 from canhaptic.errors import ParameterError
 from canhaptic.haptics.balance import AT_REST, Certificate, CompensatedSum, EnergyBalance
 from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.passivity.books import Books
+from canhaptic.haptics.passivity.books import Books, Hold
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.haptics.passivity.sampled_model import SampledModel
 from canhaptic.haptics.recovery import damping_cap
+from canhaptic.haptics.velocity import DamperVelocity
 from canhaptic.parameters import Parameters, quantity
 
 
-class PassivityObserverParameters(Parameters):
+class PassivityObserverParameters(DamperVelocity):
     """How hard the passivity controller may brake."""
 
     damping_limit: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0)] | None = None
@@ -43,9 +44,13 @@ class PassivityObserver:
             max(0.0, cap - environment.damping) if parameters.damping_limit is None else (parameters.damping_limit)
         )
         self._damping = environment.damping
-        self._sample_time = loop.sample_time
-        self._model = SampledModel(environment, loop.sample_time)
-        self._books = Books(delay=loop.delay, sample_time=loop.sample_time, certificate=Certificate.NONE.value)
+        self._model = SampledModel(environment)
+        self._books = Books(
+            delay=loop.delay,
+            sample_time=loop.sample_time,
+            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
+            certificate=Certificate.NONE.value,
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -53,6 +58,10 @@ class PassivityObserver:
         self._model.reset()
         self._books.reset()
         self._observed = CompensatedSum()
+
+    def hold(self) -> EnergyBalance:
+        """Repeats the last command for want of a position; see `Controller.hold`."""
+        return self._books.repeat()
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Books the hold that ended; see `Controller.step`."""
@@ -65,13 +74,14 @@ class PassivityObserver:
         observed = self._observed.add(hold.h_i)
         branch, h_r, contact, spring, damper = model.advance(position, hold)
         gen, leak = model.settle(1.0, hold.h_i - hold.h_pas, h_r)
-        extra = self._controlling_damping(observed, hold.displacement) if contact else 0.0
-        efforts = spring, damper, extra * hold.displacement / self._sample_time
+        extra = self._controlling_damping(observed, hold) if contact else 0.0
+        efforts = spring, damper, extra * hold.displacement / hold.elapsed
         rendered = self._damping + extra if contact else 0.0
         return self._books.send(hold, (branch, h_r, gen, 0.0, leak), efforts, rendered, model.state, model.h_s)
 
-    def _controlling_damping(self, observed: float, displacement: float) -> float:
+    def _controlling_damping(self, observed: float, hold: Hold) -> float:
         """Returns the damping [N*s/m or N*m*s/rad] that wins back a negative energy [J] in one hold like the last."""
+        displacement = hold.displacement
         if observed >= 0.0 or displacement == 0.0:
             return 0.0
-        return min(self._limit, -observed * self._sample_time / displacement / displacement)
+        return min(self._limit, -observed * hold.elapsed / displacement / displacement)

@@ -32,6 +32,13 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forgets everything: zero stored energy, no torque in flight, no last position."""
 
+    def hold(self) -> EnergyBalance:
+        """Returns the balance of a SYNC whose position was lost: the last command once more, and nothing booked.
+
+        The next `step` then books one displacement over several holds. Where their torques differed the energy is known
+        only to the difference times the excursion, and it is booked at its worst.
+        """
+
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Books the hold that just ended and returns the account with the torque for the next free hold.
 

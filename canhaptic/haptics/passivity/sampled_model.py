@@ -31,11 +31,10 @@ class SampledModel:
         h_s: Energy stored there [J].
     """
 
-    __slots__ = ("_environment", "_sample_time", "_true", "_zone", "h_s", "state")
+    __slots__ = ("_environment", "_true", "_zone", "h_s", "state")
 
-    def __init__(self, environment: Environment, sample_time: float) -> None:
+    def __init__(self, environment: Environment) -> None:
         self._environment = environment
-        self._sample_time = sample_time
         self.reset()
 
     def reset(self) -> None:
@@ -70,12 +69,11 @@ class SampledModel:
         h_r = max(0.0, damper * (state - before))
         if environment.relaxes:
             strained = environment.stored_energy(state)
-            state = environment.relaxed(state, self._sample_time)
+            state = environment.relaxed(state, hold.elapsed)
             h_r += strained - environment.stored_energy(state)
         self._zone, self._true = zone, state
-        velocity = displacement / self._sample_time
         return ModelStep(
-            _START if entered else _EXACT, h_r, True, environment.effort(state), environment.damping * velocity
+            _START if entered else _EXACT, h_r, True, environment.effort(state), environment.damping * hold.velocity
         )
 
     def settle(self, share: float, h_m: float, h_r: float) -> tuple[float, float]:

@@ -33,14 +33,15 @@ class Storage:
         h_s: Energy stored at `state` [J], computed from it.
         true: State of the continuous environment [m or rad].
         zone: Zone of contact, 0 out of contact.
+        elapsed: Time of the last hold [s].
     """
 
-    __slots__ = ("_environment", "_relaxes", "_sample_time", "h_s", "state", "true", "velocity", "zone")
+    __slots__ = ("_environment", "_relaxes", "elapsed", "h_s", "state", "true", "velocity", "zone")
 
     def __init__(self, environment: Environment, sample_time: float) -> None:
         self._environment = environment
         self._relaxes = environment.relaxes
-        self._sample_time = sample_time
+        self.elapsed = sample_time
         self.reset()
 
     def reset(self) -> None:
@@ -64,15 +65,16 @@ class Storage:
         self.zone = zone = self._environment.contact(position)
         self.true = self._environment.true_state(position, 0.0, 0.0) if zone else 0.0
 
-    def follow(self, position: float, displacement: float) -> bool:
-        """Follows the contact; returns True when a zone was entered or left in this hold."""
+    def follow(self, position: float, displacement: float, elapsed: float) -> bool:
+        """Follows the contact over a hold of given time [s]; returns True when a zone was entered or left in it."""
         environment = self._environment
+        self.elapsed = elapsed
         zone = environment.contact(position)
         changed = zone != self.zone
         self.zone = zone
         if zone:
             true = environment.true_state(position, displacement, 0.0 if changed else self.true)
-            self.true = environment.relaxed(true, self._sample_time) if self._relaxes else true
+            self.true = environment.relaxed(true, self.elapsed) if self._relaxes else true
         return changed
 
     def pushed_inward(self, displacement: float) -> bool:
@@ -91,7 +93,7 @@ class Storage:
             change: State change from which the velocity is taken [m or rad].
             h_m: Energy received in this hold [J].
         """
-        self.velocity = change / self._sample_time
+        self.velocity = change / self.elapsed
         available = self.h_s + h_m
         self.state = state = self.true
         self.h_s = h_s = self._environment.stored_energy(state)
@@ -111,7 +113,7 @@ class Storage:
         state = self._environment.admissible(moved, self.true)
         limited = limited or state != moved
         h_s = self._environment.stored_energy(state)
-        self.velocity = change / self._sample_time
+        self.velocity = change / self.elapsed
         leak = rest_of(before + h_m, h_r + h_s) if limited else 0.0
         return self._settle(state, h_s, h_r), leak
 
@@ -131,14 +133,14 @@ class Storage:
         state = self._environment.state_of_energy(available - h_r, before if before else self.true)
         h_s = self._environment.stored_energy(state)
         leak = rest_of(available, h_r + h_s)
-        self.velocity = (state - before) / self._sample_time
+        self.velocity = (state - before) / self.elapsed
         return _FALLBACK, self._settle(state, h_s, h_r), 0.0, 0.0, leak
 
     def _settle(self, state: float, h_s: float, h_r: float) -> float:
         """Takes a state and its energy after one hold of relaxation; returns h_r with what that dissipated [J]."""
         if self._relaxes:
             strained = h_s
-            state = self._environment.relaxed(state, self._sample_time)
+            state = self._environment.relaxed(state, self.elapsed)
             h_s = self._environment.stored_energy(state)
             h_r += strained - h_s
         self.state, self.h_s = state, h_s
