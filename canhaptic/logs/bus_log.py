@@ -23,6 +23,8 @@ class BusLogWriter:
         pace: "real" or "free".
         file_size: Bytes after which the file is put aside as NAME.00001.log, ...; 0 for one file without limit.
         files: How many files are kept in all when `file_size` is given.
+        last: With a number of seconds above 0 nothing is written while the run goes well; when it ends badly, the
+            frames of that many last seconds are [s].
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -36,6 +38,7 @@ class BusLogWriter:
         pace: Literal["real", "free"] = "real",
         file_size: int = 0,
         files: int = 10,
+        last: float = 0.0,
     ) -> None:
         if not channel or any(letter.isspace() for letter in channel):
             raise ParameterError(f"channel {channel!r}: expected a name without spaces, it stands in every line")
@@ -43,8 +46,10 @@ class BusLogWriter:
             raise ParameterError(f"bus log of {files} files of {file_size} bytes: expected at least 2 files, size >= 0")
         self.path = Path(path).absolute()
         convert = self.path.suffix.lower() in CONVERTIBLE
-        if convert and file_size:
-            raise ParameterError(f"{self.path}: only candump text (.log) can be kept as a series of files")
+        if convert and (file_size or last):
+            raise ParameterError(f"{self.path}: only candump text (.log) can be a series of files or the last seconds")
+        if last < 0.0 or (last and file_size):
+            raise ParameterError(f"{self.path}: last {last} s, expected >= 0 and no series of files with it")
         for old in aside_files(self.path) if file_size else []:
             old.unlink()
         job = {
@@ -55,6 +60,7 @@ class BusLogWriter:
             "file_size": file_size,
             "files": files,
             "convert_to": str(self.path) if convert else "",
+            "last_ns": round(last * 1e9),
         }
         self._process = WriterProcess(job, [FRAME_RING])
         self._push = self._process.rings[0].push
@@ -91,12 +97,15 @@ class BusLogWriter:
                 raise LogWriteError(self.failure)
             pause.wait(_WAIT)
 
-    def close(self) -> None:
+    def close(self, status: str = "complete") -> None:
         """Writes everything that is still in the ring and waits for it. A second call does nothing.
+
+        Args:
+            status: How the run ended; with `last`, anything but complete, completed or stopped is a bad end.
 
         Raises:
             LogWriteError: The log is not complete.
         """
         if not self._closed:
             self._closed = True
-            self._process.close("complete")
+            self._process.close(status)

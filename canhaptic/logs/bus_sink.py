@@ -13,6 +13,7 @@ from typing import Final
 from canhaptic.logs.ring import RingShape, SharedArea
 
 FRAME_RING: Final = RingShape("=qIBB2x8s", 65_536)  # timestamp [ns], identifier, length, is_rx, data
+_RECORD: Final = struct.Struct(FRAME_RING.record)
 CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})
 _BLOCK: Final = 4096  # frames formatted at a time
 _LAST_STANDARD_ID: Final = 0x7FF
@@ -44,7 +45,6 @@ class BusSink:
         self._channel = channel
         self._area = area
         (self._frames,) = area.rings
-        self._unpack = struct.Struct(FRAME_RING.record)
         self._file_size = file_size
         self._files = files
         self._convert_to = convert_to
@@ -73,7 +73,7 @@ class BusSink:
         """Writes all frames up to `heads[0]`."""
         while self._next < heads[0]:
             count = min(_BLOCK, heads[0] - self._next)
-            self._write(self._text(self._frames.read(self._next, count)))
+            self._write(format_frames(self._frames.read(self._next, count), self._channel))
             self._next += count
             self._frames.release(self._next)
             if self._file_size and self._size >= self._file_size:
@@ -86,18 +86,6 @@ class BusSink:
             written = os.write(self._descriptor, text)
             self._size += written
             text = text[written:]
-
-    def _text(self, frames: bytes) -> bytes:
-        channel = self._channel
-        lines = []
-        for timestamp, identifier, length, is_rx, data in self._unpack.iter_unpack(frames):
-            name = f"{identifier:03X}" if identifier <= _LAST_STANDARD_ID else f"{identifier:08X}"
-            seconds, rest = divmod(timestamp, 1_000_000_000)
-            direction = "R" if is_rx else "T"
-            lines.append(
-                f"({seconds:010d}.{rest // 1000:06d}) {channel} {name}#{data[:length].hex().upper()} {direction}\n"
-            )
-        return "".join(lines).encode()
 
     def _put_aside(self) -> None:
         os.close(self._descriptor)
@@ -117,6 +105,17 @@ class BusSink:
 
             convert(self._path, self._convert_to)
             self._path.unlink()
+
+
+def format_frames(frames: bytes, channel: str) -> bytes:
+    """Returns the candump lines of packed records."""
+    lines = []
+    for timestamp, identifier, length, is_rx, data in _RECORD.iter_unpack(frames):
+        name = f"{identifier:03X}" if identifier <= _LAST_STANDARD_ID else f"{identifier:08X}"
+        seconds, rest = divmod(timestamp, 1_000_000_000)
+        payload = data[:length].hex().upper()
+        lines.append(f"({seconds:010d}.{rest // 1000:06d}) {channel} {name}#{payload} {'R' if is_rx else 'T'}\n")
+    return "".join(lines).encode()
 
 
 def aside_files(path: Path) -> list[Path]:

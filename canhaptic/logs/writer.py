@@ -42,6 +42,10 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, Sink]:
         from canhaptic.logs.schema import LogSchema
 
         return area, EnergySink(Path(job["path"]), LogSchema.from_json(job["schema"]), area)
+    if job["last_ns"]:
+        from canhaptic.logs.fault_sink import FaultSink
+
+        return area, FaultSink(Path(job["path"]), job["channel"], area, job["last_ns"])
     from canhaptic.logs.bus_sink import BusSink
 
     target = Path(job["convert_to"]) if job["convert_to"] else None

@@ -161,3 +161,19 @@ def test_a_writer_killed_between_write_and_release_is_continued_behind_its_last_
     assert (tmp_path / "a.log").read_text().splitlines() == expected
     area.close()
     os.close(descriptor)
+
+
+@pytest.mark.parametrize(("status", "first"), [("failed: LinkError", 9_000), ("completed", None)])
+def test_the_last_seconds_are_written_only_when_a_run_ends_badly(
+    tmp_path: Path, status: str, first: int | None
+) -> None:
+    path = tmp_path / "fault.log"
+    log = BusLogWriter(path, "can0", pace="free", last=1.0)
+    for k in range(10_001):
+        log(k * 1_000_000, 0x181, k.to_bytes(4, "little"), True)
+    log.close(status)
+    if first is None:
+        assert list(tmp_path.iterdir()) == []
+        return
+    frames = list(read_bus_log(path))
+    assert [int.from_bytes(frame.data, "little") for frame in frames] == list(range(first, 10_001))

@@ -1,0 +1,68 @@
+"""The frames of the last seconds, written only when a run ends badly; nothing grows while all is well."""
+
+import os
+import struct
+from collections import deque
+from pathlib import Path
+from typing import Final
+
+from canhaptic.logs.bus_sink import FRAME_RING, format_frames
+from canhaptic.logs.ring import SharedArea
+
+GOOD_ENDINGS: Final = frozenset({"complete", "completed", "stopped"})
+_BLOCK: Final = 1024  # frames taken or dropped at a time
+_TIMESTAMP: Final = struct.Struct("=q")
+_SIZE: Final = struct.calcsize(FRAME_RING.record)
+
+
+class FaultSink:
+    """Keeps the last frames in the memory of the writer process: they survive the controller, not the writer.
+
+    Args:
+        path: The file to write after a bad end.
+        channel: Name of the bus in every line.
+        area: Shared memory with one ring of frames.
+        last_ns: How much of the run to keep [ns].
+    """
+
+    def __init__(self, path: Path, channel: str, area: SharedArea, last_ns: int) -> None:
+        self._path = path
+        self._channel = channel
+        (self._frames,) = area.rings
+        self._last_ns = last_ns
+        self._blocks: deque[bytes] = deque()
+
+    def open(self, restart: bool) -> None:
+        """Proves that the file can be made, long before it must be."""
+        del restart
+        self._next = self._frames.tail
+        os.close(os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666))
+        self._path.unlink()
+
+    def drain(self, heads: list[int], final: bool) -> None:
+        """Takes all frames up to `heads[0]` and lets go of those that have grown old."""
+        del final
+        while self._next < heads[0]:
+            count = min(_BLOCK, heads[0] - self._next)
+            self._blocks.append(self._frames.read(self._next, count))
+            self._next += count
+            self._frames.release(self._next)
+        while len(self._blocks) > 1 and _last_time(self._blocks[0]) < self._oldest():
+            self._blocks.popleft()
+
+    def _oldest(self) -> int:
+        return _last_time(self._blocks[-1]) - self._last_ns
+
+    def finish(self, status: str) -> None:
+        """Writes what was kept, unless the run ended well."""
+        if status in GOOD_ENDINGS or not self._blocks:
+            return
+        oldest = self._oldest()
+        frames = b"".join(self._blocks)
+        starts = range(0, len(frames), _SIZE)
+        first = next(start for start in starts if _TIMESTAMP.unpack_from(frames, start)[0] >= oldest)
+        self._path.write_bytes(format_frames(frames[first:], self._channel))
+
+
+def _last_time(block: bytes) -> int:
+    return int(_TIMESTAMP.unpack_from(block, len(block) - _SIZE)[0])
