@@ -22,7 +22,7 @@ gets softer, and the balance says so: `certificate` is not EXACT, `damping_rende
 import math
 from typing import Annotated, ClassVar, Final
 
-from canhaptic.errors import ParameterError
+from canhaptic.errors import ControlError, ParameterError
 from canhaptic.haptics.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.haptics.passivity.certificates import reach
@@ -31,10 +31,12 @@ from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.haptics.passivity.torque_bound import Declared, TorqueBound
 from canhaptic.haptics.port import interaction_energy
 from canhaptic.haptics.recovery import Alpha, damping_cap, modulated_damping
+from canhaptic.haptics.velocity import AdaptiveWindow
 from canhaptic.parameters import Parameters, quantity
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
-_STICKY, _DEPLETED, _EXIT = Branch.STICKY.value, Branch.DEPLETED.value, Branch.EXIT.value
+_STICKY, _DEPLETED = Branch.STICKY.value, Branch.DEPLETED.value
+_EXIT, _HELD = Branch.EXIT.value, Branch.HELD.value
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
 
@@ -45,6 +47,8 @@ k T^2 / m is then 0.48 at delay 0 and 0.084 at delay 1; the sampled spring with 
 """
 _LEAD_ROOM: Final = 1.75
 """Lead and damping together over the damping cap: in contact the hold's own negative damping takes the excess."""
+_LONGEST_WINDOW: Final = 0.02
+"""Of the velocity from a coarse encoder [s]."""
 _NO_CAP: Final = 1e12
 """Of the damping when the moving mass is not known [N*s/m or N*m*s/rad]: finite, so that at rest it gives no force."""
 _FADE: Final = 0.8
@@ -97,7 +101,9 @@ class Guarded:
             Declared(sample_time, response, damping, parameters.hand_speed, loop.encoder_count, parameters.lost_frames),
             loop.delay,
         )
-        self._ideal = loop.encoder_count == 0.0
+        self._window = None
+        if loop.encoder_count:
+            self._window = AdaptiveWindow(sample_time, loop.encoder_count, max(2, round(_LONGEST_WINDOW / sample_time)))
         self._in_flight = CommandsInFlight(loop.delay)
         self.reset()
 
@@ -106,67 +112,48 @@ class Guarded:
         self._bound.reset()
         self._in_flight.reset()
         self._under_way = (0.0,) * self._delay
-        self._sent = (0.0, 0.0, 0.0)
         self._skipped: tuple[float, ...] = ()
-        self._sure = self._ideal
-        self._zone, self._position = 0, 0.0
-        self._state = self._h_s = self._h_dis = self._kept_back = 0.0
+        self._zone = 0
+        self._state = self._stored = self._h_s = self._h_dis = self._kept_back = 0.0
 
-    def missed(self) -> None:
-        """Takes note of a SYNC without a sample, at which the last command was sent again.
+    def hold(self) -> EnergyBalance:
+        """Repeats the last command for want of a position; see `Controller.hold`.
 
-        The next `step` then books all holds since the last sample at once; what that leaves open is charged.
+        The next `step` books the displacement over all holds with the torque read back, less what that leaves open.
         """
-        acted = self._under_way[0] if self._under_way else self._sent[0]
-        self._in_flight.ended_hold(self._position, acted)
-        self._skipped += (acted,)
-        self._send(*self._sent)
+        in_flight = self._in_flight
+        self._skipped += (in_flight.torques[0],)
+        in_flight.lose_hold()
+        torque = in_flight.torques[-1]
+        if self._delay:
+            self._under_way = (*self._under_way[1:], torque)
+        return AT_REST._replace(torque=torque, h_s=self._h_s, h_dis=self._h_dis, branch=_HELD, state=self._stored)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Books the hold that ended; see `Controller.step`."""
-        try:
-            hold = self._in_flight.ended_hold(position, torque_applied)
-        except Exception:
-            self.reset()
-            raise
-        self._position = position
+        hold = self._ended_hold(position, torque_applied)
         environment = self._environment
         zone, before = environment.contact(position), self._zone
         self._zone = zone
         if hold is None:
-            self._skipped = ()
             return AT_REST
-        displacement, damper, modulated = hold
-        holds = 1 + len(self._skipped)
-        if holds == 1:
-            self._bound.ended_hold(displacement, torque_applied)
-        else:
-            self._end_gap(displacement, torque_applied)
-            damper = modulated = 0.0
+        displacement, damper, modulated, holds, unsure = hold
         same = zone == before
         last = self._state if same else 0.0
         state = environment.true_state(position, displacement, last) if zone else 0.0
-        h_i = interaction_energy(torque_applied, displacement)
-        h_pas = modulated * displacement
         ceiling = environment.stored_energy(state) if zone else 0.0
+        h_i = interaction_energy(torque_applied, displacement) - unsure
+        h_pas = modulated * displacement
         h_r, deficit, leak, paid = self._book(h_i, h_pas, damper * displacement, ceiling)
-        if zone and environment.relaxes:
-            relaxed = environment.relaxed(state, self._sample_time)
-            lost = min(self._h_s, max(0.0, ceiling - environment.stored_energy(relaxed)))
-            self._h_s -= lost
-            h_r += lost
-            state = relaxed
-        self._state = state
         torque = rendered = 0.0
         certificate = _UNBOUNDED
         if zone:
+            if environment.relaxes:
+                state, ceiling, lost = self._relax(state, ceiling)
+                h_r += lost
             spring = environment.effort(state)
-            travel, inside = displacement, displacement
-            if same:
-                travel = state - last
-            else:
-                inside = state - environment.admissible(state - displacement, state)
-            torque, rendered, certificate = self._render(state, travel / holds, inside / holds, spring, ceiling)
+            travel, inside = self._motion(state, last, displacement, holds, same)
+            torque, rendered, certificate = self._render(state, travel, inside, spring, ceiling)
             branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
         else:
             self._send(0.0, 0.0, 0.0)
@@ -174,12 +161,61 @@ class Guarded:
             branch = _EXIT if before or h_i or leak else _FREE
         if deficit > 0.0:
             branch = _DEPLETED
+        self._state = state
         h_s = self._h_s
-        stored = state if h_s == ceiling else environment.state_of_energy(h_s, state)
+        self._stored = stored = state if h_s == ceiling else environment.state_of_energy(h_s, state)
         return EnergyBalance(
             torque, h_i, h_pas, h_i - h_pas, h_r, h_s, self._h_dis, 0.0, deficit, leak, paid, branch, rendered,
             certificate, stored,
         )  # fmt: skip
+
+    def _ended_hold(self, position: float, torque_applied: float) -> tuple[float, float, float, int, float] | None:
+        """Returns (displacement, damper effort, modulated effort, holds, energy unsure), None at the first sample."""
+        try:
+            hold = self._in_flight.ended_hold(position, torque_applied)
+        except ControlError:
+            self.reset()
+            raise
+        window = self._window
+        if hold is None:
+            self._skipped = ()
+            if window is not None:
+                window.restart(position)
+            return None
+        displacement, damper, modulated = hold
+        if not self._skipped:
+            self._bound.ended_hold(displacement, torque_applied)
+            if window is not None:
+                window.update(position)
+            return displacement, damper, modulated, 1, 0.0
+        holds = 1 + len(self._skipped)
+        unsure = self._bound.ended_gap(displacement, (*self._skipped, torque_applied))
+        self._skipped = ()
+        if window is not None:
+            window.restart(position)
+            window.velocity = displacement / (holds * self._sample_time)
+        return displacement, 0.0, 0.0, holds, unsure
+
+    def _relax(self, state: float, ceiling: float) -> tuple[float, float, float]:
+        """Returns (state, energy there, energy dissipated) after one hold of internal relaxation."""
+        relaxed = self._environment.relaxed(state, self._sample_time)
+        left = self._environment.stored_energy(relaxed)
+        lost = min(self._h_s, max(0.0, ceiling - left))
+        self._h_s -= lost
+        self._kept_back += lost
+        return relaxed, left, lost
+
+    def _motion(self, state: float, last: float, displacement: float, holds: int, same: bool) -> tuple[float, float]:
+        """Returns the motion per hold of the state and of the damper inside the contact [m or rad]."""
+        travel = inside = displacement
+        if same:
+            travel = state - last
+        else:
+            inside = state - self._environment.admissible(state - displacement, state)
+        if self._window is not None and not self._environment.relaxes:
+            smooth = self._window.velocity * self._sample_time
+            return smooth, smooth if same else inside / holds
+        return travel / holds, inside / holds
 
     def _fade(self) -> None:
         bound = self._bound
@@ -189,14 +225,8 @@ class Guarded:
 
     def _send(self, torque: float, damper: float, modulated: float) -> None:
         self._in_flight.send(torque, damper, modulated)
-        self._sent = (torque, damper, modulated)
         if self._delay:
             self._under_way = (*self._under_way[1:], torque)
-
-    def _end_gap(self, displacement: float, torque_applied: float) -> None:
-        self._bound.ended_gap(displacement, (*self._skipped, torque_applied))
-        self._skipped = ()
-        self._sure = False
 
     def _book(self, h_i: float, h_pas: float, damped: float, ceiling: float) -> tuple[float, float, float, float]:
         """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
@@ -236,7 +266,7 @@ class Guarded:
         for the energy as booked, (3) for the true one.
         """
         energy = self._h_s - self._h_dis + self._credit
-        if not self._sure:
+        if self._window is not None:
             energy += min(0.0, self._kept_back - self._bound.unsure())
         return energy
 

@@ -55,17 +55,17 @@ class TorqueBound:
         self._blur = 0.0
         self._displacement, self._torque = displacement, torque
 
-    def ended_gap(self, displacement: float, torques: tuple[float, ...]) -> None:
+    def ended_gap(self, displacement: float, torques: tuple[float, ...]) -> float:
         """Takes several holds of which only the whole displacement is known, with the torques sent for them.
 
-        In all but the last, whose torque was read back, any of them or the one before may have acted.
-
-        Booked with the last torque, the energy is wrong by at most |difference of torque| times the excursion in the
-        hold, which is bounded by the whole displacement and the reach of the hand in the others - not by the
-        displacement alone: a reversal has next to none.
+        Returns how much less than torque applied times displacement may have come in [J]. In all but the last hold,
+        whose torque was read back, any of the torques sent may have acted, or after two losses the one before them.
+        The energy is wrong by at most the difference of the torques times the excursion in the hold, which is bounded
+        by the whole displacement and the reach of the hand in the others - not by the displacement alone: a reversal
+        has next to none.
         """
         declared, holds = self._declared, len(torques)
-        last, candidates = torques[-1], (self._torque, *torques)
+        last, candidates = torques[-1], torques if declared.losses < 2 else (self._torque, *torques)
         largest = max(abs(torque) for torque in candidates)
         count = declared.encoder_count
         self._history.clear()
@@ -79,9 +79,9 @@ class TorqueBound:
             excursion = declared.speed * declared.sample_time
         else:
             excursion = abs(displacement) + count
-        self._unsure += (holds - 1) * max(abs(torque - last) for torque in candidates) * excursion
         self._unsure += holds * count * largest
         self._displacement, self._torque = displacement / holds, last
+        return (holds - 1) * max(abs(torque - last) for torque in candidates) * excursion
 
     def unsure(self) -> float:
         """Returns how much less than booked may have come in so far [J]: encoder counts and lost samples."""
