@@ -1,6 +1,8 @@
 """The account of a run as plain values: what `canhaptic run --json` prints and every table and comparison reads.
 
     {status, config_hash, cycles, ports: {NAME: {...}}, truth: {NAME: {...}}, timing, link, method}
+
+Energies in [J], times in [s].
 """
 
 from collections.abc import Sequence

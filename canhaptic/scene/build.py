@@ -1,7 +1,9 @@
 """A scene to a rig that can run: one small function per part, and one object that holds and closes them.
 
-with build(load_scene("configs/demo.yaml")) as experiment:
-run(experiment.cycle, cycles=10_000)
+    with build(load_scene("configs/demo.yaml")) as experiment:
+        run(experiment.cycle, cycles=10_000)
+
+Nothing is sent before `run`.
 """
 
 from collections.abc import Callable, Sequence
