@@ -1,9 +1,19 @@
-"""The independent torque limiter: after the controller, before the bus. It trusts nobody and reports what it cut."""
+"""The independent torque limiter: after the controller, before the bus. It trusts nobody and reports what it cut.
+
+Each limit leaves an interval of torques that contains zero, so that what remains under all of them is an interval too,
+the order of the limits means nothing, and zero is never forbidden:
+
+    magnitude   -torque_limit .. torque_limit
+    rate        from the last torque by one step further out, and by one step beyond zero on the other side: a torque
+                falls to zero at once and rises, on either side, no faster than the rate
+    power       torque * velocity <= power_limit, with the velocity over the hold that ended: what moves against the
+                torque is not limited, for that is power from the user
+"""
 
 import math
 from enum import IntFlag
 
-from canhaptic.errors import ControlError
+from canhaptic.errors import ControlError, ParameterError
 
 
 class Saturation(IntFlag):
@@ -21,16 +31,21 @@ class TorqueLimiter:
     Args:
         torque_limit: Largest magnitude [N*m or N].
         sample_time: [s]
-        rate_limit: Largest change per second [N*m/s or N/s]; None: any. Never slows a fall to zero.
+        rate_limit: Largest rise per second, on either side of zero [N*m/s or N/s]; None: any.
         power_limit: Largest power into the user's side [W]; None: any.
 
     Attributes:
         last: Torque of the last cycle after the limits [N*m or N].
+        low: Least torque that the last cycle allowed, 0 or below [N*m or N]; what rounds `last` must stay inside.
+        high: Largest torque that the last cycle allowed, 0 or above [N*m or N].
         saturation: Which limits cut it.
         saturated_cycles: How many cycles were cut so far.
+
+    Raises:
+        ParameterError: A limit is not positive, and so would limit nothing or allow nothing.
     """
 
-    __slots__ = ("_limit", "_power", "_step", "last", "saturated_cycles", "saturation")
+    __slots__ = ("_limit", "_power", "_step", "high", "last", "low", "saturated_cycles", "saturation")
 
     def __init__(
         self,
@@ -39,43 +54,63 @@ class TorqueLimiter:
         rate_limit: float | None = None,
         power_limit: float | None = None,
     ) -> None:
-        self._limit = torque_limit
-        self._step = math.inf if rate_limit is None else rate_limit * sample_time
+        rate = math.inf if rate_limit is None else rate_limit
         self._power = math.inf if power_limit is None else power_limit
+        for value in (torque_limit, sample_time, rate, self._power):
+            if not value > 0.0:  # NaN as well
+                raise ParameterError(
+                    f"the torque limiter got {value}, expected positive numbers: torque limit {torque_limit}, "
+                    f"sample time {sample_time}, rate limit {rate_limit}, power limit {power_limit}"
+                )
+        self._limit = torque_limit
+        self._step = rate * sample_time
         self.reset()
 
     def reset(self) -> None:
         """Forgets the last torque and the counts."""
-        self.last = 0.0
+        self.last = self.low = self.high = 0.0
         self.saturation = 0
         self.saturated_cycles = 0
 
     def limit(self, torque: float, velocity: float) -> float:
-        """Returns the torque [N*m or N] that may go to the drive.
+        """Returns the torque [N*m or N] that may go to the drive: the nearest that all limits allow.
 
         Args:
             torque: What the controller asks for [N*m or N].
             velocity: Of the axis over the last hold [m/s or rad/s].
 
         Raises:
-            ControlError: The torque is not finite. There is no torque that could stand for it.
+            ControlError: The torque or the velocity is not finite. There is no torque that could stand for it.
         """
-        if torque - torque != 0.0:  # true for inf and NaN alone
-            self.last = 0.0
-            raise ControlError(f"the controller gave a torque of {torque}, expected a finite number; zero was sent")
+        if torque - torque != 0.0 or velocity - velocity != 0.0:  # true for inf and NaN alone
+            self.last = self.low = self.high = 0.0
+            raise ControlError(
+                f"the controller gave a torque of {torque} at a velocity of {velocity}, "
+                "expected a finite number for each; zero was sent"
+            )
+        limit, last = self._limit, self.last
+        lowest, highest = -self._step, self._step
+        if last > 0.0:
+            highest += last
+        else:
+            lowest += last
+        least, most = -math.inf, math.inf  # by power
+        if velocity > 0.0:
+            most = self._power / velocity
+        elif velocity < 0.0:
+            least = self._power / velocity
         saturation = 0
-        limit, step = self._limit, self._step
         if not -limit <= torque <= limit:
-            torque = math.copysign(limit, torque)
             saturation = 1
-        if not -step <= torque - self.last <= step and abs(torque) > abs(self.last):
-            torque = self.last + math.copysign(step, torque - self.last)
+        if not lowest <= torque <= highest:
             saturation |= 2
-        if torque * velocity > self._power:
-            torque = self._power / velocity
+        if not least <= torque <= most:
             saturation |= 4
-        self.last = torque
-        self.saturation = saturation
+        self.low = low = max(-limit, lowest, least)
+        self.high = high = min(limit, highest, most)
         if saturation:
+            torque = max(low, min(high, torque))
             self.saturated_cycles += 1
+        self.saturation = saturation
+        self.last = torque
         return torque

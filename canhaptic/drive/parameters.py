@@ -105,6 +105,7 @@ class AxisParameters(Parameters):
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
     """Largest torque ever commanded; also written to 0x6072 where the drive has it."""
     torque_rate_limit: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)] | None = None
+    """Largest rise of the torque per second, on either side of zero; a fall to zero is never slowed."""
     power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
     """Largest power that the torque may put into the user's side."""
     speed_limit: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None

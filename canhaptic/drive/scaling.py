@@ -55,9 +55,19 @@ class AxisScaling:
         """Returns a torque of the drive (0x6071, 0x6074, 0x6077) in [N*m or N]."""
         return torque_per_mille * self._torque_quantum
 
-    def torque_per_mille(self, torque: float) -> int:
-        """Returns the nearest target torque (0x6071) to a finite torque [N*m or N] that the limiter has passed."""
-        return round(torque / self._torque_quantum)
+    def torque_per_mille(self, torque: float, low: float, high: float) -> int:
+        """Returns the nearest target torque (0x6071) that is not beyond `low` or `high`.
+
+        Args:
+            torque: Finite, from `low` to `high` [N*m or N].
+            low: Least torque allowed, 0 or below [N*m or N].
+            high: Largest torque allowed, 0 or above [N*m or N].
+        """
+        exact = torque / self._torque_quantum
+        per_mille = round(exact)
+        if not low <= per_mille * self._torque_quantum <= high:
+            per_mille = _toward_zero(exact)
+        return per_mille
 
     @property
     def torque_quantum(self) -> float:
@@ -76,8 +86,13 @@ class AxisScaling:
 
 
 def torque_limit_per_mille(torque_limit: float, rated_torque: float) -> int:
-    """Returns the value of 0x6072 for a limit [N*m or N]: rounded down, so that the drive never allows more.
+    """Returns the value of 0x6072 for a limit [N*m or N]: rounded down, so that the drive never allows more."""
+    return _toward_zero(torque_limit / rated_torque * _PER_MILLE)
 
-    A hair is added before rounding down: 0.3 of 1.0 is 300 and not 299.
+
+def _toward_zero(exact: float) -> int:
+    """Returns the whole number next to `exact` on the side of zero.
+
+    A hair is added before the fraction is cut: 0.3 of 1.0 is 300 per mille and not 299.
     """
-    return math.floor(torque_limit / rated_torque * _PER_MILLE * (1.0 + 4e-16) + 1e-9)
+    return math.trunc(exact * (1.0 + 4e-16) + math.copysign(1e-9, exact))

@@ -203,13 +203,18 @@ class ServoDrive:
     def command_per_mille(self, torque: float) -> int:
         """Returns the target torque (0x6071) for what the controller asks [N*m or N], after policy and limiter.
 
+        While TPDOs are missing, the torque that was held when the first went missing, or what is left of it on its
+        ramp, is a bound: less of it may be asked for, as the operator's stop does, and never more.
+
         Raises:
             ControlError: The torque is not finite.
         """
         if self.policy.missed and torque - torque == 0.0:  # a torque that is not finite must reach the limiter
-            torque = self._held * self.policy.share()
-        torque = self.limiter.limit(torque, self._step / self.bus.sample_time)
-        return self.scaling.torque_per_mille(torque)
+            held = self._held * self.policy.share()
+            torque = max(min(held, 0.0), min(max(held, 0.0), torque))
+        limiter = self.limiter
+        torque = limiter.limit(torque, self._step / self.bus.sample_time)
+        return self.scaling.torque_per_mille(torque, limiter.low, limiter.high)
 
     def write(self, torque_per_mille: int) -> None:
         """Sends controlword and target torque as one image.

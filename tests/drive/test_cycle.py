@@ -260,3 +260,33 @@ def test_the_saturation_of_the_limiter_is_reported(bench: MakeBench) -> None:
     limiter = b.rig.drives[0].limiter
     assert (limiter.saturation, limiter.saturated_cycles, limiter.last) == (1, 4, 3.0)
     assert b.torques_sent()[-1] == 300
+
+
+def test_no_frame_ever_carries_more_than_the_torque_limit(bench: MakeBench) -> None:
+    b = started(bench, [axis(torque_limit=3.006)])
+    b.run(4, torque=3.0055)
+    b.run(4, torque=-9.0)
+    assert b.torques_sent()[-8:] == [300] * 4 + [-300] * 4
+
+
+def test_a_reversal_on_the_wire_rises_by_the_rate_limit(bench: MakeBench) -> None:
+    b = started(bench, [axis(torque_rate_limit=500.0)])
+    b.run(4, torque=2.0)
+    b.run(3, torque=-2.0)
+    assert b.torques_sent()[-7:] == [50, 100, 150, 200, -50, -100, -150]
+
+
+def test_a_rate_below_one_per_mille_a_cycle_still_arrives(bench: MakeBench) -> None:
+    b = started(bench, [axis(torque_rate_limit=2.5)])
+    b.run(12, torque=1.0)
+    assert b.torques_sent()[-12:] == [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3]
+
+
+def test_a_lost_tpdo_never_raises_a_torque_above_what_is_asked_now(bench: MakeBench) -> None:
+    b = started(bench)
+    b.run(3, torque=2.0)
+    b.tampered.drop(0x185)
+    for torque in (2.0, 1.0, -1.0):
+        b.rig.sync()
+        b.rig.write_torques([torque])
+    assert b.torques_sent()[-4:] == [200, 200, 100, 0]

@@ -31,13 +31,55 @@ def test_a_reset_takes_the_next_position_as_it_comes() -> None:
 
 @pytest.mark.parametrize(("torque", "per_mille"), [(0.0, 0), (2.5, 1000), (-2.5, -1000), (0.00124, 0), (0.00126, 1)])
 def test_a_torque_becomes_the_nearest_per_mille_of_the_rated_torque(torque: float, per_mille: int) -> None:
-    assert AxisScaling(1.0, rated_torque=2.5).torque_per_mille(torque) == per_mille
+    assert AxisScaling(1.0, rated_torque=2.5).torque_per_mille(torque, -9.0, 9.0) == per_mille
+
+
+@given(
+    torque=st.floats(-1e3, 1e3),
+    rated=st.floats(1e-2, 1e3),
+    limits=st.tuples(st.floats(0.0, 1e3), st.floats(0.0, 1e3)),
+    direction=st.sampled_from([1, -1]),
+)
+def test_rounding_never_takes_a_torque_beyond_its_limits(
+    torque: float, rated: float, limits: tuple[float, float], direction: int
+) -> None:
+    scaling, (low, high) = AxisScaling(1.0, rated, direction), (-limits[0], limits[1])
+    torque = min(max(torque, low), high)
+    sent = scaling.torque(scaling.torque_per_mille(torque, low, high))
+    hair = 2e-9 * scaling.torque_quantum + 1e-15 * abs(torque)
+    assert low - hair <= sent <= high + hair
+    assert abs(sent - torque) < scaling.torque_quantum + hair
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_torque_at_its_limit_is_rounded_toward_zero_only_where_it_must(direction: int) -> None:
+    scaling = AxisScaling(1.0, 10.0, direction)
+    assert scaling.torque_per_mille(3.006, -3.006, 3.006) == 300 * direction
+    assert scaling.torque_per_mille(-3.006, -3.006, 3.006) == -300 * direction
+    assert scaling.torque_per_mille(3.004, -3.006, 3.006) == 300 * direction
+    assert scaling.torque_per_mille(2.996, -3.006, 3.006) == 300 * direction
+
+
+def test_a_limit_of_whole_per_mille_is_reached() -> None:
+    for rated in (7.3, 1.27, 10.0, 0.11):
+        scaling = AxisScaling(1.0, rated)
+        limits = [n / 1000.0 * rated for n in range(2000)]
+        assert [scaling.torque_per_mille(limit, -limit, limit) for limit in limits] == list(range(2000))
+        assert [scaling.torque_per_mille(-limit, -limit, limit) for limit in limits] == [-n for n in range(2000)]
+
+
+@given(st.floats(1e-3, 1e4), st.sampled_from([1, -1]))
+def test_the_largest_torque_fits_the_object(rated: float, direction: int) -> None:
+    scaling = AxisScaling(1.0, rated, direction)
+    limit = scaling.largest_torque
+    assert scaling.torque_per_mille(limit, -limit, limit) == 32767 * direction
+    assert scaling.torque_per_mille(-limit, -limit, limit) == -32767 * direction
 
 
 @given(st.integers(-32768, 32767), st.floats(1e-3, 1e4), st.sampled_from([1, -1]))
 def test_every_per_mille_survives_the_way_there_and_back(per_mille: int, rated: float, direction: int) -> None:
     scaling = AxisScaling(1.0, rated, direction)
-    assert scaling.torque_per_mille(scaling.torque(per_mille)) == per_mille
+    assert scaling.torque_per_mille(scaling.torque(per_mille), -math.inf, math.inf) == per_mille
     assert math.copysign(1, scaling.torque(per_mille)) == math.copysign(1, per_mille * direction) or per_mille == 0
 
 

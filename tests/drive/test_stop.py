@@ -57,6 +57,14 @@ def test_the_operators_stop_ramps_to_zero_then_disables_then_leaves_operational(
     assert b.received(0x085) == []
 
 
+def test_the_operators_stop_keeps_ramping_while_tpdos_are_lost(bench: MakeBench) -> None:
+    b, before = running(bench)
+    b.tampered.drop(0x185)
+    b.rig.stop()
+    torques = [int.from_bytes(data[2:4], "little", signed=True) for data in b.sent(0x205)[before:]]
+    assert torques[:20] == [400 - 20 * cycle for cycle in range(1, 21)]
+
+
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
 def test_a_torque_that_is_not_finite_is_zero_in_the_very_next_rpdo(bench: MakeBench, torque: float) -> None:
     b, before = running(bench)
