@@ -85,8 +85,11 @@ class Machine:
         self._moved = self.state.copy()
         self.totals.fill(0.0)
         self._sums, self._carries = self.totals.copy(), self.totals.copy()
-        self.mode = self._mode_of(first_key(self.scene))
         self.events = self.capped = self.products = 0
+        self.mode = self._mode_of(first_key(self.scene))
+        self._settle()  # a body that starts beyond a stop starts with the stop's energy
+        self.totals.fill(0.0)
+        self.events = 0
 
     @property
     def first_mode(self) -> Mode:

@@ -94,6 +94,7 @@ class Plant:
     Attributes:
         position: True position of the motor [m or rad].
         encoder_position: The same after the effects of the encoder; what a drive reads.
+        stored_at_start: Kinetic and elastic energy at the start [J].
         state_names: Every state of the scene, and nothing else.
     """
 
@@ -144,7 +145,7 @@ class Plant:
         for keeper in (*self.scene.commands, self._splitting, self._timetable):
             if keeper:
                 keeper.reset()
-        self._stored_at_start = self._stored()
+        self.stored_at_start = self._stored()
         self._epoch: int | None = None
         self._tick = 0
         self._next_period = -1  # [ns] end of the sample time that begins at _tick; -1 inside a sample time
@@ -243,7 +244,7 @@ class Plant:
         if self._splitting:
             work = self._splitting.work
             motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
-        return PlantEnergy(motor, user, dissipated, self._stored() - self._stored_at_start)
+        return PlantEnergy(motor, user, dissipated, self._stored() - self.stored_at_start)
 
     def work_by_part(self) -> dict[str, float]:
         """Returns the work of each part since the start [J]; losses positive, as in `PlantEnergy.dissipated`."""

@@ -153,3 +153,12 @@ def test_tidying_keeps_the_oscillator_at_unit_amplitude_and_the_sums_whole():
     straight.advance_to(2100 * MS, 0.3)
     assert straight.energy().user == pytest.approx(energies[-1], rel=1e-12)
     assert max(abs(b - a) for a, b in itertools.pairwise(energies)) < 1e-3
+
+
+def test_the_hands_oscillator_keeps_its_amplitude():
+    plant = plant_of(user_s())
+    plant.begin(0)
+    for k in range(20_480):
+        plant.advance_to((k + 1) * MS, 0.0)
+    sine, cosine = plant._machine.state[2:4]
+    assert math.hypot(sine, cosine) == pytest.approx(1.0, abs=5e-14)

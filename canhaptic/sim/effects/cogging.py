@@ -51,7 +51,8 @@ class Detent:
 
     def stored(self, position: float) -> float:
         """Returns the potential [J], zero at the detent."""
-        return self._amplitude / self._wave_number * (1.0 - math.cos(self._wave_number * position + self._phase))
+        half = math.sin(0.5 * (self._wave_number * position + self._phase))
+        return 2.0 * self._amplitude / self._wave_number * half * half
 
 
 def mean_sine(wave_number: float, phase: float, position: float, travel: float) -> float:
