@@ -1,0 +1,174 @@
+"""One algorithm on one simulated axis, without a bus: what it did in every hold and what the plant says of it."""
+
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.errors import ControlError
+from canhaptic.haptics.balance import AT_REST, Branch, EnergyBalance, Ledger, LedgerSummary, residual
+from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.haptics.passivity import build_controller
+from canhaptic.haptics.passivity.protocol import Controller, LoopProperties
+from canhaptic.parameters import Parameters
+from canhaptic.sim.direct_rig import DirectRig
+from canhaptic.sim.plant import Plant
+
+Array = NDArray[np.float64]
+
+_APART: Final = (Branch.FREE.value, Branch.EXIT.value)
+_COLUMNS: Final = ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping")
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCase:
+    """One algorithm, one environment, one plant, and the loop between them.
+
+    `loop` is what the algorithm is told, the rest is what is so.
+    """
+
+    environment: Environment
+    algorithm: str
+    parameters: Parameters | None
+    loop: LoopProperties
+    make_plant: Callable[[], Plant]
+    sample_time_ns: int
+    delay: int  # whole holds, 0 or 1
+    counts_per_unit: float | None = None  # None: ideal encoder
+    torque_quantum: float | None = None  # None: ideal torque [N or N*m]
+    torque_limit: float | None = None  # of the drive [N or N*m]
+
+    def controller(self) -> Controller:
+        """Returns the algorithm, at rest."""
+        return build_controller(self.environment, self.algorithm, self.parameters, self.loop)
+
+
+class LoopRun(NamedTuple):
+    """What one run gave; row k belongs to SYNC k. Shapes (n,); energies are sums since the start [J]."""
+
+    position: Array  # as the controller saw it [m or rad]
+    true_position: Array  # [m or rad]
+    torque: Array  # applied in the hold that ended at SYNC k [N or N*m]
+    interaction: Array  # TRUE sum of h_i, from the plant
+    believed: Array  # sum of h_i as booked
+    dissipated: Array  # sum of h_r as booked
+    damping: Array  # rendered, NaN out of contact [N*s/m or N*m*s/rad]
+    summary: LedgerSummary
+    residual: float  # largest residual of the identity over the largest term of its hold (A1)
+    ended: str  # "" when it ran to its end, else why it did not
+
+    @property
+    def least_interaction(self) -> float:
+        """Least true sum of h_i after any hold, eq. 3 [J]."""
+        return float(self.interaction.min(initial=0.0))
+
+    @property
+    def least_margin(self) -> float:
+        """Least true sum of h_i less booked sum of h_r after any hold, eq. 4 [J]."""
+        return float((self.interaction - self.dissipated).min(initial=0.0))
+
+    @property
+    def believed_error(self) -> float:
+        """Largest |believed - true| sum of h_i after any hold [J]."""
+        return float(np.abs(self.believed - self.interaction).max(initial=0.0))
+
+    @property
+    def variation(self) -> float:
+        """Total variation of the torque, the first step from zero included [N or N*m]."""
+        return float(np.abs(np.diff(self.torque, prepend=0.0)).sum())
+
+
+class DivergedError(ControlError):
+    """The axis left every place where the user could have taken it."""
+
+
+class Recorder:
+    """Takes what happened at every SYNC; used by the loop without a bus and by the one over it.
+
+    Args:
+        furthest: Distance from `centre` that counts as divergence [m or rad].
+        centre: [m or rad].
+    """
+
+    def __init__(self, furthest: float = 1e3, centre: float = 0.0) -> None:
+        self._columns = [array("d") for _ in _COLUMNS]
+        self._ledger = Ledger()
+        self._lowest, self._highest = centre - furthest, centre + furthest
+        self._h_s = self._residual = self._dissipated = 0.0
+
+    def take(self, position: float, true_position: float, torque: float, balance: EnergyBalance, motor: float) -> None:
+        """Takes one SYNC.
+
+        Args:
+            position: As the controller saw it [m or rad].
+            true_position: [m or rad].
+            torque: Applied in the hold that ended [N or N*m].
+            balance: What the controller booked.
+            motor: True work of the motor on the moving mass since the start [J].
+
+        Raises:
+            DivergedError: The position is not finite, or further away than any user took it.
+        """
+        ledger = self._ledger
+        ledger.add(balance, len(self._columns[0]))
+        largest = max(self._h_s, balance.h_s, abs(balance.h_i), balance.h_r, balance.gen, balance.deficit, balance.leak)
+        if largest > 0.0:
+            self._residual = max(self._residual, abs(residual(balance, self._h_s)) / largest)
+        self._h_s = balance.h_s
+        self._dissipated += balance.h_r
+        damping = float("nan") if balance.branch in _APART else balance.damping_rendered
+        row = (position, true_position, torque, -motor, ledger.interaction, self._dissipated, damping)
+        for column, value in zip(self._columns, row, strict=True):
+            column.append(value)
+        if not self._lowest < true_position < self._highest:
+            raise DivergedError(f"the axis is at {true_position:g}, expected {self._lowest:g} to {self._highest:g}")
+
+    def run(self, ended: str = "") -> LoopRun:
+        """Returns everything taken so far."""
+        position, true, torque, interaction, believed, dissipated, damping = (np.array(c) for c in self._columns)
+        summary = self._ledger.summary()
+        return LoopRun(
+            position, true, torque, interaction, believed, dissipated, damping, summary, self._residual, ended
+        )
+
+
+def render(
+    case: LoopCase,
+    cycles: int,
+    recorder: Recorder | None = None,
+    progress: Callable[[], None] | None = None,
+) -> LoopRun:
+    """Runs a case from the plant's initial state; a run that diverges or fails ends early and says so.
+
+    Args:
+        case: What to run.
+        cycles: SYNCs.
+        recorder: Says what counts as divergence; 1 km by default.
+        progress: Called once per cycle; must be cheap.
+
+    Raises:
+        ParameterError: The algorithm cannot do without something that its loop does not say.
+    """
+    controller, plant, taken = case.controller(), case.make_plant(), recorder or Recorder()
+    limit = case.torque_limit or float("inf")
+
+    def step(position: float, held: float) -> EnergyBalance:
+        balance = controller.step(position, held)
+        taken.take(position, plant.position, held, balance, plant.energy().motor)
+        if progress is not None:
+            progress()
+        if abs(balance.torque) > limit:
+            return AT_REST._replace(torque=limit if balance.torque > 0.0 else -limit)
+        return balance
+
+    rig = DirectRig(plant, step, case.sample_time_ns, case.delay, case.counts_per_unit, case.torque_quantum)
+    try:
+        rig.run(cycles)
+    except DivergedError:
+        return taken.run("diverged")
+    except ControlError as error:
+        return taken.run(f"stopped: {error}")
+    return taken.run()

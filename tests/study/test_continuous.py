@@ -1,0 +1,114 @@
+"""The continuous environments of `canhaptic.study` against scipy, and against one another."""
+
+import numpy as np
+import pytest
+from reference_loop import USER_S, continuous
+from scipy.integrate import solve_ivp
+
+from canhaptic.errors import InputError
+from canhaptic.haptics.environments.coulomb_surface import CoulombSurface
+from canhaptic.haptics.environments.damper_wall import DamperWall
+from canhaptic.haptics.environments.detents import Detents
+from canhaptic.haptics.environments.free_space import FreeSpace
+from canhaptic.haptics.environments.hardening_wall import HardeningWall
+from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.haptics.environments.two_sided_wall import TwoSidedWall
+from canhaptic.haptics.environments.viscoelastic_medium import ViscoelasticMedium
+from canhaptic.haptics.environments.viscous_medium import ViscousMedium
+from canhaptic.sim.effects.coulomb_friction import CoulombFriction
+from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.study.continuous import continuous_effect
+from canhaptic.study.continuous_ode import integrate
+from canhaptic.study.reference import continuous_reference
+
+PLANT = PlantParameters(mass=0.25, damping=0.1)
+USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
+MS = 1_000_000
+
+
+def reference(environment, cycles=1500, effects=()):
+    return continuous_reference(environment, PLANT, USER, effects, MS, cycles)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "surface"), [(1000.0, 5.0, 0.0), (1e5, 50.0, 0.002), (50.0, 0.0, -0.01)]
+)
+def test_the_wall_is_that_of_an_independent_dop853(stiffness, damping, surface):
+    wall = SpringDamperWall(stiffness=stiffness, damping=damping, position=surface)
+    found = reference(wall)
+    times = np.arange(1500) * 1e-3
+    position, _ = continuous(USER_S, stiffness, damping, surface, times)
+    assert np.abs(found.position - position).max() < 2e-9
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        SpringDamperWall(stiffness=2000.0, damping=4.0, position=0.005, side="above"),
+        HardeningWall(stiffness=2000.0, hardening=0.0, damping=4.0, position=0.005),
+        TwoSidedWall(stiffness=3e4, damping=20.0, lower=-0.01, upper=0.004),
+        DamperWall(damping=30.0, position=0.001),
+        ViscousMedium(damping=8.0),
+        FreeSpace(),
+    ],
+    ids=lambda environment: type(environment).__name__,
+)
+def test_the_exact_machine_and_dop853_agree(environment):
+    times = np.arange(1000) * 1e-3
+    position, _ = integrate(environment, Plant(PLANT, USER, [], MS), times)
+    assert np.abs(reference(environment, 1000).position - position).max() < 2e-9
+
+
+def test_a_relaxing_medium_is_that_of_an_independent_integration():
+    medium = ViscoelasticMedium(stiffness=800.0, relaxation_time=0.05, damping=2.0)
+
+    def rate(t, z):
+        q, v, s = z
+        w = 2.0 * np.pi
+        hand = 300.0 * (0.03 * np.sin(w * t) - q) + 3.0 * (0.03 * w * np.cos(w * t) - v)
+        return [v, (hand - 800.0 * s - 2.1 * v) / 0.25, v - s / 0.05]
+
+    solved = solve_ivp(rate, (0.0, 0.999), [0.0, 0.0, 0.0], "DOP853", np.arange(1000) * 1e-3, rtol=1e-11, atol=1e-14)
+    found = reference(medium, 1000)
+    assert np.abs(found.position - solved.y[0]).max() < 1e-9
+    force = -800.0 * solved.y[2] - 2.0 * solved.y[1]
+    assert np.abs(found.fine_torque[::5] - force).max() < 1e-3 * np.abs(force).max()
+
+
+def test_a_bristle_slides_at_its_limit_and_lets_go_at_the_reversal():
+    surface = CoulombSurface(friction=1.5, stiffness=2000.0, damping=0.5)
+
+    def rate(t, z):
+        q, v, s = z
+        w = 2.0 * np.pi
+        hand = 300.0 * (0.03 * np.sin(w * t) - q) + 3.0 * (0.03 * w * np.cos(w * t) - v)
+        sliding = abs(s) >= 1.5 / 2000.0 and s * v > 0.0
+        return [v, (hand - 2000.0 * s - 0.6 * v) / 0.25, 0.0 if sliding else v]
+
+    solved = solve_ivp(rate, (0.0, 0.499), [0.0, 0.0, 0.0], "RK45", np.arange(500) * 1e-3, max_step=3e-5)
+    found = reference(surface, 500)
+    assert np.abs(found.position - solved.y[0]).max() < 1e-5  # the judge sees its events at the ends of steps
+    assert np.abs(found.fine_torque).max() < 1.5 + 0.5 * 0.3
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [SpringDamperWall(stiffness=2e4, damping=9.0), TwoSidedWall(stiffness=1e3, damping=3.0, lower=-0.01, upper=0.01)],
+)
+def test_the_energy_of_plant_and_continuous_environment_closes(environment):
+    plant = Plant(PLANT, USER, [continuous_effect(environment)], MS)
+    plant.begin(0)
+    for k in range(1, 1000):
+        plant.advance_to(k * MS, 0.0)
+    energy = plant.energy()
+    assert energy.user == pytest.approx(energy.dissipated + energy.stored, abs=1e-12)
+    assert energy.dissipated > 1e-3
+
+
+def test_an_environment_that_is_not_affine_takes_a_linear_plant_only():
+    hard = HardeningWall(stiffness=200.0, hardening=2e6, damping=2.0)
+    assert reference(hard, 300).method.startswith("DOP853")
+    assert reference(Detents(peak=2.0, pitch=0.01, damping=0.5), 300).variation > 1.0
+    with pytest.raises(InputError, match="linear plant"):
+        reference(hard, 300, [CoulombFriction(kinetic=0.1, static=0.2)])
