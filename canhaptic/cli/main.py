@@ -19,6 +19,7 @@ COMMANDS: Final = {
     "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
+    "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",
     "decode": "name every frame of a bus log",
     "schema": "print the JSON Schema of scene files, for editors",
 }

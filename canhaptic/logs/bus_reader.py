@@ -24,6 +24,7 @@ class Frame(NamedTuple):
     can_id: int
     data: bytes
     is_rx: bool  # received by the recorder of the log; True when the log does not say
+    number: int = 0  # of its line in a text, of the frame in a binary log; from 1 on
 
 
 def read_bus_log(path: str | Path) -> Iterator[Frame]:
@@ -49,7 +50,7 @@ def _read_candump(path: Path) -> Iterator[Frame]:
             if match is not None and len(match[5]) % 2 == 0:
                 nanoseconds = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
                 is_rx = match[6] not in ("T", "t")
-                yield Frame(nanoseconds, int(match[4], 16), bytes.fromhex(match[5]), is_rx)
+                yield Frame(nanoseconds, int(match[4], 16), bytes.fromhex(match[5]), is_rx, number)
             elif line.strip() and "#R" not in line.upper():
                 raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L")
 
@@ -58,10 +59,10 @@ def _read_with_python_can(path: Path) -> Iterator[Frame]:
     binary = path.suffix.lower() == ".blf"
     with path.open("rb" if binary else "r") as file:  # python-can leaves a file open that it cannot read
         try:
-            for message in _reader(path.suffix.lower(), file):
+            for number, message in enumerate(_reader(path.suffix.lower(), file), 1):
                 if not (message.is_error_frame or message.is_remote_frame):
                     nanoseconds = round(message.timestamp * 1e6) * 1000
-                    yield Frame(nanoseconds, message.arbitration_id, bytes(message.data), message.is_rx)
+                    yield Frame(nanoseconds, message.arbitration_id, bytes(message.data), message.is_rx, number)
         except (OSError, ValueError, can.CanError, EOFError, struct.error, zlib.error) as error:
             raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
 

@@ -9,6 +9,8 @@ from typing import Any
 
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.decoder import BusDecoder, NodeDescription
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.nodes import describe_nodes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,30 +29,11 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The log or the scene cannot be used.
     """
-    nodes = [] if arguments.config is None else describe_nodes(arguments.config)
+    nodes = [] if arguments.config is None else describe_nodes(load_scene(arguments.config))
     for frame in decode_log(arguments.bus_log, nodes, arguments.start, arguments.stop):
         if not arguments.only or frame["kind"].lower() in {kind.lower() for kind in arguments.only}:
             sys.stdout.write((json.dumps(frame) if arguments.json else line(frame)) + "\n")
     return 0
-
-
-def describe_nodes(config: Path) -> list[NodeDescription]:
-    """Returns what a scene tells of the nodes on its bus."""
-    from canhaptic.dictionary import read_dictionary
-    from canhaptic.scene.load import load_scene
-
-    axes = [axis.parameters for axis in load_scene(config).axes]
-    return [
-        NodeDescription(
-            axis.node_id,
-            axis.name,
-            read_dictionary(axis.eds, axis.node_id),
-            axis.counts_per_unit,
-            axis.unit,
-            axis.rated_torque,
-        )
-        for axis in axes
-    ]
 
 
 def decode_log(

@@ -3,7 +3,7 @@
 import json
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from canhaptic.errors import InputError
 from canhaptic.haptics.balance import EnergyBalance
@@ -20,13 +20,6 @@ _ALL: Final = struct.Struct(f"{len(_LOGGED)}d")
 _ONE: Final = struct.Struct("d")
 
 
-class Holder(Controller, Protocol):
-    """A controller that can also book a cycle without a fresh sample."""
-
-    def hold(self) -> EnergyBalance:
-        """Books nothing yet and keeps the last torque."""
-
-
 class Mismatch(NamedTuple):
     """The first output that differs."""
 
@@ -37,7 +30,7 @@ class Mismatch(NamedTuple):
     recomputed: float
 
 
-def recompute(log: EnergyLog, port: str, controller: Holder) -> Mismatch | None:
+def recompute(log: EnergyLog, port: str, controller: Controller) -> Mismatch | None:
     """Returns the first difference between the logged outputs of a port and those computed again; None when equal.
 
     Args:
@@ -74,7 +67,7 @@ def recompute_all(log: EnergyLog, config: Path | None = None) -> list[dict[str, 
     found = []
     for axis in scene.axes:
         name = axis.parameters.name
-        mismatch = recompute(log, name, cast(Holder, build_axis_controller(axis)))
+        mismatch = recompute(log, name, build_axis_controller(axis))
         found.append({"port": name, "mismatch": None if mismatch is None else mismatch._asdict()})
     return found
 

@@ -6,7 +6,7 @@ codecs and its record of the run take no part, so the account can be held agains
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from canhaptic import object_dictionary as od
 from canhaptic.dictionary import read_dictionary
@@ -24,7 +24,6 @@ from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller
 from canhaptic.signals import Sample
-from canhaptic.view.recompute import Holder
 
 _TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
 
@@ -137,7 +136,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     Raises:
         InputError: The log holds no answered SYNC with all axes enabled.
     """
-    controllers = [cast(Holder, build_axis_controller(axis)) for axis in scene.axes]
+    controllers = [build_axis_controller(axis) for axis in scene.axes]
     ledgers = [Ledger() for _ in controllers]
     judges = [] if log is None else [_Judge(log, axis) for axis in scene.axes]
     cycles = 0

@@ -110,7 +110,9 @@ def test_other_formats_hold_the_same_frames(tmp_path: Path, suffix: str) -> None
 
 def test_our_reader_gives_back_what_was_written_to_the_microsecond(tmp_path: Path) -> None:
     write(tmp_path / "a.log", FRAMES)
-    assert list(read_bus_log(tmp_path / "a.log")) == [(t // 1000 * 1000, *rest) for t, *rest in FRAMES]
+    assert list(read_bus_log(tmp_path / "a.log")) == [
+        (t // 1000 * 1000, *rest, line) for line, (t, *rest) in enumerate(FRAMES, 1)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -131,8 +133,8 @@ def test_a_text_that_is_no_bus_log_is_one_clear_error(tmp_path: Path, text: byte
 def test_lines_of_candump_without_direction_and_remote_frames_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(1436509052.249713) vcan0 044#2A366C2BBA\n(1.5) vcan0 123#R\n\n(2.0) can1 7FF#\n")
     assert list(read_bus_log(tmp_path / "a.log")) == [
-        (1_436_509_052_249_713_000, 0x044, bytes.fromhex("2A366C2BBA"), True),
-        (2_000_000_000, 0x7FF, b"", True),
+        (1_436_509_052_249_713_000, 0x044, bytes.fromhex("2A366C2BBA"), True, 1),
+        (2_000_000_000, 0x7FF, b"", True, 4),
     ]
 
 

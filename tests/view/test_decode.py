@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.view.decode_command import add_arguments, describe_nodes, execute
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.nodes import describe_nodes
+from canhaptic.view.decode_command import add_arguments, execute
 
 ROOT = Path(__file__).parents[2]
 
@@ -57,7 +59,7 @@ def test_one_kind_of_frame_can_be_asked_for_as_json(bus_log: Path, capsys: pytes
 
 
 def test_a_scene_gives_the_nodes_their_names() -> None:
-    (node,) = describe_nodes(ROOT / "configs" / "demo.yaml")
+    (node,) = describe_nodes(load_scene(ROOT / "configs" / "demo.yaml"))
     assert node.name
     assert node.counts_per_unit
     assert node.dictionary is not None

@@ -1,0 +1,1 @@
+"""Replays the drive's side of a recorded bus against the real master and controllers."""

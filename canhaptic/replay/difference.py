@@ -1,0 +1,52 @@
+"""The first difference of a replay in words: both frames decoded, and what was on the bus before them."""
+
+from typing import Any, Final
+
+from canhaptic.logs.bus_reader import Frame
+from canhaptic.logs.decoder import BusDecoder
+from canhaptic.replay.recorded_side import RecordedSide
+from canhaptic.replay.recording import Recording
+from canhaptic.scene.models import Scene
+from canhaptic.scene.nodes import describe_nodes
+
+_SHOWN_BEFORE: Final = 6  # frames
+
+
+def describe(recording: Recording, side: RecordedSide, scene: Scene) -> dict[str, Any] | None:
+    """Returns `{number, time, recorded, sent, before}`; None when the master sent all that was recorded.
+
+    `number` is the line of a text, or the frame of a binary log; `time` counts from the beginning of the log [s]. Each
+    frame is `{id, data, kind, node, text}`; `sent` is None when the master sent nothing any more. `before` are the
+    last frames that were still equal, each with its number, time and direction.
+    """
+    departure = side.departure
+    index = side.unsent if departure is None else departure.place
+    if index < 0:
+        return None
+    frames = recording.frames
+    decoder = BusDecoder(describe_nodes(scene))
+    before = []
+    for number, frame in enumerate(frames[:index]):
+        words = decoder.decode(frame.can_id, frame.data)  # all of them: the maps are learnt from the start
+        if number >= index - _SHOWN_BEFORE:
+            direction = "T" if recording.is_master[number] else "R"
+            before.append({**_place(recording, frame), "direction": direction, **_frame(frame, words._asdict())})
+    recorded = frames[index]
+    sent = None
+    if departure is not None:
+        other = recorded._replace(can_id=departure.can_id, data=departure.data)
+        sent = _frame(other, decoder.decode(other.can_id, other.data)._asdict())
+    return {
+        **_place(recording, recorded),
+        "recorded": _frame(recorded, decoder.decode(recorded.can_id, recorded.data)._asdict()),
+        "sent": sent,
+        "before": before,
+    }
+
+
+def _place(recording: Recording, frame: Frame) -> dict[str, Any]:
+    return {"number": frame.number, "time": (frame.timestamp_ns - recording.frames[0].timestamp_ns) * 1e-9}
+
+
+def _frame(frame: Frame, words: dict[str, str]) -> dict[str, Any]:
+    return {"id": frame.can_id, "data": frame.data.hex().upper(), **words}

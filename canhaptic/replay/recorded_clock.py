@@ -1,0 +1,55 @@
+"""Time as it went in a recording: it stands still until the master waits, and then moves to the next recorded frame.
+
+A SYNC that was late in the recording is as late in the replay, so that a deadline skipped then is skipped now.
+"""
+
+import can
+
+from canhaptic.drive.clock import Clock
+from canhaptic.replay.recorded_side import NEVER, RecordedSide
+
+
+class RecordedClock:
+    """A `Clock` that a recording drives.
+
+    Args:
+        side: The drive's side of the recording.
+        start: The time at the beginning [ns].
+        pace: A clock to keep pace with; None to go as fast as the machine allows.
+    """
+
+    def __init__(self, side: RecordedSide, start: int, pace: Clock | None = None) -> None:
+        self._side = side
+        self._now = start
+        self._pace = pace
+        self._lead = 0 if pace is None else pace.now() - start
+
+    def now(self) -> int:
+        """Returns the time of the recording [ns]."""
+        return self._now
+
+    def wait_until(self, deadline: int) -> None:
+        """Lets the recorded side live until `deadline` [ns]."""
+        while self._now < deadline:
+            self._side.process(self._now)
+            self._move(min(deadline, max(self._now + 1, self._side.next_due())))
+
+    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+        """Returns the next frame of the drives; None when the master's turn comes before, or at `deadline` [ns]."""
+        side = self._side
+        while True:
+            side.process(self._now)
+            message = bus.recv(0.0)
+            if message is not None or self._now >= deadline:
+                return message
+            due, command = side.next_due(), side.next_command()
+            if due != NEVER:  # recorded before the master's next frame, so it comes before it, however late it was
+                self._move(due)
+            else:
+                self._move(max(deadline, command) if command != NEVER else deadline)
+
+    def _move(self, now: int) -> None:
+        if now > self._now:
+            self._now = now
+            if self._pace is not None:
+                self._pace.wait_until(now + self._lead)

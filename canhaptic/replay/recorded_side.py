@@ -1,0 +1,118 @@
+"""The drive's side of a recording: gives back what followed each frame of the master, and compares that frame."""
+
+from typing import Final, NamedTuple
+
+import can
+
+from canhaptic.replay.recording import Recording
+
+NEVER: Final = 1 << 62  # [ns]
+
+
+class ReplayOverError(BaseException):
+    """Ends the run: the recording is at its end, or the master departed from it.
+
+    No `Exception`: nothing on the way out may take it for a fault of drive or link and go on sending.
+    """
+
+
+class Departure(NamedTuple):
+    """The first frame in which the master departs from the recording."""
+
+    place: int  # index of the recorded frame
+    can_id: int  # of the frame sent instead; -1 when nothing was sent
+    data: bytes
+
+
+class RecordedSide:
+    """Plays the frames that the master did not send (a `FarSide`).
+
+    Order is that of the recording: a frame comes once the master has sent everything that was recorded before it, and
+    as long after the last of those as then. What the recording has from the drives before a frame of the master, the
+    master has received when it sends it.
+
+    Args:
+        bus: Its connection to the bus.
+        recording: What to play.
+        first: Index of the first frame to play.
+
+    Attributes:
+        compared: Frames of the master found equal so far.
+        played: Frames of the drives sent so far.
+        departure: The first difference; None while there is none.
+    """
+
+    def __init__(self, bus: can.BusABC, recording: Recording, first: int) -> None:
+        self._bus = bus
+        self._frames = recording.frames
+        self._is_master = recording.is_master
+        self._end = len(recording.frames)
+        self._next = first
+        self._offset = 0
+        self._is_armed = False
+        self.compared = 0
+        self.played = 0
+        self.departure: Departure | None = None
+
+    def arm(self) -> None:
+        """From here on frames of the master are compared; what it sent before is forgotten."""
+        while self._bus.recv(0.0) is not None:
+            pass
+        self._is_armed = True
+
+    def process(self, now: int) -> None:
+        """Compares every frame that the master has sent, and sends what is due up to `now` [ns].
+
+        Raises:
+            ReplayOverError: The recording is at its end, or the master departed from it.
+        """
+        if not self._is_armed:
+            return
+        receive = self._bus.recv
+        while (message := receive(0.0)) is not None:
+            self._compare(message, now)
+        while self.next_due() <= now:
+            self._play()
+
+    def next_due(self) -> int:
+        """Returns when the next frame of the drives is due [ns]; never while the master has to send first."""
+        if not self._is_armed or self._next == self._end or self._is_master[self._next]:
+            return NEVER
+        return self._frames[self._next].timestamp_ns + self._offset
+
+    def next_command(self) -> int:
+        """Returns when the master sent its next frame, if nothing comes from the drives before [ns]."""
+        if not self._is_armed or self._next == self._end or not self._is_master[self._next]:
+            return NEVER
+        return self._frames[self._next].timestamp_ns + self._offset
+
+    @property
+    def unsent(self) -> int:
+        """Index of the first recorded frame of the master that it has not sent; -1 when it has sent all."""
+        return next((index for index in range(self._next, self._end) if self._is_master[index]), -1)
+
+    def _play(self) -> None:
+        frame = self._frames[self._next]
+        self._next += 1
+        self.played += 1
+        self._bus.send(
+            can.Message(
+                timestamp=(frame.timestamp_ns + self._offset) * 1e-9,
+                arbitration_id=frame.can_id,
+                is_extended_id=frame.can_id > 0x7FF,
+                data=frame.data,
+            )
+        )
+
+    def _compare(self, message: can.Message, now: int) -> None:
+        while self._next < self._end and not self._is_master[self._next]:
+            self._play()
+        if self._next == self._end:
+            raise ReplayOverError
+        frame = self._frames[self._next]
+        if message.arbitration_id != frame.can_id or message.data != frame.data:
+            self.departure = Departure(self._next, message.arbitration_id, bytes(message.data))
+            raise ReplayOverError
+        self._offset = now - frame.timestamp_ns
+        self._next += 1
+        self.compared += 1

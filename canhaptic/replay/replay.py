@@ -1,0 +1,122 @@
+"""Runs the real master and controllers of a scene against a recording, and compares every frame that they send."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.cycle import Cycle, run
+from canhaptic.drive.clock import WallClock
+from canhaptic.drive.link import Link
+from canhaptic.drive.rig import Rig
+from canhaptic.errors import InputError, RigError
+from canhaptic.replay.difference import describe
+from canhaptic.replay.joined_rig import JoinedRig
+from canhaptic.replay.recorded_clock import RecordedClock
+from canhaptic.replay.recorded_side import RecordedSide, ReplayOverError
+from canhaptic.replay.recording import Recording
+from canhaptic.replay.roles import roles_of
+from canhaptic.result import run_result
+from canhaptic.scene.build import build_controllers
+from canhaptic.scene.bus import open_bus, private_channel
+from canhaptic.scene.models import Scene
+from canhaptic.scene.parts import build_servo_drive
+
+_BUS: Final[dict[str, Any]] = {"interface": "virtual", "channel": None, "options": {}}
+
+
+def replay(bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False) -> dict[str, Any]:
+    """Returns whether the master sends today what it sent in a recording.
+
+    Boot, SDO answers, TPDOs, heartbeats and EMCYs come from the recording, on python-can's virtual bus; rig,
+    controllers and accounts are those of the scene. A recording without the start of the drives is replayed from the
+    first SYNC that found every axis enabled, with the maps of the scene and controllers at rest.
+
+    Args:
+        bus_log: candump text, BLF, TRC or ASC.
+        scene: What ran then; its bus is replaced by a virtual one and nothing is simulated.
+        realtime: Keeps the pace of the recording instead of going as fast as the machine allows.
+        from_sync: Leaves the start out even if it was recorded.
+
+    Returns:
+        `{status: "identical" | "different", recording, start: "boot" | "sync", frames: {recorded, played, compared},
+        cycles, duration, elapsed, speed, ended, difference, account}`; `difference` as `difference.describe` gives it.
+
+    Raises:
+        InputError: The recording cannot be read, does not fit the scene, or has no SYNC to begin with.
+    """
+    recording = Recording(bus_log, roles_of(scene))
+    joins = from_sync or not recording.has_boot
+    if joins and recording.first_sync < 0:
+        raise InputError(
+            f"{bus_log}: neither the start of the drives is in there nor a SYNC that every axis of {scene.source} "
+            "answered in OPERATION ENABLED; there is nowhere to begin"
+        )
+    with ExitStack() as stack:
+        return _Replay(recording, scene, joins, realtime, stack).run()
+
+
+class _Replay:
+    """One replay, built."""
+
+    def __init__(self, recording: Recording, scene: Scene, joins: bool, realtime: bool, stack: ExitStack) -> None:
+        self._recording = recording
+        self._scene = scene
+        self._joins = joins
+        first = recording.first_sync if joins else 0
+        self._start = recording.frames[first].timestamp_ns
+        channel = private_channel()
+        bus = scene.bus.model_copy(update=_BUS)
+        far_bus, near_bus = open_bus(bus, channel), open_bus(bus, channel)
+        stack.callback(far_bus.shutdown)
+        stack.callback(near_bus.shutdown)
+        self._wall = WallClock()
+        self._side = RecordedSide(far_bus, recording, first)
+        clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
+        self._cycle = Cycle(self._rig(Link(near_bus, clock)), build_controllers(scene))
+
+    def _rig(self, link: Link) -> Rig:
+        scene, side = self._scene, self._side
+        drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
+        if self._joins:
+            return JoinedRig(link, drives, scene.bus, self._recording.heartbeat_cycle(), side.arm)
+        side.arm()
+        return Rig(link, drives, scene.bus)
+
+    def run(self) -> dict[str, Any]:
+        """Runs to the end of the recording or to the first difference."""
+        bus = self._scene.bus
+        ramp_cycles = max(1, round(bus.stop_ramp * 1e9) // bus.sample_time_ns)
+        begin, ended = self._wall.now(), "at the end of the recording"
+        try:
+            run(self._cycle, self._recording.operator_cycles(ramp_cycles))
+            ended = "stopped by the operator, as recorded"
+        except ReplayOverError:
+            pass
+        except RigError as error:
+            ended = f"{type(error).__name__}: {error}"
+        return self._result(ended, (self._wall.now() - begin) * 1e-9)
+
+    def _result(self, ended: str, elapsed: float) -> dict[str, Any]:
+        recording, side, scene = self._recording, self._side, self._scene
+        difference = describe(recording, side, scene)
+        duration = (recording.frames[-1].timestamp_ns - self._start) * 1e-9
+        return {
+            "status": "identical" if difference is None else "different",
+            "recording": str(recording.path),
+            "start": "sync" if self._joins else "boot",
+            "frames": {"recorded": len(recording.frames), "played": side.played, "compared": side.compared},
+            "cycles": self._cycle.cycles,
+            "duration": duration,
+            "elapsed": elapsed,
+            "speed": duration / elapsed if elapsed else 0.0,
+            "ended": "at the first difference" if side.departure is not None else ended,
+            "difference": difference,
+            "account": run_result(
+                self._cycle,
+                [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
+                status="replayed",
+                config_hash=scene.config_hash(),
+                sample_time=scene.bus.sample_time,
+                method="",
+            ),
+        }

@@ -1,0 +1,59 @@
+"""Who sends which frame of a bus, from a scene: a recording need not say it, and a sniffer cannot know it."""
+
+import struct
+from typing import Final, NamedTuple
+
+from canhaptic import object_dictionary as od
+from canhaptic.dictionary import read_dictionary
+from canhaptic.drive.cia402 import is_enabled
+from canhaptic.drive.pdo_codec import codec
+from canhaptic.drive.pdo_map import choose_map
+from canhaptic.scene.models import Scene
+
+_ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
+
+
+class Roles(NamedTuple):
+    """COB-IDs of a scene by what they mean to a replay."""
+
+    master: frozenset[int]  # sent by the master
+    sdo_requests: frozenset[int]
+    heartbeat: int  # the master's
+    rpdo: int  # of the first axis
+    controlword: struct.Struct  # in that RPDO
+    statuswords: dict[int, struct.Struct]  # TPDO with the statusword -> where it is in it; one per axis
+
+    def asks_to_leave(self, data: bytes) -> bool:
+        """Returns whether an RPDO of the first axis takes back OPERATION ENABLED."""
+        (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (0,)
+        return int(controlword) & _ENABLE_BITS != _ENABLE_BITS
+
+    def shows_enabled(self, can_id: int, data: bytes) -> bool:
+        """Returns whether a TPDO with a statusword shows OPERATION ENABLED."""
+        image = self.statuswords[can_id]
+        return len(data) == image.size and is_enabled(int(image.unpack(data)[0]))
+
+
+def roles_of(scene: Scene) -> Roles:
+    """Returns the roles of the COB-IDs of a scene.
+
+    Raises:
+        DictionaryError: A dictionary cannot be read or has no fitting PDOs.
+    """
+    axes = [axis.parameters for axis in scene.axes]
+    maps = [choose_map(read_dictionary(axis.eds, axis.node_id), axis) for axis in axes]
+    sdo_requests = frozenset(od.SDO_REQUEST_BASE + axis.node_id for axis in axes)
+    heartbeat = od.HEARTBEAT_BASE + scene.bus.master_id
+    return Roles(
+        sdo_requests | {plan.rpdo.cob_id for plan in maps} | {od.NMT_COB_ID, od.SYNC_FRAME_COB_ID, heartbeat},
+        sdo_requests,
+        heartbeat,
+        maps[0].rpdo.cob_id,
+        codec(maps[0].rpdo.entries, [od.CONTROLWORD]),
+        {
+            tpdo.cob_id: codec(tpdo.entries, [od.STATUSWORD])
+            for plan in maps
+            for tpdo in plan.tpdos
+            if any(entry.index == od.STATUSWORD for entry in tpdo.entries)
+        },
+    )

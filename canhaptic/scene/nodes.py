@@ -1,0 +1,20 @@
+"""What a scene tells of the nodes on its bus, for words beside recorded frames."""
+
+from canhaptic.dictionary import read_dictionary
+from canhaptic.logs.decoder import NodeDescription
+from canhaptic.scene.models import Scene
+
+
+def describe_nodes(scene: Scene) -> list[NodeDescription]:
+    """Returns name, dictionary and units of every axis."""
+    return [
+        NodeDescription(
+            axis.node_id,
+            axis.name,
+            read_dictionary(axis.eds, axis.node_id),
+            axis.counts_per_unit,
+            axis.unit,
+            axis.rated_torque,
+        )
+        for axis in (axis.parameters for axis in scene.axes)
+    ]
