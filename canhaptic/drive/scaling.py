@@ -26,7 +26,7 @@ class AxisScaling:
         ParameterError: A factor is not positive and finite.
     """
 
-    __slots__ = ("_counts", "_is_referenced", "_torque_quantum", "_unit_per_count", "rated_torque")
+    __slots__ = ("_counts", "_torque_quantum", "_unit_per_count", "rated_torque")
 
     def __init__(self, counts_per_unit: float, rated_torque: float, direction: int = 1) -> None:
         for name, value in (("counts_per_unit", counts_per_unit), ("rated_torque", rated_torque)):
@@ -38,17 +38,12 @@ class AxisScaling:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the last position: the next one is taken as it comes."""
+        """Forgets the last position: the next one is taken as it comes, as every INTEGER32 is when seen from 0."""
         self._counts = 0
-        self._is_referenced = False
 
     def position(self, position_counts: int) -> float:
         """Returns the position [m or rad] of the next 0x6064; a step of less than half the range never jumps."""
-        if self._is_referenced:
-            self._counts += (position_counts - self._counts + _HALF) % _WRAP - _HALF
-        else:
-            self._counts = position_counts
-            self._is_referenced = True
+        self._counts += (position_counts - self._counts + _HALF) % _WRAP - _HALF
         return self._counts * self._unit_per_count
 
     def torque(self, torque_per_mille: int) -> float:
@@ -95,4 +90,4 @@ def _toward_zero(exact: float) -> int:
 
     A hair is added before the fraction is cut: 0.3 of 1.0 is 300 per mille and not 299.
     """
-    return math.trunc(exact * (1.0 + 4e-16) + math.copysign(1e-9, exact))
+    return math.trunc(exact + math.copysign(1e-9, exact))

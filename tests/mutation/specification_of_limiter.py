@@ -1,0 +1,108 @@
+"""What `canhaptic.drive.limiter` must do, as properties on numbers that binary floating point holds exactly."""
+
+import itertools
+import math
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from canhaptic.errors import ControlError, ParameterError
+
+LIMIT, SAMPLE_TIME, RATE, STEP, POWER = 4.0, 1.0 / 1024.0, 1024.0, 1.0, 2.0
+LASTS = (0.0, 0.25, 1.0, 3.5, 4.0, -0.25, -1.0, -3.5, -4.0)
+TORQUES = (0.0, 0.25, 0.5, 1.0, 1.25, 2.0, 3.5, 4.0, 4.25, 64.0)
+VELOCITIES = (0.0, 5e-324, 0.25, 0.5, 1.0, 2.0, 8.0, 1024.0)
+NOT_FINITE = (math.nan, math.inf, -math.inf)
+
+
+def both_signs(values: tuple[float, ...]) -> list[float]:
+    """The values and their negatives."""
+    return sorted({sign * value for value in values for sign in (1.0, -1.0)})
+
+
+CASES = list(itertools.product(LASTS, both_signs(TORQUES), both_signs(VELOCITIES)))
+
+
+def rise(torque: float, last: float) -> float:
+    """How much of a torque is new: all of it when the last one acted the other way, nothing when it only falls."""
+    return abs(torque) - (abs(last) if torque * last > 0.0 else 0.0)
+
+
+def breaks(torque: float, last: float, velocity: float) -> int:
+    """Which limits a torque breaks, as the bits of `Saturation`."""
+    too_much, too_fast, too_strong = abs(torque) > LIMIT, rise(torque, last) > STEP, torque * velocity > POWER
+    return 1 * too_much | 2 * too_fast | 4 * too_strong
+
+
+def judge(module: ModuleType) -> None:
+    """Raises when the module is no limiter."""
+    assert {flag.name: int(flag) for flag in module.Saturation} == {"MAGNITUDE": 1, "RATE": 2, "POWER": 4}
+    assert int(module.Saturation.NONE) == 0
+    _every_case(module)
+    _sequence(module)
+    _absent_limits(module)
+    _not_finite(module)
+    _refusals(module)
+
+
+def _every_case(module: ModuleType) -> None:
+    limiter = module.TorqueLimiter(LIMIT, SAMPLE_TIME, RATE, POWER)
+    cut = 0
+    for last, torque, velocity in CASES:
+        limiter.last = last
+        limited = limiter.limit(torque, velocity)
+        expected = breaks(torque, last, velocity)
+        cut += expected != 0
+        assert limiter.last == limited
+        assert (limiter.saturation, limiter.saturated_cycles) == (expected, cut)
+        assert breaks(limited, last, velocity) == 0  # all limits at once
+        assert (limited == torque) is (expected == 0)
+        assert limited * torque >= 0.0  # never the other way
+        if expected:  # never less than the limits leave
+            assert breaks(limited + math.copysign(2.0**-40, torque), last, velocity)
+        _bounds(limiter, last, velocity)
+
+
+def _bounds(limiter: Any, last: float, velocity: float) -> None:
+    assert limiter.low <= 0.0 <= limiter.high
+    for bound, outward in ((limiter.low, -(2.0**-40)), (limiter.high, 2.0**-40)):
+        assert breaks(bound, last, velocity) == 0
+        assert breaks(bound + outward, last, velocity)
+
+
+def _sequence(module: ModuleType) -> None:
+    limiter = module.TorqueLimiter(LIMIT, SAMPLE_TIME, RATE, POWER)
+    assert (limiter.last, limiter.low, limiter.high, limiter.saturation, limiter.saturated_cycles) == (0, 0, 0, 0, 0)
+    asked = (9.0, 9.0, 9.0, 9.0, 9.0, 0.5, 0.5, -9.0, -9.0, 9.0, 0.0)
+    assert [limiter.limit(torque, 0.0) for torque in asked] == [1, 2, 3, 4, 4, 0.5, 0.5, -1, -2, 1, 0]
+    assert (limiter.saturation, limiter.saturated_cycles) == (0, 8)
+    limiter.limit(9.0, 0.0)
+    limiter.reset()
+    assert (limiter.last, limiter.low, limiter.high, limiter.saturation, limiter.saturated_cycles) == (0, 0, 0, 0, 0)
+
+
+def _absent_limits(module: ModuleType) -> None:
+    limiter = module.TorqueLimiter(LIMIT, SAMPLE_TIME)
+    for torque, velocity in itertools.product((LIMIT, -LIMIT), both_signs(VELOCITIES)):
+        assert limiter.limit(torque, velocity) == torque
+    assert limiter.saturated_cycles == 0
+
+
+def _not_finite(module: ModuleType) -> None:
+    wrong_torque = [(wrong, 0.0) for wrong in NOT_FINITE]
+    wrong_velocity = [(1.0, wrong) for wrong in NOT_FINITE]
+    for limits in ((), (RATE, POWER)):
+        for torque, velocity in wrong_torque + wrong_velocity:
+            limiter = module.TorqueLimiter(LIMIT, SAMPLE_TIME, *limits)
+            limiter.limit(1.0, 0.0)
+            with pytest.raises(ControlError, match=f"torque of {torque} at a velocity of {velocity},"):
+                limiter.limit(torque, velocity)
+            assert (limiter.last, limiter.low, limiter.high) == (0.0, 0.0, 0.0)
+
+
+def _refusals(module: ModuleType) -> None:
+    good = (LIMIT, SAMPLE_TIME, RATE, POWER)
+    for place, wrong in itertools.product(range(4), (0.0, -0.5, -5.0, math.nan)):
+        with pytest.raises(ParameterError, match=f"got {wrong},"):
+            module.TorqueLimiter(*good[:place], wrong, *good[place + 1 :])

@@ -1,0 +1,75 @@
+"""What `canhaptic.drive.link_policy` must do: the decision table, the numbers in the log, the shares by hand."""
+
+from types import ModuleType
+
+from canhaptic.errors import ControlError, DriveFaultError, LinkError
+
+REASONS = {  # the numbers are in logs that exist
+    "NONE": 0,
+    "OPERATOR": 1,
+    "TPDO_LOST": 10,
+    "HEARTBEAT_LOST": 11,
+    "SEND_FAILED": 12,
+    "EMERGENCY": 20,
+    "DRIVE_FAULT": 21,
+    "STATE_LEFT": 22,
+    "NMT_STATE_LEFT": 23,
+    "POSITION_JUMP": 24,
+    "CONTROLLER": 30,
+    "EXCEPTION": 31,
+}
+RAISED = {
+    "TPDO_LOST": LinkError,
+    "HEARTBEAT_LOST": LinkError,
+    "SEND_FAILED": LinkError,
+    "EMERGENCY": DriveFaultError,
+    "DRIVE_FAULT": DriveFaultError,
+    "STATE_LEFT": DriveFaultError,
+    "NMT_STATE_LEFT": DriveFaultError,
+    "POSITION_JUMP": DriveFaultError,
+    "CONTROLLER": ControlError,
+}
+CASES = (
+    # hold, stop, what happens at 0, 1, 2, ... missed, and what is left of the torque
+    (2, 6, "RUN HOLD HOLD RAMP RAMP RAMP STOP STOP", (1.0, 1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0)),
+    (0, 1, "RUN STOP STOP", (1.0, 0.0, 0.0)),
+    (0, 4, "RUN RAMP RAMP RAMP STOP", (1.0, 0.75, 0.5, 0.25, 0.0)),
+    (1, 2, "RUN HOLD STOP", (1.0, 1.0, 0.0)),
+    (3, 5, "RUN HOLD HOLD HOLD RAMP STOP", (1.0, 1.0, 1.0, 1.0, 0.5, 0.0)),
+)
+
+
+def judge(module: ModuleType) -> None:
+    """Raises when the module is not what its table says."""
+    assert {reason.name: int(reason) for reason in module.StopReason} == REASONS
+    assert {reason.name: raised for reason, (_, raised) in module.STOP_TABLE.items()} == RAISED
+    assert {action.name for action in module.Action} == {"RUN", "HOLD", "RAMP", "STOP"}
+    for hold, stop, actions, shares in CASES:
+        policy = module.LinkPolicy(hold, stop)
+        for missed, (action, share) in enumerate(zip(actions.split(), shares, strict=True)):
+            assert (policy.missed, policy.missed_total, policy.cycles) == (missed, missed, missed)
+            assert (policy.action().name, policy.share()) == (action, share)
+            policy.count(heard=False)
+    _counts(module)
+
+
+def _counts(module: ModuleType) -> None:
+    policy = module.LinkPolicy(2, 6)
+    assert policy.success_rate() == 1.0
+    seen = []
+    for heard in (True, False, False, True, False, True, True, True):
+        policy.count(heard=heard)
+        seen.append((policy.cycles, policy.missed, policy.missed_total, policy.success_rate()))
+    assert seen == [
+        (1, 0, 0, 1.0),
+        (2, 1, 1, 1 / 2),
+        (3, 2, 2, 1 - 2 / 3),
+        (4, 0, 2, 1 / 2),
+        (5, 1, 3, 1 - 3 / 5),
+        (6, 0, 3, 1 / 2),
+        (7, 0, 3, 1 - 3 / 7),
+        (8, 0, 3, 5 / 8),
+    ]
+    policy.count(heard=False)
+    policy.reset()
+    assert (policy.cycles, policy.missed, policy.missed_total, policy.success_rate()) == (0, 0, 0, 1.0)

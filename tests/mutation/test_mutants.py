@@ -1,0 +1,168 @@
+"""The tests of what stands between a controller and a hand are tested themselves: every slip must fail one of them.
+
+Each module below has a specification that takes the module as an argument. The module as it is must meet it, and every
+mutant of it must not.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+import pytest
+import specification_of_cia402
+import specification_of_limiter
+import specification_of_link_policy
+import specification_of_scaling
+import specification_of_state_machine
+from mutator import load, mutants
+
+from canhaptic.drive import cia402, limiter, link_policy, scaling
+from canhaptic.object_dictionary import Controlword, StatusBit
+from canhaptic.sim import state_machine
+
+
+class Subject(NamedTuple):
+    """A module, its specification, and the mutants that no specification can tell from it."""
+
+    module: ModuleType
+    judge: Callable[[ModuleType], None]
+    fewest: int  # mutants; fewer would mean that the mutator has gone blind
+    members: Mapping[str, type[Enum]] = {}
+    names: Mapping[str, Sequence[str]] = {}
+    equivalent: Mapping[str, str] = {}  # name of the mutant -> why nobody can notice
+
+
+SUBJECTS = {
+    "limiter": Subject(
+        limiter,
+        specification_of_limiter.judge,
+        135,
+        names={"max": ("min",), "min": ("max",)},
+        equivalent={
+            "TorqueLimiter.limit: if last > 0.0: => if last >= 0.0:": "adding a zero to either side is the same",
+        },
+    ),
+    "cia402": Subject(
+        cia402,
+        specification_of_cia402.judge,
+        240,
+        members={"DriveState": cia402.DriveState, "Controlword": Controlword},
+        equivalent={
+            "module: ..DriveState.OPERATION_ENABLED), (111, 7, DriveState.QUICK_STO.. => "
+            "..DriveState.OPERATION_ENABLED), (79, 7, DriveState.QUICK_STO..": "0x27 was told apart one row earlier",
+            "module: _STATES: Final = tuple((_state(low_byte) for low_byte in range(256))) => "
+            "_STATES: Final = tuple((_state(low_byte) for low_byte in range(257)))": "no index reaches the last entry",
+            "drive_state: return _STATES[statusword & 255] => "
+            "return _STATES[statusword & 127]": "bit 7, the warning, is in no mask",
+            "drive_state: return _STATES[statusword & 255] => "
+            "return _STATES[statusword & 239]": "bit 4, the voltage, is in no mask",
+        },
+    ),
+    "link_policy": Subject(
+        link_policy,
+        specification_of_link_policy.judge,
+        140,
+        members={"StopReason": link_policy.StopReason, "Action": link_policy.Action},
+        names={
+            "max": ("min",),
+            "LinkError": ("DriveFaultError",),
+            "DriveFaultError": ("ControlError",),
+            "ControlError": ("LinkError",),
+        },
+        equivalent={
+            "LinkPolicy.action: if self.missed == 0: => if self.missed <= 0:": "a count is never negative",
+            "LinkPolicy.share: if self.missed <= self._hold_cycles: => "
+            "if self.missed < self._hold_cycles:": "the ramp begins at 1",
+        },
+    ),
+    "state_machine": Subject(
+        state_machine,
+        specification_of_state_machine.judge,
+        340,
+        members={
+            "_S": state_machine.DriveState,
+            "DriveState": state_machine.DriveState,
+            "_C": state_machine.Command,
+            "Command": state_machine.Command,
+            "StatusBit": StatusBit,
+        },
+        equivalent={
+            "Command: DISABLE_VOLTAGE = 0 => DISABLE_VOLTAGE = -1": "commands are told apart, never counted",
+            "Command: ENABLE_OPERATION = 4 => ENABLE_OPERATION = 5": "commands are told apart, never counted",
+            "StateMachine.reset: self._controlword = 0 => self._controlword = 1": "only the edge of bit 7 is asked for",
+        },
+    ),
+    "scaling": Subject(
+        scaling,
+        specification_of_scaling.judge,
+        85,
+        names={"round": ("int",), "trunc": ("floor", "ceil"), "isfinite": ("isnan",)},
+        equivalent={
+            "AxisScaling.position: self._counts += (position_counts - self._counts + _HALF) % _WRAP - _HALF => "
+            "self._counts += (position_counts - self._counts - _HALF) % _WRAP - _HALF": "twice half is the whole range",
+            "AxisScaling.torque_per_mille: if not low <= per_mille * self._torque_quantum <= high: => "
+            "if not low < per_mille * self._torque_quantum <= high:": "a whole number rounds toward zero to itself",
+            "AxisScaling.torque_per_mille: if not low <= per_mille * self._torque_quantum <= high: => "
+            "if not low <= per_mille * self._torque_quantum < high:": "a whole number rounds toward zero to itself",
+        },
+    ),
+}
+
+
+def survives(code: object, judge: Callable[[ModuleType], None]) -> bool:
+    """Whether a mutant loads and meets the specification."""
+    try:
+        judge(load(code))  # type: ignore[arg-type]
+    except (Exception, pytest.fail.Exception):
+        return False
+    return True
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_the_module_meets_its_specification_and_every_mutant_fails_it(name: str) -> None:
+    subject = SUBJECTS[name]
+    subject.judge(subject.module)
+    path = Path(str(subject.module.__file__))
+    every = {mutant.name: mutant.code for mutant in mutants(path, subject.members, subject.names)}
+    assert len(every) >= subject.fewest
+    survivors = [mutant for mutant, code in every.items() if survives(code, subject.judge)]
+    assert [mutant for mutant in survivors if mutant not in subject.equivalent] == [], "nobody notices these"
+    assert [mutant for mutant in subject.equivalent if mutant not in every] == [], "these are no longer made"
+    assert [mutant for mutant in subject.equivalent if mutant not in survivors] == [], "these are noticed after all"
+
+
+SAMPLE = '''
+"""A docstring."""
+LIMIT: int = 3
+def limited(x: int | None = None) -> bool:
+    """Another 1."""
+    if not x < LIMIT and x & 4:
+        raise ValueError(f"{x + 1}")
+    return True
+'''
+
+
+def test_the_mutator_makes_every_slip_once_and_leaves_text_alone(tmp_path: Path) -> None:
+    path = tmp_path / "sample.py"
+    path.write_text(SAMPLE)
+    condition = "limited: if not x < LIMIT and x & 4:"
+    assert sorted(mutant.name for mutant in mutants(path, {})) == sorted(
+        [
+            *(f"module: LIMIT: int = 3 => LIMIT: int = {other}" for other in (4, 2, 1, 7, 11, 19, 35, 67, 131)),
+            "module: def limited(x: int | None=None) -> bool: => def limited(x: int | None=...) -> bool:",
+            f"{condition} => if not x < LIMIT or x & 4:",
+            f"{condition} => if +(x < LIMIT) and x & 4:",
+            f"{condition} => if not x <= LIMIT and x & 4:",
+            f"{condition} => if not x > LIMIT and x & 4:",
+            f"{condition} => if not x < LIMIT and x | 4:",
+            f"{condition} => if not x < LIMIT and x ^ 4:",
+            *(f"{condition} => if not x < LIMIT and x & {other}:" for other in (6, 0, 12, 20, 36, 68, 132)),
+            *(f"{condition} => if not x < LIMIT and x & {other}:" for other in (5, 3)),
+            f"{condition} => if not (not x < LIMIT and x & 4):",
+            "limited: raise ValueError(f'{x + 1}') => left out",
+            "limited: return True => return False",
+            "limited: return True => return None",
+        ]
+    )
