@@ -172,7 +172,7 @@ class Ledger:
 
     def reset(self) -> None:
         """Forgets every hold."""
-        self._interaction, self._in, self._dissipated, self._margin = (CompensatedSum() for _ in range(4))
+        self._interaction, self._in, self._dissipated = CompensatedSum(), CompensatedSum(), CompensatedSum()
         self._recovered, self._leaked, self._paid, self._deficit, self._generated = (CompensatedSum() for _ in range(5))
         self._branches = [0] * len(Branch)
         self._last = AT_REST
@@ -180,6 +180,11 @@ class Ledger:
         self._least_margin_cycle = 0
         self._certificate = 0
         self._damping_least, self._damping_most = float("inf"), 0.0
+
+    @property
+    def interaction(self) -> float:
+        """Sum of h_i so far [J] (eq. 3)."""
+        return self._interaction.value
 
     def add(self, balance: EnergyBalance, cycle: int) -> None:
         """Adds the account of the hold that ended at SYNC `cycle`."""
@@ -198,11 +203,16 @@ class Ledger:
             self._damping_most = max(self._damping_most, rendered)
 
     def _add_corrections(self, balance: EnergyBalance) -> None:
-        self._recovered.add(balance.h_pas)
-        self._leaked.add(balance.leak)
-        self._paid.add(balance.paid)
-        self._deficit.add(balance.deficit)
-        self._generated.add(balance.gen)
+        if balance.h_pas:
+            self._recovered.add(balance.h_pas)
+        if balance.leak:
+            self._leaked.add(balance.leak)
+        if balance.paid:
+            self._paid.add(balance.paid)
+        if balance.deficit:
+            self._deficit.add(balance.deficit)
+        if balance.gen:
+            self._generated.add(balance.gen)
 
     def _add_flows(self, h_i: float, h_r: float, cycle: int) -> None:
         interaction = self._interaction.add(h_i)
@@ -210,18 +220,10 @@ class Ledger:
             self._in.add(h_i)
         elif interaction < self._least_interaction:
             self._least_interaction = interaction
-        margin = self._margin.add(h_i)
-        if h_r:
-            self._dissipated.add(h_r)
-            margin = self._margin.add(-h_r)
-        if margin < self._least_margin:
-            self._least_margin = margin
+        dissipated = self._dissipated.add(h_r) if h_r else self._dissipated.value
+        if interaction - dissipated < self._least_margin:
+            self._least_margin = interaction - dissipated
             self._least_margin_cycle = cycle
-
-    @property
-    def interaction(self) -> float:
-        """Sum of h_i so far [J]."""
-        return self._interaction.value
 
     def summary(self) -> LedgerSummary:
         """Returns the account so far."""

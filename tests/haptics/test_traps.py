@@ -9,6 +9,7 @@ from reference_loop import USER_S, continuous, sampled, user_f
 from canhaptic.haptics.balance import Branch, Ledger
 from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.haptics.passivity import build_controller
+from canhaptic.haptics.passivity.internal_dissipation import InternalDissipationParameters
 from canhaptic.haptics.passivity.protocol import LoopProperties
 
 WALL = SpringDamperWall(stiffness=100.0, damping=10.0, position=-0.05)
@@ -91,6 +92,21 @@ def test_10_under_saturation_the_torque_read_back_keeps_the_account_exact(algori
     commanded = -np.cumsum([b.torque for b in run.balances[:-1]] * np.diff(run.position))
     assert np.abs(believed - true).max() <= 1e-14
     assert np.abs(commanded - true).max() > 0.01
+
+
+def test_10_a_clipped_torque_scales_the_damper_efforts_inside_it():
+    alpha = InternalDissipationParameters(alpha="100 s/m^2")
+    wall = SpringDamperWall(stiffness=1000.0, damping=10.0)
+    made = build_controller(wall, "internal_dissipation", alpha, LoopProperties(sample_time=1e-3))
+    made.step(0.0, 0.0)
+    started = made.step(-0.002, 0.0)  # 2 N of spring, 20 N of damper, and 2 mJ created: 0.2 Ns/m, 0.4 N
+    assert started.torque == pytest.approx(22.4)
+    clipped = made.step(-0.003, 11.2)
+    assert clipped.h_pas == pytest.approx(0.5 * 0.4 * 0.001)
+    change = clipped.state - started.state
+    assert clipped.h_r == pytest.approx(-0.5 * 20.0 * change)
+    reversed_sign = made.step(-0.004, -5.0)
+    assert reversed_sign.h_pas == reversed_sign.h_r == 0.0
 
 
 @pytest.mark.parametrize("delay", [0, 1])

@@ -20,7 +20,7 @@ Kept as printed: every start creates k x^2 / 2, and the state creeps away from t
 """
 
 import math
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from canhaptic.haptics.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.haptics.environments.protocol import Environment
@@ -32,6 +32,7 @@ from canhaptic.haptics.recovery import Alpha, damping_cap
 from canhaptic.haptics.velocity import DamperVelocity
 from canhaptic.parameters import Parameters
 
+_ROUNDING: Final = 2.5e-16  # of the stored energy: what a difference of two energies can resolve
 _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
 
 
@@ -146,4 +147,4 @@ class InternalDissipation:
         def slope(change: float) -> float:
             return environment.effort(state + change) + damper
 
-        return solve_balance_nonlinear(gain, slope, h_m, 2.0 * displacement)
+        return solve_balance_nonlinear(gain, slope, h_m, 2.0 * displacement, _ROUNDING * stored)

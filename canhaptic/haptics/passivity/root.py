@@ -68,7 +68,11 @@ def solve_balance(stiffness: float, effort: float, energy: float, displacement: 
 
 
 def solve_balance_nonlinear(
-    gain: Callable[[float], float], slope: Callable[[float], float], energy: float, limit: float
+    gain: Callable[[float], float],
+    slope: Callable[[float], float],
+    energy: float,
+    limit: float,
+    tolerance: float = 0.0,
 ) -> float | None:
     """Returns the root nearest zero of gain(dx) = H for a nonlinear storage, or None where no state change balances.
 
@@ -82,6 +86,7 @@ def solve_balance_nonlinear(
         energy: H, what the model received [J].
         limit: Largest state change to look at [m or rad]; its sign decides where nothing opposes motion at first.
             With more received than the limit takes up the answer is the limit, and the caller leaks the rest.
+        tolerance: Rounding of `gain` [J]; nothing finer is looked for.
     """
     if energy == 0.0 or limit == 0.0:
         return 0.0 if energy >= 0.0 else None
@@ -91,7 +96,7 @@ def solve_balance_nonlinear(
         far = _turning_point(slope, far)
     if abs(gain(far)) < abs(energy) or (gain(far) > 0.0) != (energy > 0.0):
         return far if energy > 0.0 else None
-    return _newton(gain, slope, energy, far)
+    return _newton(gain, slope, energy, far, tolerance)
 
 
 def _turning_point(slope: Callable[[float], float], far: float) -> float:
@@ -108,7 +113,9 @@ def _turning_point(slope: Callable[[float], float], far: float) -> float:
     return near
 
 
-def _newton(gain: Callable[[float], float], slope: Callable[[float], float], energy: float, far: float) -> float:
+def _newton(
+    gain: Callable[[float], float], slope: Callable[[float], float], energy: float, far: float, tolerance: float
+) -> float:
     """Returns the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
     effort = slope(0.0)
     near, gain_far = 0.0, gain(far)
@@ -122,7 +129,7 @@ def _newton(gain: Callable[[float], float], slope: Callable[[float], float], ene
                 break
         gained = gain(guess)
         missing = energy - gained
-        if missing == 0.0:
+        if abs(missing) <= tolerance:
             break
         if (missing > 0.0) == (energy > 0.0):
             near = guess
