@@ -18,6 +18,7 @@ COMMANDS: Final = {
     "run": "run a scene: bring the drives up, render, print the energy account",
     "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
+    "compare": "compare every passivity algorithm on one scene with the continuous environment",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
     "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",
     "decode": "name every frame of a bus log",

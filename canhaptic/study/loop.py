@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import ControlError
-from canhaptic.haptics.balance import AT_REST, Branch, EnergyBalance, Ledger, LedgerSummary, residual
+from canhaptic.haptics.balance import AT_REST, Branch, CompensatedSum, EnergyBalance, Ledger, LedgerSummary, residual
 from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.haptics.passivity import build_controller
 from canhaptic.haptics.passivity.protocol import Controller, LoopProperties
@@ -97,7 +97,8 @@ class Recorder:
         self._columns = [array("d") for _ in _COLUMNS]
         self._ledger = Ledger()
         self._lowest, self._highest = centre - furthest, centre + furthest
-        self._h_s = self._residual = self._dissipated = 0.0
+        self._believed, self._dissipated = CompensatedSum(), CompensatedSum()
+        self._h_s = self._residual = 0.0
 
     def take(self, position: float, true_position: float, torque: float, balance: EnergyBalance, motor: float) -> None:
         """Takes one SYNC.
@@ -112,15 +113,14 @@ class Recorder:
         Raises:
             DivergedError: The position is not finite, or further away than any user took it.
         """
-        ledger = self._ledger
-        ledger.add(balance, len(self._columns[0]))
+        self._ledger.add(balance, len(self._columns[0]))
+        believed, dissipated = self._believed.add(balance.h_i), self._dissipated.add(balance.h_r)
         largest = max(self._h_s, balance.h_s, abs(balance.h_i), balance.h_r, balance.gen, balance.deficit, balance.leak)
         if largest > 0.0:
             self._residual = max(self._residual, abs(residual(balance, self._h_s)) / largest)
         self._h_s = balance.h_s
-        self._dissipated += balance.h_r
         damping = float("nan") if balance.branch in _APART else balance.damping_rendered
-        row = (position, true_position, torque, -motor, ledger.interaction, self._dissipated, damping)
+        row = (position, true_position, torque, -motor, believed, dissipated, damping)
         for column, value in zip(self._columns, row, strict=True):
             column.append(value)
         if not self._lowest < true_position < self._highest:

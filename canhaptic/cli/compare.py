@@ -1,0 +1,73 @@
+"""`canhaptic compare CONFIG`: every passivity algorithm on one scene, beside the continuous environment."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
+from canhaptic.cli.output import write_json, write_note
+from canhaptic.cli.progress import RunProgress
+from canhaptic.errors import InputError
+from canhaptic.parameters import Unit
+from canhaptic.study.compare import chosen_algorithms, compare, cycles_of
+from canhaptic.view.energy_table import make_console
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `compare`."""
+    add_scene(parser)
+    parser.add_argument("--algorithms", metavar="A,B,...", type=_names, help="which; by default every one")
+    parser.add_argument("--duration", metavar="S", type=seconds, help="length of each run [s]; by default the scene's")
+    parser.add_argument(
+        "--rate", metavar="HZ", type=_rate, help="another rate than the scene's, also beyond what a bus could carry"
+    )
+    parser.add_argument("--can", action="store_true", help="over the whole CAN path instead of without a bus")
+    parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the comparison (.png, .svg, .pdf)")
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Runs the comparison and prints it; returns 0 whatever the algorithms did.
+
+    Raises:
+        InputError: A scene, an algorithm or a picture that cannot be used.
+    """
+    scene = scene_of(arguments)
+    algorithms = chosen_algorithms(arguments.algorithms)
+    if arguments.png is not None and not arguments.png.absolute().parent.is_dir():
+        raise InputError(f"{arguments.png}: no such folder {arguments.png.absolute().parent}; make it first")
+    total = cycles_of(scene, arguments.duration) * len(algorithms) * len(scene.axes)
+    if arguments.rate is not None:
+        total = round(total * arguments.rate * scene.bus.sample_time)
+    with RunProgress(total, scene.bus.sample_time, "free") as progress:
+        comparison = compare(
+            scene,
+            algorithms,
+            duration=arguments.duration,
+            rate=arguments.rate,
+            over_can=arguments.can,
+            progress=progress if sys.stderr.isatty() else None,
+        )
+    if arguments.json:
+        write_json(comparison.result)
+    else:
+        from canhaptic.study.compare_table import comparison_report
+
+        make_console().print(comparison_report(comparison.result))
+    if arguments.png is not None:
+        from canhaptic.study.compare_picture import draw_comparison
+
+        draw_comparison(comparison, arguments.png)
+        write_note(f"  picture     {arguments.png}")
+    return 0
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _rate(text: str) -> float:
+    try:
+        return float(str(Unit("Hz", "Hz").read(text)))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"got {text!r}: {error}") from error

@@ -1,0 +1,289 @@
+"""Every algorithm on one scene, beside the continuous environment, judged by the plant's own energies.
+
+    user + plant -> continuous environment        the reference: no sampling, no encoder, no limit of the torque
+    user + plant -> encoder -> algorithm -> delay -> torque quantum and limit -> plant        once per algorithm
+
+Without a bus by default (`DirectRig`: the same floats, a tenth of the time), or over the whole CAN path.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.parameters import Parameters
+from canhaptic.scene.models import AxisScene, Scene, Typed
+from canhaptic.study.cost import microseconds_per_step
+from canhaptic.study.figures import figures
+from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
+from canhaptic.study.over_can import render_over_can
+from canhaptic.study.reference import Reference, continuous_reference
+from canhaptic.study.scenes import environment_of, loop_case, plant_parts
+from canhaptic.tables import load
+
+DEFAULT_DURATION: Final = 5.0
+"""Of scenes that name none [s]."""
+_FURTHEST: Final = 10.0
+"""Distance that counts as divergence, in travels of the continuous axis."""
+_LEAST_TRAVEL: Final = 5e-3  # [m or rad]
+_BATCH: Final = 64  # cycles between two reports of progress
+
+
+@dataclass(frozen=True, slots=True)
+class AxisComparison:
+    """One axis: the continuous run, and one run per algorithm that could be built."""
+
+    name: str
+    unit: str
+    reference: Reference | None
+    runs: dict[str, LoopRun]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What a comparison gave: plain values, and the runs behind them for the picture."""
+
+    result: dict[str, Any]
+    axes: tuple[AxisComparison, ...]
+    sample_time: float
+
+
+def compare(
+    scene: Scene,
+    algorithms: Sequence[str] | None = None,
+    *,
+    duration: float | None = None,
+    rate: float | None = None,
+    over_can: bool = False,
+    repeats: int = 5,
+    progress: Callable[[int], None] | None = None,
+) -> Comparison:
+    """Returns every algorithm on every axis of a scene.
+
+    Args:
+        scene: With simulated drives.
+        algorithms: Names of `ALGORITHMS`; all of them by default.
+        duration: [s]; by default the scene's.
+        rate: SYNCs per second instead of the scene's, also beyond what its bus could carry; not over CAN.
+        over_can: Over the whole CAN path instead of `DirectRig`.
+        repeats: Interleaved timings of a step, of which the least counts; 0 for none.
+        progress: Told the number of cycles done so far, of `total_cycles`.
+
+    Raises:
+        InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
+    """
+    names = chosen_algorithms(algorithms)
+    if not all(axis.simulation is not None for axis in scene.axes):
+        raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
+    if rate is not None:
+        scene = at_rate(scene, rate, over_can=over_can)
+    cycles = cycles_of(scene, duration)
+    counter = _Counter(progress)
+    references = [_reference(axis, scene.bus.sample_time_ns, cycles) for axis in scene.axes]
+    if over_can:
+        runs, remarks = _over_can(scene, names, cycles, counter)
+    else:
+        runs, remarks = _direct(scene, names, cycles, references, counter)
+    cost = _cost(scene, runs, repeats)
+    axes = tuple(
+        AxisComparison(axis.parameters.name, axis.parameters.unit, reference, run)
+        for axis, (reference, _), run in zip(scene.axes, references, runs, strict=True)
+    )
+    accounts = {
+        axis.name: _account(scene, axis, index, references[index][1], names, remarks[index], cost[index])
+        for index, axis in enumerate(axes)
+    }
+    result = {
+        "scene": scene.source,
+        "config_hash": scene.config_hash(),
+        "path": "can" if over_can else "direct",
+        "rate": 1.0 / scene.bus.sample_time,
+        "delay": _delay(scene),
+        "cycles": cycles,
+        "duration": cycles * scene.bus.sample_time,
+        "axes": accounts,
+    }
+    return Comparison(result, axes, scene.bus.sample_time)
+
+
+def chosen_algorithms(algorithms: Sequence[str] | None) -> list[str]:
+    """Returns the names asked for, each known; all of them for None.
+
+    Raises:
+        ParameterError: One is unknown.
+    """
+    for name in algorithms or ():
+        load(ALGORITHMS, name, "passivity algorithm")
+    return list(dict.fromkeys(algorithms or ALGORITHMS))
+
+
+def cycles_of(scene: Scene, duration: float | None) -> int:
+    """Returns the SYNCs of one run."""
+    return max(2, round((duration or scene.run.duration or DEFAULT_DURATION) / scene.bus.sample_time))
+
+
+def at_rate(scene: Scene, rate: float, *, over_can: bool = False) -> Scene:
+    """Returns the scene at another rate, without asking whether its bus could carry it.
+
+    Raises:
+        InputError: The rate is out of range, or a real bus would have to carry it.
+    """
+    if over_can:
+        raise InputError("--rate: changes the loop without a bus; over CAN lay it over the scene (--set bus.rate=...)")
+    bus = BusParameters(**{**scene.bus.model_dump(), "rate": rate})
+    axes = tuple(
+        replace(axis, loop=axis.loop.model_copy(update={"sample_time": bus.sample_time})) for axis in scene.axes
+    )
+    return replace(scene, bus=bus, axes=axes)
+
+
+def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
+    """Returns an axis under another algorithm, with what the two have in common (alpha, velocity, ...) kept."""
+    model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
+    given = axis.passivity.parameters
+    if axis.passivity.name == name:
+        return axis
+    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
+    return replace(axis, passivity=Typed(name, model().model_copy(update=common)))
+
+
+def with_known_plant(axis: AxisScene) -> tuple[AxisScene, str]:
+    """Returns an axis whose algorithm is told the simulated plant where the scene says nothing, and what it is told."""
+    assert axis.simulation is not None
+    plant, loop = axis.simulation.plant, axis.loop
+    known = {"moving_mass": plant.mass, "device_damping": plant.damping, "device_damping_bound": plant.damping}
+    missing = {key: value for key, value in known.items() if getattr(loop, key) is None}
+    told = ", ".join(f"{key} {value:g}" for key, value in missing.items() if key != "device_damping_bound")
+    return replace(axis, loop=loop.model_copy(update=missing)), f"told {told} of the plant"
+
+
+class _Counter:
+    """Cycles done, reported now and then."""
+
+    def __init__(self, progress: Callable[[int], None] | None) -> None:
+        self._progress, self._done = progress, 0
+
+    def __call__(self) -> None:
+        self._done += 1
+        if self._progress is not None and self._done % _BATCH == 0:
+            self._progress(self._done)
+
+
+_Reference = tuple[Reference | None, str]
+
+
+def _reference(axis: AxisScene, sample_time_ns: int, cycles: int) -> _Reference:
+    plant, user, effects, seed = plant_parts(axis)
+    try:
+        found = continuous_reference(environment_of(axis), plant, user, effects, sample_time_ns, cycles, seed)
+    except InputError as error:
+        return None, f"none: {error}"
+    return found, found.method
+
+
+def _buildable(axis: AxisScene, name: str, scene: Scene) -> tuple[AxisScene, str]:
+    """Returns the axis under an algorithm, told of the plant what it cannot do without, and a remark.
+
+    Raises:
+        ParameterError: It cannot be built even so.
+    """
+    chosen = with_algorithm(axis, name)
+    try:
+        loop_case(chosen, scene).controller()
+    except ParameterError:
+        chosen, remark = with_known_plant(chosen)
+        loop_case(chosen, scene).controller()
+        return chosen, remark
+    return chosen, ""
+
+
+def _direct(
+    scene: Scene, names: Sequence[str], cycles: int, references: Sequence[_Reference], counter: _Counter
+) -> tuple[list[dict[str, LoopRun]], list[dict[str, str]]]:
+    runs: list[dict[str, LoopRun]] = []
+    remarks: list[dict[str, str]] = []
+    for axis, (reference, _) in zip(scene.axes, references, strict=True):
+        runs.append({})
+        remarks.append({})
+        for name in names:
+            try:
+                chosen, remarks[-1][name] = _buildable(axis, name, scene)
+            except ParameterError as error:
+                remarks[-1][name] = f"refused: {error}"
+                continue
+            runs[-1][name] = render(loop_case(chosen, scene), cycles, _recorder(reference), counter)
+    return runs, remarks
+
+
+def _recorder(reference: Reference | None) -> Recorder:
+    if reference is None:
+        return Recorder()
+    centre = 0.5 * float(reference.position.max() + reference.position.min())
+    return Recorder(_FURTHEST * max(reference.travel, _LEAST_TRAVEL), centre)
+
+
+def _over_can(
+    scene: Scene, names: Sequence[str], cycles: int, counter: _Counter
+) -> tuple[list[dict[str, LoopRun]], list[dict[str, str]]]:
+    runs: list[dict[str, LoopRun]] = [{} for _ in scene.axes]
+    remarks: list[dict[str, str]] = [{} for _ in scene.axes]
+    for name in names:
+        try:
+            built = [_buildable(axis, name, scene) for axis in scene.axes]
+        except ParameterError as error:
+            for remark in remarks:
+                remark[name] = f"refused: {error}"
+            continue
+        found = render_over_can(replace(scene, axes=tuple(axis for axis, _ in built)), cycles, counter)
+        for index, run in enumerate(found):
+            runs[index][name], remarks[index][name] = run, built[index][1]
+    return runs, remarks
+
+
+def _cost(scene: Scene, runs: Sequence[dict[str, LoopRun]], repeats: int) -> list[dict[str, float]]:
+    costs = []
+    for axis, of_axis in zip(scene.axes, runs, strict=True):
+        cases: dict[str, tuple[LoopCase, LoopRun]] = {}
+        for name, run in of_axis.items():
+            cases[name] = loop_case(_buildable(axis, name, scene)[0], scene), run
+        costs.append(microseconds_per_step(cases, repeats) if repeats else {})
+    return costs
+
+
+def _account(
+    scene: Scene,
+    axis: AxisComparison,
+    index: int,
+    method: str,
+    names: Sequence[str],
+    remarks: dict[str, str],
+    cost: dict[str, float],
+) -> dict[str, Any]:
+    environment = environment_of(scene.axes[index])
+    accounts: dict[str, Any] = {}
+    for name in names:
+        run = axis.runs.get(name)
+        found = {} if run is None else figures(environment, run, axis.reference, scene.bus.sample_time)
+        accounts[name] = {
+            "status": "refused" if run is None else run.ended or "completed",
+            "remark": remarks.get(name, ""),
+            **found,
+            "microseconds_per_step": cost.get(name),
+        }
+    reference = axis.reference
+    return {
+        "unit": axis.unit,
+        "environment": scene.axes[index].environment.name,
+        "reference": {
+            "method": method,
+            "travel": None if reference is None else reference.travel,
+            "force_variation": None if reference is None else reference.variation,
+        },
+        "algorithms": accounts,
+    }
+
+
+def _delay(scene: Scene) -> int:
+    return 1 if scene.bus.rpdo == "synchronous" else 0

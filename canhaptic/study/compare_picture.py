@@ -1,0 +1,163 @@
+"""A comparison as a picture: one column per algorithm, the continuous environment in grey behind each of them.
+
+Position, force and energy account share their scale across a row, set by the continuous run, so that columns compare at
+one glance and an algorithm that diverges leaves its panel instead of flattening the others.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.study.compare import AxisComparison, Comparison
+from canhaptic.study.loop import Array, LoopRun
+from canhaptic.study.reference import Reference
+from canhaptic.view.decimate import decimate
+from canhaptic.view.si import si
+
+_BLUE, _VERMILION, _GREEN, _GREY = "#0072B2", "#D55E00", "#009E73", "#8C8C8C"
+_BUCKETS: Final = 1200
+_ROOM: Final = 0.35
+"""Above and below the continuous run, as a part of its range."""
+_MARGIN: Final = 0.06
+_PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
+_STYLE: Final[Any] = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#808080",
+    "axes.grid": True,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "svg.hashsalt": "canhaptic",
+}
+
+
+def draw_comparison(comparison: Comparison, path: str | Path) -> None:
+    """Draws a comparison into a file; its suffix says how (.png, .svg, .pdf).
+
+    Raises:
+        InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
+    """
+    try:
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
+    columns = max(len(axis.runs) for axis in comparison.axes)
+    if columns == 0:
+        raise InputError("no algorithm ran, there is nothing to draw; the table says why")
+    rows = 3 * len(comparison.axes)
+    with mpl.rc_context(_STYLE):
+        figure: Any = Figure(figsize=(1.2 + 3.0 * columns, 0.9 + 2.5 * rows), dpi=110, layout="constrained")
+        panels: Any = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
+        for index, axis in enumerate(comparison.axes):
+            _draw_axis(axis, comparison, panels[3 * index : 3 * index + 3])
+        for panel in panels[-1]:
+            panel.set_xlabel("time [s]")
+        figure.suptitle(_caption(comparison), x=0.01, ha="left", fontsize=9.5, color="#404040")
+        try:
+            figure.savefig(path)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: the picture cannot be written ({error})") from error
+
+
+def _caption(comparison: Comparison) -> str:
+    result = comparison.result
+    path = "over the CAN path" if result["path"] == "can" else "without a bus"
+    return f"{result['scene']}   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {path}   grey: continuous"
+
+
+def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: Any) -> None:
+    """Draws one axis into three rows of panels."""
+    unit = axis.unit
+    runs, reference, period = axis.runs, axis.reference, comparison.sample_time
+    calm = [run for run in runs.values() if not run.ended] or list(runs.values())
+    scales = (
+        _scale(reference.position if reference else calm[0].true_position),
+        _scale(reference.fine_torque if reference else calm[0].torque),
+        _scale(*(run.interaction for run in calm)),
+    )
+    accounts = comparison.result["axes"][axis.name]["algorithms"]
+    for column, (name, run) in enumerate(runs.items()):
+        position, force, energy = panels[:, column]
+        title = name if len(comparison.axes) == 1 else f"{axis.name}: {name}"
+        position.set_title(title, fontweight="bold", fontsize=10.0)
+        _draw_position(position, run, reference, period, scales[0])
+        _draw_force(force, run, reference, period, scales[1])
+        _draw_energy(energy, run, period, scales[2])
+        _write_error(position, accounts[name], unit)
+    for row, (what, symbol) in enumerate(
+        (("position", unit), ("force", "N" if unit == "m" else "N*m"), ("energy", "J"))
+    ):
+        scale, prefix, (low, high) = scales[row]
+        panels[row, 0].set_ylim(low / scale, high / scale)
+        panels[row, 0].set_ylabel(f"{what} [{prefix}{symbol}]")
+    for panel in panels[:, len(runs) :].flat:
+        panel.set_visible(False)
+
+
+_Scale = tuple[float, str, tuple[float, float]]
+
+
+def _scale(*lines: Array) -> _Scale:
+    """Returns factor, SI prefix and limits that show all lines with room around them."""
+    low = min(float(line.min(initial=0.0)) for line in lines)
+    high = max(float(line.max(initial=0.0)) for line in lines)
+    room = _ROOM * max(high - low, 1e-12)
+    largest = max(abs(low), abs(high))
+    scale, prefix = next(((s, p) for s, p in _PREFIXES if largest >= s), (1.0, ""))
+    return scale, prefix, (low - room, high + room)
+
+
+def _times(values: Array, period: float) -> Array:
+    return np.arange(len(values), dtype=np.float64) * np.float64(period)
+
+
+def _line(panel: Any, time: Array, values: Array, scale: _Scale, **style: Any) -> None:
+    """Draws a line, cut off a little outside the panel so that a diverged run keeps its direction."""
+    low, high = scale[2]
+    far = 3.0 * (high - low)
+    shown = decimate(values, _BUCKETS)
+    panel.plot(time[shown], np.clip(values[shown], low - far, high + far) / scale[0], **style)
+
+
+def _draw_position(panel: Any, run: LoopRun, reference: Reference | None, period: float, scale: _Scale) -> None:
+    if reference is not None:
+        time = _times(reference.position, period)
+        _line(panel, time, reference.position, scale, color=_GREY, linewidth=3.0, alpha=0.6)
+    time = _times(run.true_position, period)
+    _line(panel, time, run.true_position, scale, color=_BLUE, linewidth=1.0)
+
+
+def _draw_force(panel: Any, run: LoopRun, reference: Reference | None, period: float, scale: _Scale) -> None:
+    if reference is not None:
+        _line(panel, reference.fine_time, reference.fine_torque, scale, color=_GREY, linewidth=3.0, alpha=0.6)
+    time = _times(run.torque, period)
+    _line(panel, time, run.torque, scale, color=_VERMILION, linewidth=0.9, drawstyle="steps-pre")
+
+
+def _draw_energy(panel: Any, run: LoopRun, period: float, scale: _Scale) -> None:
+    time = _times(run.interaction, period)
+    panel.axhline(0.0, color="black", linewidth=0.8)
+    _line(panel, time, run.interaction, scale, color=_BLUE, linewidth=1.2, label="in, true")
+    _line(panel, time, run.dissipated, scale, color=_VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
+    _line(panel, time, run.interaction - run.dissipated, scale, color=_GREEN, linewidth=1.1, label="margin of (4)")
+    panel.set_title(
+        f"least in {si(run.least_interaction, 'J', 3)}, margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left"
+    )
+    if panel.get_subplotspec().is_first_col():
+        panel.legend(loc="upper left", fontsize=7.5, ncols=1)
+
+
+def _write_error(panel: Any, account: dict[str, Any], unit: str) -> None:
+    error, ratio = account["position_error"], account["force_variation"]["ratio"]
+    words = [] if error is None else [f"rms error {si(error['rms'], unit, 3)}"]
+    if account["status"] != "completed":
+        words = [str(account["status"]).partition(":")[0]]
+    elif ratio is not None:
+        words.append(f"force varies {ratio:.3g} x")
+    panel.text(0.02, 0.98, "\n".join(words), transform=panel.transAxes, va="top", fontsize=8.0, color="#404040")

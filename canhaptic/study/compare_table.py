@@ -1,0 +1,140 @@
+"""A comparison as a table for a terminal: one column per algorithm, one row per figure, the best of a row in bold."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from canhaptic.view.energy_table import PASSIVE_TOLERANCE
+from canhaptic.view.si import si
+
+COLUMNS: Final = 6
+"""Algorithms in one table: 100 columns of text."""
+_LABEL_WIDTH: Final = 23
+
+Account = Mapping[str, Any]
+
+
+def comparison_report(result: Account) -> RenderableType:
+    """Returns tables and remarks of a comparison.
+
+    Args:
+        result: Plain values, as `compare --json` prints them.
+    """
+    parts: list[RenderableType] = [_heading(result)]
+    for name, axis in result["axes"].items():
+        algorithms = list(axis["algorithms"])
+        parts.append(Text(f" {name}: {axis['environment']}   continuous: {axis['reference']['method']}"))
+        for start in range(0, len(algorithms), COLUMNS):
+            parts.append(_table(axis, algorithms[start : start + COLUMNS]))
+        parts.extend(_remarks(axis))
+    return Group(*parts)
+
+
+def _heading(result: Account) -> Text:
+    path = "over the CAN path" if result["path"] == "can" else "without a bus"
+    text = Text(" ")
+    text.append(str(result["scene"]), style="bold")
+    text.append(f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, {path}")
+    text.append(f"   configuration {result['config_hash'][:12]}", style="dim")
+    return text
+
+
+def _table(axis: Account, algorithms: list[str]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
+    table.add_column("", no_wrap=True, width=_LABEL_WIDTH)
+    for name in algorithms:
+        table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True, min_width=10)
+    for label, read, show, better in _ROWS:
+        values = [_value(read, axis, axis["algorithms"][name]) for name in algorithms]
+        if all(value is None for value in values):
+            continue
+        best = _best(values, better)
+        cells = [Text("-" if v is None else show(v, axis["unit"]), style="bold" if v == best else "") for v in values]
+        for cell, value in zip(cells, values, strict=True):
+            if isinstance(value, float) and label in _ENERGIES_BELOW and value < -PASSIVE_TOLERANCE:
+                cell.stylize("red")
+        table.add_row(label, *cells)
+    return table
+
+
+def _value(read: Callable[[Account, Account], Any], axis: Account, account: Account) -> float | str | None:
+    try:
+        value: float | str | None = read(account, axis)
+    except (KeyError, TypeError):  # refused, or nothing to measure
+        return None
+    return value
+
+
+def _best(values: list[float | str | None], better: Callable[[float], float] | None) -> float | None:
+    numbers = [value for value in values if isinstance(value, float)]
+    return min(numbers, key=better) if better is not None and len(numbers) > 1 else None
+
+
+def _remarks(axis: Account) -> list[Text]:
+    lines = []
+    for name, account in axis["algorithms"].items():
+        words = [account["remark"]] if account["remark"] else []
+        if account["status"].startswith("stopped"):
+            words.append(account["status"])
+        if account.get("diverged") is not None:
+            words.append(f"diverged at {account['diverged']:.4g} s")
+        if words:
+            lines.append(Text(f" {name}: {'; '.join(words)}", style="yellow"))
+    return lines
+
+
+def _length(value: float, unit: str) -> str:
+    return si(value, unit, 3) if unit == "m" else f"{1e3 * value:.3g} mrad"
+
+
+def _force(value: float, unit: str) -> str:
+    return si(value, "N" if unit == "m" else "N*m", 3)
+
+
+def _joule(value: float, _unit: str) -> str:
+    return si(value, "J", 3)
+
+
+def _share(value: float, _unit: str) -> str:
+    return f"{100.0 * value:.3g} %"
+
+
+def _plain(value: float, _unit: str) -> str:
+    return f"{value:.3g}"
+
+
+def _status(account: Account, _axis: Account) -> str:
+    return str(account["status"]).partition(":")[0]
+
+
+def _word(value: str, _unit: str) -> str:
+    return value
+
+
+def _asked_damping(account: Account, _axis: Account) -> float | None:
+    damping = account["damping_rendered"]
+    return float(damping["mean"] / damping["asked"]) if damping["asked"] and damping["mean"] is not None else None
+
+
+_ENERGIES_BELOW: Final = ("least true sum(h_i)", "least margin of (4)")
+_ROWS: Final[tuple[tuple[str, Callable[[Account, Account], Any], Callable[[Any, str], str], Any], ...]] = (
+    ("", _status, _word, None),
+    ("position error, rms", lambda a, _: a["position_error"]["rms"], _length, abs),
+    ("position error, most", lambda a, _: a["position_error"]["max"], _length, abs),
+    ("force error, rms", lambda a, _: a["force_error"]["rms"], _force, abs),
+    ("force error, most", lambda a, _: a["force_error"]["max"], _force, abs),
+    ("force variation, ratio", lambda a, _: a["force_variation"]["ratio"], _plain, lambda v: abs(v - 1.0)),
+    ("stiffness rendered", lambda a, _: a["stiffness_rendered"]["share"], _share, lambda v: abs(v - 1.0)),
+    ("damping rendered", _asked_damping, _share, lambda v: abs(v - 1.0)),
+    ("limit cycle", lambda a, _: a["limit_cycle"], _length, abs),
+    ("least true sum(h_i)", lambda a, _: a["least_interaction"], _joule, None),
+    ("least margin of (4)", lambda a, _: a["margin"]["value"], _joule, None),
+    ("believed - true", lambda a, _: a["believed_error"], _joule, None),
+    ("residual of account", lambda a, _: a["residual"], _plain, None),
+    ("weakest certificate", lambda a, _: a["certificate"].replace("_", " ").removeprefix("device "), _word, None),
+    ("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us", None),
+)

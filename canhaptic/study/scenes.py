@@ -1,0 +1,52 @@
+"""From one axis of a scene to what the study runs: the loop without a bus, and the plant without a controller."""
+
+from typing import cast
+
+from canhaptic.errors import InputError
+from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.parts import build_plant
+from canhaptic.sim.effects import Effect
+from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.user import UserParameters
+from canhaptic.study.loop import LoopCase
+
+_PER_MILLE = 1e-3
+
+
+def environment_of(axis: AxisScene) -> Environment:
+    """Returns the environment of an axis; every class of `ENVIRONMENTS` is one."""
+    return cast(Environment, axis.environment.parameters)
+
+
+def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None, list[Effect], int]:
+    """Returns moving mass, hand, effects and seed of an axis.
+
+    Raises:
+        InputError: The axis is not simulated.
+    """
+    simulation = axis.simulation
+    if simulation is None:
+        raise InputError(f"{axis.parameters.name}: is not simulated, expected a plant and a user; add `simulation`")
+    effects = [cast(Effect, effect.parameters) for effect in simulation.effects]
+    return simulation.plant, simulation.user, effects, simulation.seed
+
+
+def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
+    """Returns an axis as a loop without a bus, with the quantisation, delay and torque limit of its scene."""
+    simulation, sample_time_ns = axis.simulation, scene.bus.sample_time_ns
+    if simulation is None:
+        raise InputError(f"{axis.parameters.name}: is not simulated, expected a plant and a user; add `simulation`")
+    rated = axis.parameters.rated_torque
+    return LoopCase(
+        environment=environment_of(axis),
+        algorithm=axis.passivity.name,
+        parameters=axis.passivity.parameters,
+        loop=axis.loop,
+        make_plant=lambda: build_plant(simulation, sample_time_ns),
+        sample_time_ns=sample_time_ns,
+        delay=1 if scene.bus.rpdo == "synchronous" else 0,
+        counts_per_unit=axis.parameters.counts_per_unit,
+        torque_quantum=None if rated is None else rated * _PER_MILLE,
+        torque_limit=axis.parameters.torque_limit,
+    )
