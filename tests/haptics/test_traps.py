@@ -8,6 +8,7 @@ from reference_loop import USER_S, continuous, sampled, user_f
 
 from canhaptic.haptics.balance import Branch, Ledger
 from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.haptics.environments.viscous_medium import ViscousMedium
 from canhaptic.haptics.passivity import build_controller
 from canhaptic.haptics.passivity.internal_dissipation import InternalDissipationParameters
 from canhaptic.haptics.passivity.protocol import LoopProperties
@@ -101,6 +102,7 @@ def test_10_a_clipped_torque_scales_the_damper_efforts_inside_it():
     made.step(0.0, 0.0)
     started = made.step(-0.002, 0.0)  # 2 N of spring, 20 N of damper, and 2 mJ created: 0.2 Ns/m, 0.4 N
     assert started.torque == pytest.approx(22.4)
+    assert started.damping_rendered == pytest.approx(10.2)
     clipped = made.step(-0.003, 11.2)
     assert clipped.h_pas == pytest.approx(0.5 * 0.4 * 0.001)
     change = clipped.state - started.state
@@ -121,6 +123,16 @@ def test_12_believed_and_true_energy_differ_by_no_more_than_the_bound_of_the_enc
     error = np.abs(believed - true)
     assert np.all(error <= bound * (1.0 + 1e-9) + 1e-15)
     assert error.max() > 0.02 * bound[error.argmax()]
+
+
+@pytest.mark.parametrize("algorithm", ["direct", "internal_dissipation"])
+def test_13_after_a_lost_position_the_velocity_is_that_of_both_holds(algorithm):
+    made = build_controller(ViscousMedium(damping=6.0), algorithm, None, LoopProperties(sample_time=1e-3))
+    made.step(0.0, 0.0)
+    before = made.step(0.001, 0.0)
+    made.hold()
+    assert before.torque == pytest.approx(-6.0)
+    assert made.step(0.003, before.torque).torque == pytest.approx(-6.0)
 
 
 def test_2_energy_beyond_twice_the_motion_is_leaked_instead_of_moving_the_state():
