@@ -157,3 +157,9 @@ def test_above_the_start_speed_a_contact_starts_from_zero_energy(delay):
     for _ in range(delay):
         displacement = next_displacement(displacement, 0.0, 0.0, response)
     assert hand_force_bound(0.0, next_displacement(displacement, 0.0, 0.0, response), response.during) > 0.0
+
+
+def test_with_a_coarse_encoder_the_start_speed_no_longer_falls_with_the_rate():
+    count, force = 1e-4, 5.0
+    speeds = [start_speed(reach(1.0 / rate, 0.25, force), 1.0 / rate, 0, count) for rate in (4e3, 8e3)]
+    assert speeds == pytest.approx([math.sqrt(2.0 * count * force / 0.25)] * 2, rel=0.15)

@@ -158,6 +158,16 @@ def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torqu
     return torque / (2.0 * speed * sample_time * (1 + delay))
 
 
-def start_speed(response: Reach, sample_time: float, delay: int) -> float:
-    """Returns the inward speed [m/s or rad/s] above which a contact may start from zero energy: (1 + n) F_h T / m."""
-    return (1 + delay) * response.hand / (sample_time * response.retained ** (1 + delay))
+WINDOW = 32
+"""Holds looked back for the outward speed when the encoder is coarse."""
+
+
+def start_speed(response: Reach, sample_time: float, delay: int, count: float = 0.0) -> float:
+    """Returns the inward speed [m/s or rad/s] above which a contact starts from zero energy.
+
+    (1 + delay) F_h T / m with an ideal encoder. One count leaves count / (j T) of the speed over j holds unsure, in
+    which the hand can have gained F_h T (j - 1) / 2m; at high rates the best j gives sqrt(2 count F_h / m) in all,
+    whatever the rate. A slower start needs a credit or certain device damping.
+    """
+    unsure = min(count / holds + 0.5 * (holds - 1) * response.hand for holds in range(1, WINDOW + 1))
+    return ((1 + delay) * response.hand + unsure) / (sample_time * response.retained ** (1 + delay))

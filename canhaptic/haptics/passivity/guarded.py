@@ -59,9 +59,10 @@ class GuardedParameters(Parameters):
     """What the certificates rest on. Mass and damping of the device are properties of the loop."""
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
-    """Largest force with which the hand pulls along the torque. None: the certificate is not used."""
+    """Largest force with which the hand pulls along the torque: out of a wall, into it only where a damper makes it
+    stick. None: the certificate is not used."""
     hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
-    """Largest speed of the hand. None: the certificate is not used."""
+    """Largest speed of the hand. None: the certificate is not used. Alone it begins only with a credit."""
     credit: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -credit."""
     alpha: Alpha = 0.0
@@ -326,7 +327,11 @@ class Guarded:
                 catch_up = min(size - held, room)
                 held += catch_up
                 room -= catch_up
-            spring = math.copysign(held, spring)
+            held = math.copysign(held, spring)
+            # moving out, the lead may stick as much as the damper does, and a pure spring never
+            if lead * spring < 0.0 and abs(lead) > abs(held) + abs(damper):
+                lead = math.copysign(abs(held) + abs(damper), lead)
+            spring = held
         if abs(damper) > room:
             damper, covered = math.copysign(room, damper), False
         room += (_LEAD_ROOM - 1.0) * self._cap * abs(velocity) - abs(damper)

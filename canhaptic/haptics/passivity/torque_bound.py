@@ -4,15 +4,13 @@ from collections import deque
 from typing import NamedTuple
 
 from canhaptic.haptics.passivity.certificates import (
+    WINDOW,
     Reach,
     device_damping_bound,
     hand_force_bound,
     hand_speed_bound,
     next_displacement,
 )
-
-_WINDOW = 32
-"""Holds looked back for the outward speed when the encoder is coarse."""
 
 
 class Declared(NamedTuple):
@@ -39,7 +37,7 @@ class TorqueBound:
         """Forgets the last hold and the energy dissipated by the device."""
         self._displacement = self._torque = self._blur = self._unsure = 0.0
         self.dissipated = 0.0
-        self._history: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
+        self._history: deque[tuple[float, float]] = deque(maxlen=WINDOW)
 
     def ended_hold(self, displacement: float, torque: float) -> None:
         """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
