@@ -105,7 +105,10 @@ class TorqueBound:
                 sequences.append(under_way + under_way[-1:] * declared.losses)
         free = 0.0
         if declared.response is not None:
-            free = energy - max(self._worst_out(1.0, s) + self._worst_out(-1.0, s) for s in sequences)
+            worst = 0.0
+            for sequence in sequences:
+                worst = max(worst, self._worst_out(1.0, sequence) + self._worst_out(-1.0, sequence))
+            free = energy - worst
         if declared.speed is not None:
             path = declared.speed * declared.sample_time
             free = max(free, energy - path * max(sum(abs(f) for f in s) for s in sequences))
@@ -122,7 +125,7 @@ class TorqueBound:
         """
         declared = self._declared
         count = declared.encoder_count
-        least = sign * self._displacement + count + self._blur
+        least: float = sign * self._displacement + count + self._blur
         response = declared.response
         if not count or response is None or len(self._history) < 2:
             return least
@@ -145,7 +148,12 @@ class TorqueBound:
     def _worst_out(self, sign: float, torques: tuple[float, ...]) -> float:
         """Returns the most energy [J] that the torques along `sign` may give out, >= 0."""
         response = self._declared.response
-        if response is None or not any(sign * torque > 0.0 for torque in torques):
+        if response is None:
+            return 0.0
+        for torque in torques:
+            if sign * torque > 0.0:
+                break
+        else:
             return 0.0
         displacement, before = self._outward(sign), sign * self._torque
         worst = given = 0.0
@@ -165,13 +173,16 @@ class TorqueBound:
         if response is None:
             return 0.0
         displacement, before = self._outward(sign), sign * self._torque
+        opposed = False
         for torque in under_way:
             along = sign * torque
             displacement = next_displacement(displacement, before, along, response)
             if along >= 0.0:
                 energy -= along * displacement
+            else:
+                opposed = True
             before = along
-        if under_way:
+        if opposed:
             energy -= self._worst_out(-sign, under_way)
         base = next_displacement(displacement, before, 0.0, response)
         bound = hand_force_bound(energy, base, response.during)
