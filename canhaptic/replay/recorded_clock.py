@@ -22,7 +22,7 @@ class RecordedClock:
         self._side = side
         self._now = start
         self._pace = pace
-        self._lead = 0 if pace is None else pace.now() - start
+        self._lead: int | None = None  # of the pace over the recording, from the first wait on
 
     def now(self) -> int:
         """Returns the time of the recording [ns]."""
@@ -50,6 +50,8 @@ class RecordedClock:
 
     def _move(self, now: int) -> None:
         if now > self._now:
-            self._now = now
             if self._pace is not None:
+                if self._lead is None:
+                    self._lead = self._pace.now() - self._now
                 self._pace.wait_until(now + self._lead)
+            self._now = now

@@ -49,7 +49,7 @@ class RecordedSide:
         self._end = len(recording.frames)
         self._next = first
         self._offset = 0
-        self._is_armed = False
+        self._is_armed = self._is_over = False
         self.compared = 0
         self.played = 0
         self.departure: Departure | None = None
@@ -68,6 +68,8 @@ class RecordedSide:
         """
         if not self._is_armed:
             return
+        if self._is_over:  # the rig tries to stop its drives on the way out
+            raise ReplayOverError
         receive = self._bus.recv
         while (message := receive(0.0)) is not None:
             self._compare(message, now)
@@ -108,11 +110,15 @@ class RecordedSide:
         while self._next < self._end and not self._is_master[self._next]:
             self._play()
         if self._next == self._end:
-            raise ReplayOverError
+            raise self._over()
         frame = self._frames[self._next]
         if message.arbitration_id != frame.can_id or message.data != frame.data:
             self.departure = Departure(self._next, message.arbitration_id, bytes(message.data))
-            raise ReplayOverError
+            raise self._over()
         self._offset = now - frame.timestamp_ns
         self._next += 1
         self.compared += 1
+
+    def _over(self) -> ReplayOverError:
+        self._is_over = True
+        return ReplayOverError()

@@ -48,14 +48,19 @@ class Recording:
             ramp_cycles: Cycles in which the master takes the torque to zero.
         """
         roles, syncs, commands = self._roles, 0, 0
+        left: tuple[int, int] | None = None  # syncs and commands before the drives were disabled for good
         for frame in self.frames[self.first_sync :] if self.first_sync >= 0 else ():
             if frame.can_id == SYNC_FRAME_COB_ID:
                 syncs += 1
             elif frame.can_id == roles.rpdo:
-                if roles.asks_to_leave(frame.data):
-                    return max(0, syncs - ramp_cycles - 1) if commands == syncs else None
+                if not roles.asks_to_leave(frame.data):
+                    left = None
+                elif left is None:
+                    left = syncs, commands
                 commands += 1
-        return None
+        if left is None or left[0] != left[1]:
+            return None
+        return max(0, left[0] - ramp_cycles - 1)
 
     def heartbeat_cycle(self) -> int | None:
         """Returns in which cycle, counted from 1, the master first sent its heartbeat; None when it never did."""

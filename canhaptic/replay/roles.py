@@ -24,9 +24,12 @@ class Roles(NamedTuple):
     statuswords: dict[int, struct.Struct]  # TPDO with the statusword -> where it is in it; one per axis
 
     def asks_to_leave(self, data: bytes) -> bool:
-        """Returns whether an RPDO of the first axis takes back OPERATION ENABLED."""
-        (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (0,)
-        return int(controlword) & _ENABLE_BITS != _ENABLE_BITS
+        """Returns whether an RPDO of the first axis takes back OPERATION ENABLED.
+
+        0x0F keeps it and 0x00 takes it back; told by the majority of bits, so that one flipped bit moves no end.
+        """
+        (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (_ENABLE_BITS,)
+        return (int(controlword) & _ENABLE_BITS).bit_count() < _ENABLE_BITS.bit_count() // 2
 
     def shows_enabled(self, can_id: int, data: bytes) -> bool:
         """Returns whether a TPDO with a statusword shows OPERATION ENABLED."""

@@ -1,0 +1,203 @@
+import contextlib
+import json
+import random
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.cli.main import main
+from canhaptic.errors import InputError
+from canhaptic.logs.bus_reader import convert
+from canhaptic.replay.replay import replay
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from tools.record import RECORDINGS
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "tests" / "recordings"
+LINE = re.compile(r"(\S+ \S+ )([0-9A-F]{3})#([0-9A-F]*)( [TR])\n")
+
+
+def scene_of(name: str, *more: str) -> Scene:
+    plan = RECORDINGS[name]
+    return load_scene(ROOT / plan.config, [*plan.overrides, *more])
+
+
+def lines_of(name: str) -> list[str]:
+    return (FOLDER / f"{name}.log").read_text().splitlines(keepends=True)
+
+
+def flipped(line: str, bit: int) -> str:
+    match = LINE.fullmatch(line)
+    assert match is not None
+    data = bytearray.fromhex(match[3])
+    data[bit // 8] ^= 1 << bit % 8
+    return f"{match[1]}{match[2]}#{data.hex().upper()}{match[4]}\n"
+
+
+def replay_lines(folder: Path, name: str, lines: list[str], **options: Any) -> dict[str, Any]:
+    path = folder / f"{name}.log"
+    path.write_text("".join(lines))
+    return replay(path, scene_of(name), **options)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
+    result = replay(FOLDER / f"{name}.log", scene_of(name))
+    assert result["difference"] is None
+    assert result["status"] == "identical"
+    assert result["start"] == "boot"
+    frames = result["frames"]
+    assert frames["compared"] == sum(line.endswith("T\n") for line in lines_of(name))
+    assert frames["compared"] + frames["played"] == frames["recorded"]
+
+
+@pytest.mark.parametrize("name", ["demo", "paper_fig8_100hz", "two_axes", "emergency", "lost_frames"])
+def test_a_recording_without_the_start_is_replayed_from_the_first_sync(name: str, tmp_path: Path) -> None:
+    lines = lines_of(name)
+    cut = next(number for number, line in enumerate(lines) if "#0F000000 T" in line)
+    bare = [line[:-3] + "\n" for line in lines[cut:]]  # without directions, too
+    result = replay_lines(tmp_path, name, bare)
+    assert result["difference"] is None
+    assert result["start"] == "sync"
+    assert result["cycles"] > 50
+
+
+def test_the_end_of_a_run_is_found_in_the_frames() -> None:
+    assert replay(FOLDER / "demo.log", scene_of("demo"))["cycles"] == 1600
+    emergency = replay(FOLDER / "emergency.log", scene_of("emergency"))
+    assert emergency["ended"].startswith("DriveFaultError: handle: the drive sent an EMCY at SYNC 150: EMCY 0x5000")
+    assert "no TPDO for too many SYNCs" in replay(FOLDER / "lost_frames.log", scene_of("lost_frames"))["ended"]
+
+
+def random_frames(name: str, can_id: str, count: int, seed: int) -> Iterator[tuple[int, int]]:
+    """Line numbers from 0 and bits of frames in a recording."""
+    generator = random.Random(seed)
+    places = [number for number, line in enumerate(lines_of(name)) if f" {can_id}#" in line]
+    for _ in range(count):
+        yield generator.choice(places), generator.randrange(32)
+
+
+@pytest.mark.parametrize(("name", "can_id"), [("paper_fig7_40hz", "201"), ("two_axes", "205")])
+def test_any_flipped_bit_of_any_recorded_rpdo_is_found_at_its_line(name: str, can_id: str, tmp_path: Path) -> None:
+    for number, bit in random_frames(name, can_id, 5, seed=1):
+        lines = lines_of(name)
+        lines[number] = flipped(lines[number], bit)
+        difference = replay_lines(tmp_path, name, lines)["difference"]
+        assert difference["number"] == number + 1
+        changed = int(difference["recorded"]["data"], 16) ^ int(difference["sent"]["data"], 16)
+        assert changed.bit_count() == 1
+        assert difference["recorded"]["kind"] == difference["sent"]["kind"] == "RPDO1"
+
+
+def test_a_flipped_bit_of_a_recorded_position_is_found_where_it_changes_the_torque(tmp_path: Path) -> None:
+    name = "emergency"
+    reports = [number for number, line in enumerate(lines_of(name)) if " 181#3712" in line]
+    for number, bit in [(reports[40], 16 + 14), (reports[80], 16 + 31), (reports[120], 3), (reports[20], 48 + 9)]:
+        lines = lines_of(name)
+        lines[number] = flipped(lines[number], bit)
+        difference = replay_lines(tmp_path, name, lines)["difference"]
+        assert number < difference["number"] <= number + 8
+        assert any(frame["number"] == number + 1 for frame in difference["before"])
+
+
+def test_an_sdo_that_was_refused_then_is_shown_by_what_the_master_does_now(tmp_path: Path) -> None:
+    lines = lines_of("demo")
+    answers = [number for number, line in enumerate(lines) if " 581#60" in line]
+    head, _, tail = lines[answers[2]].partition("#")
+    lines[answers[2]] = f"{head}#80{tail[2:8]}20000008 R\n"
+    difference = replay_lines(tmp_path, "demo", lines)["difference"]
+    assert "abort by server" in difference["before"][-1]["text"]
+    assert difference["sent"]["data"] != difference["recorded"]["data"]
+
+
+def test_a_frame_that_was_not_recorded_and_one_that_is_not_sent_are_told_apart(tmp_path: Path) -> None:
+    lines = lines_of("paper_fig7_40hz")
+    commands = [number for number, line in enumerate(lines) if " 201#" in line]
+    missing = lines[: commands[50]] + lines[commands[50] + 1 :]
+    difference = replay_lines(tmp_path, "paper_fig7_40hz", missing)["difference"]
+    assert difference["sent"]["kind"] == "RPDO1"
+    assert difference["recorded"]["kind"] != "RPDO1"
+    extra = [*lines, lines[-1].split(" ")[0] + " vcan0 77E#05 T\n"]
+    difference = replay_lines(tmp_path, "paper_fig7_40hz", extra)["difference"]
+    assert (difference["number"], difference["sent"]) == (len(extra), None)
+
+
+def test_a_recording_that_was_cut_off_is_compared_as_far_as_it_goes(tmp_path: Path) -> None:
+    lines = lines_of("paper_fig8_100hz")
+    for length in (len(lines) // 2, len(lines) // 3, 200, 40, 3):
+        result = replay_lines(tmp_path, "paper_fig8_100hz", lines[:length])
+        assert result["difference"] is None
+        assert result["ended"] == "at the end of the recording"
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".trc", ".asc"])
+def test_recordings_in_other_formats_are_replayed(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    convert(FOLDER / "paper_fig7_40hz.log", path)
+    result = replay(path, scene_of("paper_fig7_40hz"))
+    assert (result["status"], result["difference"]) == ("identical", None)
+
+
+def test_a_late_sync_and_a_skipped_one_are_as_late_in_the_replay(tmp_path: Path) -> None:
+    path = tmp_path / "real.log"
+    words = ["run", str(ROOT / "configs" / "demo.yaml"), "--pace", "real", "--duration", "0.3", "--json"]
+    main([*words, "--bus-log", str(path)])  # however it ends on a busy machine
+    result = replay(path, scene_of("demo"))
+    assert (result["status"], result["difference"]) == ("identical", None)
+
+
+def test_in_real_time_a_replay_takes_as_long_as_the_recording() -> None:
+    result = replay(FOLDER / "emergency.log", scene_of("emergency"), realtime=True)
+    assert result["status"] == "identical"
+    assert result["elapsed"] >= 0.99 * result["duration"]
+
+
+def test_another_wall_is_found_and_shown_decoded_on_both_sides(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["replay", str(FOLDER / "demo.log"), "--config", str(ROOT / "configs" / "demo.yaml")]
+    assert main(words) == 0
+    assert "identical" in capsys.readouterr().out
+    assert main([*words, "--set", "environment.stiffness=101"]) == 1
+    text = capsys.readouterr().out
+    assert re.search(r"different at line \d+, 1\.1\d+ s", text)
+    assert len(re.findall(r"(recorded|sent) +201#0F00.* RPDO1 handle: controlword 0x000F enable operation", text)) == 2
+    assert main([*words, "--set", "environment.stiffness=101", "--json"]) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert result["difference"]["sent"]["data"] != result["difference"]["recorded"]["data"]
+
+
+def test_a_recording_of_another_scene_or_without_a_cycle_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text("(1.0) can0 123#00\n")
+    with pytest.raises(InputError, match="none of its 1 frames"):
+        replay(tmp_path / "a.log", scene_of("demo"))
+    (tmp_path / "b.log").write_text("(1.0) can0 080#\n(1.1) can0 080#\n")
+    with pytest.raises(InputError, match="nowhere to begin"):
+        replay(tmp_path / "b.log", scene_of("demo"))
+    with pytest.raises(InputError, match="nowhere to begin"):
+        replay(FOLDER / "demo.log", scene_of("demo", "axes.0.node_id=7"))
+
+
+def test_damaged_recordings_give_a_result_or_one_clear_error(tmp_path: Path) -> None:
+    generator = random.Random(5)
+    original = "".join(lines_of("emergency")[:600])
+    for _ in range(15):
+        damaged = list(original)
+        for _ in range(generator.randrange(1, 20)):
+            damaged[generator.randrange(len(damaged))] = chr(generator.randrange(32, 127))
+        path = tmp_path / "damaged.log"
+        path.write_text("".join(damaged))
+        with contextlib.suppress(InputError):
+            assert replay(path, scene_of("emergency"))["status"] in {"identical", "different"}
+
+
+@pytest.mark.slow
+def test_a_minute_is_replayed_at_least_five_times_faster_than_it_took(tmp_path: Path) -> None:
+    path = tmp_path / "minute.log"
+    words = ["run", str(ROOT / "configs" / "demo.yaml"), "--pace", "free", "--duration", "60", "--json"]
+    assert main([*words, "--bus-log", str(path)]) == 0
+    result = replay(path, scene_of("demo"))
+    assert result["status"] == "identical"
+    assert result["speed"] >= 5.0

@@ -1,0 +1,167 @@
+"""Records the bus logs under tests/recordings anew and shows what changed: `python tools/record.py [NAME ...]`.
+
+`make test` replays them: the master must send today what it sent then. Record anew after a change that is meant to
+alter what is sent, look at what this prints, and commit the recordings with the change.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, NamedTuple, cast
+
+import can
+from can.interfaces.virtual import VirtualBus
+
+from canhaptic.cycle import Cycle, run
+from canhaptic.drive.clock import VirtualClock
+from canhaptic.drive.link import Link, Recorder
+from canhaptic.drive.rig import Rig
+from canhaptic.errors import CanHapticError
+from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.logs.bus_reader import Frame, read_bus_log
+from canhaptic.logs.decoder import BusDecoder
+from canhaptic.scene.build import build_controllers, build_drive_group
+from canhaptic.scene.bus import private_channel
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from canhaptic.scene.nodes import describe_nodes
+from canhaptic.scene.parts import build_servo_drive
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+FOLDER: Final = ROOT / "tests" / "recordings"
+_IN_CONTACT: Final = ("environment.side=above",)  # the hand of the demo begins inside the wall
+_EMCY_CYCLE: Final = 150
+_TPDO: Final = 0x181  # of node 1
+_HARDWARE_FAULT: Final = 0x5000  # EMCY error code
+
+
+class Plan(NamedTuple):
+    """One recording."""
+
+    config: str
+    duration: float  # [s]
+    overrides: tuple[str, ...] = ()
+    loses: Callable[[int], bool] = lambda number: False
+    """Whether the bus loses the TPDO with this number, counted from 0."""
+    fault_cycle: int = 0  # after which the drive faults; 0: never
+
+
+def _lost(number: int) -> bool:
+    """Single TPDOs, a few in a row that the link policy bridges, at last more than it tolerates."""
+    return number % 37 == 30 or 200 <= number < 208 or number >= 330
+
+
+RECORDINGS: Final = {
+    "demo": Plan("configs/demo.yaml", 1.6),
+    "paper_fig4_40hz": Plan("configs/paper_fig4_40hz.yaml", 4.0),
+    "paper_fig5_100hz": Plan("configs/paper_fig5_100hz.yaml", 4.0),
+    "paper_fig7_40hz": Plan("configs/paper_fig7_40hz.yaml", 4.0),
+    "paper_fig8_100hz": Plan("configs/paper_fig8_100hz.yaml", 4.0),
+    "two_axes": Plan("tests/recordings/two_axes.yaml", 0.8),
+    "emergency": Plan("configs/demo.yaml", 0.4, _IN_CONTACT, fault_cycle=_EMCY_CYCLE),
+    "lost_frames": Plan("configs/demo.yaml", 0.6, _IN_CONTACT, loses=_lost),
+}
+
+
+class LossyBus(VirtualBus):
+    """A virtual bus that loses some of the TPDOs sent through it."""
+
+    def __init__(self, channel: str, loses: Callable[[int], bool]) -> None:
+        super().__init__(channel=channel, preserve_timestamps=True)
+        self._loses = loses
+        self._number = 0
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Sends a frame unless it is to be lost."""
+        if msg.arbitration_id == _TPDO:
+            self._number += 1
+            if self._loses(self._number - 1):
+                return
+        super().send(msg, timeout)
+
+
+def record(plan: Plan, path: Path) -> str:
+    """Runs a scene with simulated drives in lock-step, records its bus, and returns how it ended."""
+    scene = load_scene(ROOT / plan.config, plan.overrides)
+    channel = private_channel()
+    writer = BusLogWriter(path, "vcan0", pace="free")
+    with LossyBus(channel, plan.loses) as far_bus, VirtualBus(channel=channel, preserve_timestamps=True) as near_bus:
+        group = build_drive_group(scene, far_bus)
+        link = Link(near_bus, VirtualClock([group]), cast(Recorder, writer))
+        rig = Rig(link, [build_servo_drive(axis, link, scene.bus) for axis in scene.axes], scene.bus)
+
+        def inject(cycles: int) -> None:
+            if cycles == plan.fault_cycle:
+                group.drives[0].inject_fault(_HARDWARE_FAULT)
+
+        try:
+            run(Cycle(rig, build_controllers(scene)), round(plan.duration / scene.bus.sample_time), progress=inject)
+            ended = "completed"
+        except CanHapticError as error:
+            ended = f"{type(error).__name__}: {error}"
+        finally:
+            writer.close()
+    return ended
+
+
+def changes(old: Path, new: Path, scene: Scene) -> list[str]:
+    """Returns what differs between two recordings, as lines; none when nothing does."""
+    if not old.is_file():
+        return ["new"]
+    if old.read_bytes() == new.read_bytes():
+        return []
+    before, after = list(read_bus_log(old)), list(read_bus_log(new))
+    unequal = [n for n, (a, b) in enumerate(zip(before, after, strict=False)) if a[:4] != b[:4]]
+    lines = [f"{len(before)} frames before, {len(after)} now, {len(unequal)} of those in both differ"]
+    first = unequal[0] if unequal else min(len(before), len(after))
+    for label, frames in (("before", before), ("now", after)):
+        lines.append(f"  {label:<7} {_decoded(frames, first, scene)}")
+    return lines
+
+
+def _decoded(frames: list[Frame], place: int, scene: Scene) -> str:
+    if place >= len(frames):
+        return "no such frame"
+    decoder = BusDecoder(describe_nodes(scene))
+    for frame in frames[:place]:
+        decoder.decode(frame.can_id, frame.data)
+    frame = frames[place]
+    words = decoder.decode(frame.can_id, frame.data)
+    data = frame.data.hex().upper()
+    return f"line {frame.number}: {frame.can_id:03X}#{data} {words.kind} {words.node}: {words.text}".rstrip(" :")
+
+
+def main(words: list[str] | None = None) -> int:
+    """Returns the exit status: 0; with --check 1 when a recording would change."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(RECORDINGS)}; all by default")
+    parser.add_argument("--check", action="store_true", help="change nothing; exit with 1 if a recording would change")
+    arguments = parser.parse_args(words)
+    unknown = set(arguments.names) - set(RECORDINGS)
+    if unknown:
+        parser.error(f"no such recording: {', '.join(sorted(unknown))}")
+    changed = 0
+    for name in arguments.names or RECORDINGS:
+        changed += _renew(name, RECORDINGS[name], keep=arguments.check)
+    return 1 if arguments.check and changed else 0
+
+
+def _renew(name: str, plan: Plan, keep: bool) -> bool:
+    """Records one anew, prints what changed, and returns whether anything did."""
+    old = FOLDER / f"{name}.log"
+    with tempfile.TemporaryDirectory() as folder:
+        new = Path(folder) / f"{name}.log"
+        ended = record(plan, new)
+        lines = changes(old, new, load_scene(ROOT / plan.config, plan.overrides))
+        print(f"{name}: {new.stat().st_size / 1000:.0f} kB, {ended}")
+        for line in lines or ["unchanged"]:
+            print(f"  {line}")
+        if lines and not keep:
+            old.write_bytes(new.read_bytes())
+    return bool(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
