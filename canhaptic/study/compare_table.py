@@ -13,7 +13,7 @@ from canhaptic.view.si import si
 
 COLUMNS: Final = 6
 """Algorithms in one table: 100 columns of text."""
-_LABEL_WIDTH: Final = 23
+_LABEL_WIDTH: Final = 22
 
 Account = Mapping[str, Any]
 
@@ -39,15 +39,14 @@ def _heading(result: Account) -> Text:
     text = Text(" ")
     text.append(str(result["scene"]), style="bold")
     text.append(f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, {path}")
-    text.append(f"   configuration {result['config_hash'][:12]}", style="dim")
     return text
 
 
 def _table(axis: Account, algorithms: list[str]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
     table.add_column("", no_wrap=True, width=_LABEL_WIDTH)
     for name in algorithms:
-        table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True, min_width=10)
+        table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True, min_width=11)
     for label, read, show, better in _ROWS:
         values = [_value(read, axis, axis["algorithms"][name]) for name in algorithms]
         if all(value is None for value in values):

@@ -8,7 +8,7 @@ from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference import Reference
 
-LAST_PART: Final = 0.2
+LAST_PART: Final = 0.1
 """Part of a run, at its end, in which rest and limit cycles are looked at; at most `LONGEST_LAST` [s]."""
 LONGEST_LAST: Final = 2.0
 _LEAST_EFFORT: Final = 1e-9  # [N or N*m] below which there is nothing to be rendered
