@@ -14,7 +14,6 @@ import can
 from canhaptic.signals import FarSide
 
 _POLL_STOP: Final = 20_000  # [ns] before a deadline from which the bus is no longer polled, so that none is overslept
-_LONGEST_DOZE: Final = 200_000  # [ns] between two looks at the bus when nobody blocks in it
 _SHORTEST_SLEEP: Final = 60_000  # [ns]; a shorter sleep takes this long anyhow
 
 
@@ -51,38 +50,35 @@ class WallClock:
         """Sleeps, then spins, until `deadline` [ns]; far sides run meanwhile."""
         now = time.monotonic_ns()
         while now < deadline:
-            for far_side in self._far_sides:
-                far_side.process(now)
-            remaining = self._next_event(deadline) - self._margin - time.monotonic_ns()
-            if remaining > _SHORTEST_SLEEP:
-                time.sleep(remaining * 1e-9)
+            if idle := self._process(deadline, now):
+                time.sleep(idle)
             now = time.monotonic_ns()
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
         """Returns the next frame, or None at `deadline` [ns]: blocks, then polls, then spins."""
+        now = time.monotonic_ns()
         while True:
-            now = time.monotonic_ns()
-            for far_side in self._far_sides:
-                far_side.process(now)
+            idle = self._process(deadline, now)
             if deadline - now <= _POLL_STOP:
                 break
-            message = bus.recv(0.0 if self._far_sides else max(0, deadline - now - self._margin) * 1e-9)
+            message = bus.recv(idle)  # far sides in this process have answered; what others send ends the wait at once
             if message is not None:
                 return message
-            if self._far_sides:
-                self._doze(deadline)
+            now = time.monotonic_ns()
         while time.monotonic_ns() < deadline:
             pass
         return bus.recv(0.0)
 
-    def _doze(self, deadline: int) -> None:
-        """Sleeps a little while nothing happens in this thread; what another process sends waits so long at most."""
-        idle = self._next_event(deadline) - self._margin - time.monotonic_ns()
-        if idle > _SHORTEST_SLEEP:
-            time.sleep(min(idle, _LONGEST_DOZE) * 1e-9)
-
-    def _next_event(self, deadline: int) -> int:
-        return min([deadline, *(far_side.next_due() for far_side in self._far_sides)])
+    def _process(self, deadline: int, now: int) -> float:
+        """Lets the far sides act and returns the time [s] until then or `deadline` in which nothing of ours is due."""
+        wake = deadline
+        for far_side in self._far_sides:
+            far_side.process(now)
+            due = far_side.next_due()
+            if due < wake:
+                wake = due
+        idle = wake - self._margin - time.monotonic_ns()
+        return idle * 1e-9 if idle > _SHORTEST_SLEEP else 0.0
 
 
 class VirtualClock:

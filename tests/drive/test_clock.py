@@ -1,6 +1,7 @@
 """The clocks: virtual time moves only while somebody waits; real time is never cut short and never bursts."""
 
 import itertools
+import threading
 from collections.abc import Iterator
 
 import can
@@ -103,6 +104,74 @@ def test_a_frame_ends_a_real_wait_at_once(pair: tuple[can.BusABC, can.BusABC]) -
     deadline = clock.now() + 5_000 * MS
     assert clock.receive(pair[0], deadline) is not None
     assert clock.now() < deadline
+
+
+class SlowMachine:
+    """Stands in for the module `time`: every look costs 1 us, every sleep lasts 80 us longer than asked for."""
+
+    def __init__(self) -> None:
+        self.nanoseconds, self.sleeps = 0, list[int]()
+
+    def monotonic_ns(self) -> int:
+        self.nanoseconds += 1_000
+        return self.nanoseconds
+
+    def sleep(self, seconds: float) -> None:
+        self.sleeps.append(round(seconds * 1e9))
+        self.nanoseconds += round(seconds * 1e9) + 80_000
+
+    def recv(self, timeout: float) -> None:
+        """Stands in for a bus on which nothing ever comes."""
+        if timeout:
+            self.sleep(timeout)
+        self.nanoseconds += 2_000
+
+
+@pytest.mark.parametrize("far_sides", [0, 1])
+def test_a_real_wait_sleeps_once_for_each_thing_due_and_spins_the_rest(
+    monkeypatch: pytest.MonkeyPatch, far_sides: int
+) -> None:
+    for waits_on_bus in (False, True):
+        machine, far_side = SlowMachine(), Metronome()
+        monkeypatch.setattr("canhaptic.drive.clock.time", machine)
+        clock = WallClock([far_side] * far_sides, spin_margin=200e-6)
+        for deadline in (2 * MS, 10 * MS):
+            if waits_on_bus:
+                assert clock.receive(machine, deadline) is None  # type: ignore[arg-type]
+            else:
+                clock.wait_until(deadline)
+            assert 0 <= machine.nanoseconds - deadline <= 5_000
+        assert len(machine.sleeps) == (5 if far_sides else 2)  # until 2, 3, 6, 9 and 10 ms; or until 2 and 10
+        assert [tick // 100_000 for tick in far_side.ticks] == ([30, 60, 90] if far_sides else [])
+
+
+def test_a_frame_from_elsewhere_ends_a_real_wait_though_a_drive_lives_in_this_thread(
+    pair: tuple[can.BusABC, can.BusABC],
+) -> None:
+    clock = WallClock([Metronome()])
+    sender = threading.Timer(0.01, pair[1].send, [can.Message(arbitration_id=0x123, is_extended_id=False)])
+    sender.start()
+    deadline = clock.now() + 60_000 * MS
+    assert clock.receive(pair[0], deadline) is not None
+    assert clock.now() < deadline
+    sender.join()
+
+
+def test_the_lateness_of_a_wakeup_ends_before_the_sync_is_sent() -> None:
+    bench = make_bench()
+    bench.rig.start()
+    bench.run(3)
+    slow = bench.tampered.inner.send
+
+    def send(message: can.Message, timeout: float | None = None) -> None:
+        if message.arbitration_id == 0x080:
+            bench.clock.wait_until(bench.clock.now() + 7_000)
+        slow(message, timeout)
+
+    bench.tampered.inner.send = send  # type: ignore[method-assign]
+    bench.rig.sync()
+    assert (bench.rig.timing.wakeup_lateness, bench.rig.timing.sync_to_last_tpdo) == (0, 7_000)
+    bench.close()
 
 
 def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC, can.BusABC]) -> None:
