@@ -36,8 +36,8 @@ class Truth(NamedTuple):
 class CycleTiming(NamedTuple):
     """Where the time of one cycle went [ns]."""
 
-    wakeup_lateness: int  # from the deadline of the SYNC until it was sent
-    sync_to_last_tpdo: int  # from the SYNC sent to the last position TPDO taken
+    wakeup_lateness: int  # from the deadline of the SYNC until it is handed to the bus
+    sync_to_last_tpdo: int  # from there to the last position TPDO taken
     compute: int  # controllers of all axes
     send: int  # limiter, RPDOs packed and handed to the bus
 

@@ -26,6 +26,7 @@ class Exchange:
         periods: Sample times between the last two SYNCs; more than 1 after a skip.
         skipped: Deadlines missed and left out since `begin`.
         deadline: Of the last SYNC [ns].
+        woken: When the wait for it ended [ns].
         synced: When it had been sent [ns].
         heard: When the last TPDO had come, or the window had closed [ns].
     """
@@ -53,7 +54,7 @@ class Exchange:
         self.periods = 1
         self.skipped = 0
         self._since_heartbeat = self._heartbeat_cycles
-        self._next = self.deadline = self.synced = self.heard = self.clock.now()
+        self._next = self.deadline = self.woken = self.synced = self.heard = self.clock.now()
 
     def sync(self) -> None:
         """Waits for the deadline, sends SYNC on every bus and takes the TPDOs until all came or their time is over.
@@ -63,6 +64,7 @@ class Exchange:
         """
         clock = self.clock
         self._wait()
+        self.woken = clock.now()
         for link, window, group in self._buses:
             window.is_open = True
             window.pending = len(group)

@@ -217,8 +217,8 @@ class Rig:
         """Where the time of the last cycle went [ns]."""
         exchange = self._exchange
         return CycleTiming(
-            exchange.synced - exchange.deadline,
-            exchange.heard - exchange.synced,
+            exchange.woken - exchange.deadline,
+            exchange.heard - exchange.woken,
             self._computed - exchange.heard,
             self._sent - self._computed,
         )
