@@ -1,0 +1,96 @@
+"""The users, plants and walls of the acceptance figures A1-A12, so that benches and tests measure the same thing."""
+
+import random
+from typing import Any, Final, cast
+
+from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.sim.effects import Effect
+from canhaptic.sim.effects.grasp_change import GraspChange
+from canhaptic.sim.effects.tremor import Tremor
+from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.study.loop import LoopCase
+from canhaptic.study.reference import Reference, continuous_reference
+from canhaptic.study.users import USERS, HandPlant
+from canhaptic.tables import load
+
+PLANT: Final = PlantParameters(mass=0.25, damping=0.1)
+USER_S: Final = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
+FIGURES_4_5: Final = SpringDamperWall(stiffness=100.0, damping=5.0)
+FIGURES_7_9: Final = SpringDamperWall(stiffness=100.0, damping=10.0, position=-0.05)
+TREMOR_UNTIL: Final = 9.0  # [s], then the hand only leans on the wall
+LEANING: Final = UserParameters(stiffness=300.0, damping=3.0, push=-4.0)
+TREMBLING: Final[tuple[Effect, ...]] = (
+    Tremor(amplitude=2e-3, frequency=8.0),
+    GraspChange(time=TREMOR_UNTIL, stiffness=0.0, damping=0.0),
+)
+
+
+def user_f(amplitude: float) -> UserParameters:
+    """Returns user F of the paper's figures, with its amplitude [m]."""
+    return UserParameters(stiffness=60.0, damping=5.0, motion=SinusoidMotion(amplitude=amplitude, frequency=0.5))
+
+
+def standard_case(
+    environment: Environment,
+    algorithm: str,
+    rate: float,
+    user: UserParameters | str,
+    *,
+    delay: int = 0,
+    plant: PlantParameters = PLANT,
+    effects: tuple[Effect, ...] = (),
+    encoder_count: float = 0.0,
+    hand_force: float = 0.0,
+    declared_damping: float | None = None,
+    seed: int = 0,
+    **parameters: Any,
+) -> LoopCase:
+    """Returns a loop with the mass known.
+
+    Args:
+        environment: What is rendered.
+        algorithm: A name of `ALGORITHMS`.
+        rate: SYNCs per second.
+        user: A hand, or a name of `USERS` for a force law within `hand_force`.
+        delay: Holds.
+        plant: Moving mass and bearings.
+        effects: Of the plant, with a hand only.
+        encoder_count: [m]; 0 for an ideal encoder.
+        hand_force: Declared to `guarded`, and the limit of a force law [N].
+        declared_damping: Certain damping of the device; None: not declared [N*s/m].
+        seed: Of a force law.
+        parameters: Of the algorithm.
+    """
+    sample_time_ns = round(1e9 / rate)
+    if algorithm == "guarded":
+        parameters["hand_force"] = hand_force
+    model = load(ALGORITHMS, algorithm, "passivity algorithm").parameters_type
+    loop = LoopProperties(
+        sample_time=sample_time_ns * 1e-9,
+        delay=delay,
+        moving_mass=plant.mass,
+        device_damping=declared_damping,
+        device_damping_bound=plant.damping,
+        encoder_count=encoder_count,
+    )
+
+    def make_plant() -> Plant:
+        if isinstance(user, UserParameters):
+            return Plant(plant, user, effects, sample_time_ns)
+        law = USERS[user](random.Random(seed))
+        hand = HandPlant(law, sample_time_ns, hand_force=hand_force, mass=plant.mass, damping=plant.damping)
+        return cast(Plant, hand)  # as far as a loop uses it
+
+    counts = 1.0 / encoder_count if encoder_count else None
+    return LoopCase(environment, algorithm, model(**parameters), loop, make_plant, sample_time_ns, delay, counts)
+
+
+def standard_reference(
+    environment: Environment, user: UserParameters, rate: float, cycles: int, effects: tuple[Effect, ...] = ()
+) -> Reference:
+    """Returns the continuous run beside `standard_case` with the standard plant."""
+    return continuous_reference(environment, PLANT, user, effects, round(1e9 / rate), cycles)
