@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import ControlError, RigError
+from canhaptic.errors import ControlError, LogWriteError, RigError
 from canhaptic.haptics.balance import EnergyBalance, Ledger
 from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.signals import CycleTiming, Sample, Truth
@@ -82,6 +82,10 @@ class Cycle:
         rig.write_torques([balance.torque for balance in balances])  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
 
+    def fail_log(self, reason: str) -> None:
+        """Ends the run after the cycle under way, because a log of it can no longer be written; from any thread."""
+        self._log = _FailedLog(reason)
+
     def _account(
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
     ) -> None:
@@ -97,6 +101,24 @@ class Cycle:
         if self._log is not None:
             self._log.append(index, samples, balances, timing, truths)
         self.cycles += 1
+
+
+class _FailedLog:
+    """Stands where the log was: the cycle asks nobody whether all is well, and finds this in its way when it is not."""
+
+    def __init__(self, reason: str) -> None:
+        self._reason = reason
+
+    def append(self, *_cycle: object) -> None:
+        """Ends the run.
+
+        Raises:
+            LogWriteError: Always.
+        """
+        raise LogWriteError(f"{self._reason}; the run was stopped (log.on_failure: continue lets it go on)")
+
+    def event(self, *_event: object) -> None:
+        """Takes nothing."""
 
 
 class TruthJudge:
@@ -142,6 +164,7 @@ def run(
     Raises:
         RigError: Drive, link or controller failed; every drive has zero torque and is disabled, and the error carries
             the last records.
+        LogWriteError: A log failed in a run that must not go on without it; stopped as by the operator.
     """
     rig = cycle.rig
     rig.start()
@@ -150,6 +173,9 @@ def run(
             cycle.step()
             if progress is not None:
                 progress(cycle.cycles)
+    except LogWriteError:
+        rig.stop()
+        raise
     except Exception as error:
         rig.stop(ramp=False)
         if isinstance(error, RigError):

@@ -1,6 +1,7 @@
 """The bus log as the link sees it: every frame sent or received goes into a ring, a writer process formats it."""
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Literal
 
@@ -25,6 +26,8 @@ class BusLogWriter:
         files: How many files are kept in all when `file_size` is given.
         last: With a number of seconds above 0 nothing is written while the run goes well; when it ends badly, the
             frames of that many last seconds are [s].
+        on_failure: Called once, from another thread, with the reason when the log can no longer be written; frames are
+            then dropped and counted at any pace.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -39,6 +42,7 @@ class BusLogWriter:
         file_size: int = 0,
         files: int = 10,
         last: float = 0.0,
+        on_failure: Callable[[str], None] | None = None,
     ) -> None:
         if not channel or any(letter.isspace() for letter in channel):
             raise ParameterError(f"channel {channel!r}: expected a name without spaces, it stands in every line")
@@ -62,9 +66,10 @@ class BusLogWriter:
             "convert_to": str(self.path) if convert else "",
             "last_ns": round(last * 1e9),
         }
-        self._process = WriterProcess(job, [FRAME_RING])
+        self._process = WriterProcess(job, [FRAME_RING], on_failure)
         self._push = self._process.rings[0].push
         self._free = pace == "free"
+        self._goes_on = on_failure is not None
         self._closed = False
         self.dropped = 0
         """Frames lost so far because the ring was full."""
@@ -83,7 +88,7 @@ class BusLogWriter:
         """Takes one frame of classic CAN (at most 8 bytes of data).
 
         Raises:
-            LogWriteError: At free pace only: the writer has failed and its ring is full.
+            LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
         frame = (timestamp_ns, can_id, len(data), is_rx, data)
         if self._push(frame):
@@ -94,7 +99,10 @@ class BusLogWriter:
         pause = threading.Event()
         while not self._push(frame):
             if self.failure:
-                raise LogWriteError(self.failure)
+                if not self._goes_on:
+                    raise LogWriteError(self.failure)
+                self.dropped += 1
+                return
             pause.wait(_WAIT)
 
     def close(self, status: str = "complete") -> None:

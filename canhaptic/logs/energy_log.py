@@ -1,7 +1,7 @@
 """The energy log as the cycle sees it: one packed row per SYNC into a ring, a writer process behind it."""
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -31,6 +31,8 @@ class EnergyLogWriter:
         with_truth: Whether a simulation tells what truly happened.
         pace: "real" or "free".
         ring_rows: Capacity of the ring.
+        on_failure: Called once, from another thread, with the reason when the log can no longer be written; cycles are
+            then dropped and counted at any pace.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -47,6 +49,7 @@ class EnergyLogWriter:
         with_truth: bool = False,
         pace: Literal["real", "free"] = "real",
         ring_rows: int = RING_ROWS,
+        on_failure: Callable[[str], None] | None = None,
     ) -> None:
         _check_names(ports)
         self.path = Path(path).absolute()
@@ -56,9 +59,10 @@ class EnergyLogWriter:
             tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), not self._free, dict(attributes)
         )
         job = {"kind": "energy", "path": str(self.path), "pace": pace, "schema": schema.to_json()}
-        self._process = WriterProcess(job, [schema.ring(ring_rows), EVENT_RING])
+        self._process = WriterProcess(job, [schema.ring(ring_rows), EVENT_RING], on_failure)
         rows, self._events = self._process.rings
         self._push = rows.push
+        self._goes_on = on_failure is not None
         self._unreported = 0
         self._closed = False
         self.dropped = 0
@@ -92,7 +96,7 @@ class EnergyLogWriter:
             truths: One per port when the log was made with truth.
 
         Raises:
-            LogWriteError: At free pace only: the writer has failed and its ring is full.
+            LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
         row: list[float] = [self._unreported, sync_index]
         row += timing
@@ -105,18 +109,20 @@ class EnergyLogWriter:
                 row += truth.energy
         if self._push(row):
             self._unreported = 0
-        elif self._free:
-            self._push_patiently(row)
-        else:
+        elif not (self._free and self._push_patiently(row)):
             self._unreported += 1
             self.dropped += 1
 
-    def _push_patiently(self, row: list[float]) -> None:
+    def _push_patiently(self, row: list[float]) -> bool:
+        """Waits for room; returns False when there will be none."""
         pause = threading.Event()
         while not self._push(row):
             if self.failure:
-                raise LogWriteError(self.failure)
+                if not self._goes_on:
+                    raise LogWriteError(self.failure)
+                return False
             pause.wait(_WAIT)
+        return True
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
         """Notes something that happened: a fault, an EMCY, a lost frame, a stop. Long texts are cut.

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,14 +26,18 @@ class WriterProcess:
     Args:
         job: What the writer shall do (`canhaptic.logs.writer.make_sink`).
         shapes: The rings to share.
+        on_failure: Called once, from another thread, with the reason when writing ends before it was asked to.
 
     Raises:
         LogWriteError: The file cannot be made.
     """
 
-    def __init__(self, job: dict[str, Any], shapes: Iterable[RingShape]) -> None:
+    def __init__(
+        self, job: dict[str, Any], shapes: Iterable[RingShape], on_failure: Callable[[str], None] | None = None
+    ) -> None:
         shapes = tuple(shapes)
         self._job = {**job, "shapes": shapes, "parent": os.getpid()}
+        self._on_failure = on_failure
         self.failure = ""
         """Why writing ended before it was asked to; empty while all is well."""
         self.restarts = 0
@@ -107,14 +111,19 @@ class WriterProcess:
             if code == 0:
                 return
             if code == FAILED or self.restarts == _RESTARTS:
-                self.failure = f"log stopped: {self._area.text('failure') or _ending(code)}"
+                self._fail(self._area.text("failure") or _ending(code))
                 return
             self.restarts += 1
             try:
                 self._process = self._spawn(restart=True)
             except OSError as error:
-                self.failure = f"log stopped: {_ending(code)} and no other could be started: {error}"
+                self._fail(f"{_ending(code)} and no other could be started: {error}")
                 return
+
+    def _fail(self, reason: str) -> None:
+        self.failure = f"log stopped: {reason}"
+        if self._on_failure is not None:
+            self._on_failure(self.failure)
 
 
 def _allocate(size: int, path: str | Path) -> int:
