@@ -37,8 +37,10 @@ def test_1_the_state_of_an_energy_printed_positive_throws_the_user_about():
     assert rms_error(printed) > 2.0 * rms_error(WALL)
 
 
-def test_4_switched_on_deep_in_a_wall_the_force_waits_for_a_push_and_knows_its_speed():
-    made = paper(SpringDamperWall(stiffness=100.0, damping=10.0), 1e-4)
+@pytest.mark.parametrize("algorithm", ["original", "internal_dissipation"])
+def test_4_switched_on_deep_in_a_wall_the_force_waits_for_a_push_and_knows_its_speed(algorithm):
+    wall = SpringDamperWall(stiffness=100.0, damping=10.0)
+    made = build_controller(wall, algorithm, None, LoopProperties(sample_time=1e-4))
     assert [made.step(-0.020, 0.0).torque for _ in range(5)] == [0.0] * 5
     assert made.step(-0.0199, 0.0).torque == 0.0  # moving out
     pushed = made.step(-0.0199 - 1e-6, 0.0)

@@ -23,7 +23,7 @@ def discriminant(effort: float, product: float, energy: float) -> float:
     square = effort * effort
     other = product * energy
     total = square + other
-    if total > 0.125 * square and total > 0.125 * abs(other):
+    if total > 0.125 * abs(other):
         return total  # three bits lost at most: no help needed, and this is nearly every hold
     high = _SPLITTER * effort
     high -= high - effort
