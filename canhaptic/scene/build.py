@@ -46,33 +46,47 @@ class Experiment:
     def __init__(self, scene: Scene, pace: Pace, energy_log: Path | None, bus_log: Path | None) -> None:
         self.scene = scene
         self.pace = pace
+        self._log_failure = ""
         with ExitStack() as stack:
             channel = _channel(scene)
             self.far_side = _build_far_side(scene, channel, stack) if scene.simulated else None
             self.clock = _build_clock(scene, pace, self.far_side)
-            self.energy_log = open_energy_log(scene, energy_log, pace) if energy_log else None
+            self.energy_log = open_energy_log(scene, energy_log, pace, self._lose_log) if energy_log else None
             if self.energy_log is not None:
                 stack.callback(self.energy_log.close, "failed")
-            self.bus_log = open_bus_log(scene, bus_log, pace) if bus_log else None
+            self.bus_log = open_bus_log(scene, bus_log, pace, self._lose_log) if bus_log else None
             if self.bus_log is not None:
                 stack.callback(self.bus_log.close)
             link = _build_link(scene, channel, self.clock, self.bus_log, stack)
             self.rig = _build_rig(scene, link)
             self.cycle = Cycle(self.rig, build_controllers(scene), self.energy_log, _truths(self.far_side))
+            if self._log_failure:  # before there was a cycle to stop
+                self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
+
+    def _lose_log(self, reason: str) -> None:
+        """Takes, from another thread, that a log broke off; `close` reports it in any case."""
+        if self.scene.log.on_failure == "stop":
+            self._log_failure = reason
+            if hasattr(self, "cycle"):
+                self.cycle.fail_log(reason)
 
     def close(self, status: str = "completed") -> None:
         """Closes logs and buses; a second call does nothing.
 
         Args:
-            status: How the run ended, for the energy log.
+            status: How the run ended, for the logs.
 
         Raises:
             LogWriteError: A log is not complete.
         """
         with self._stack:
-            if self.energy_log is not None:
-                self.energy_log.close(status)
+            try:
+                if self.energy_log is not None:
+                    self.energy_log.close(status)
+            finally:
+                if self.bus_log is not None:
+                    self.bus_log.close(status)
 
     def __enter__(self) -> Self:
         return self

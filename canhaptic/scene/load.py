@@ -9,11 +9,12 @@ from typing import Any, Final
 
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import SceneError
+from canhaptic.logs.parameters import LogParameters
 from canhaptic.scene.axes import SIMULATION_PARTS, read_axis
 from canhaptic.scene.checks import cross_check
 from canhaptic.scene.document import MarkedList, MarkedMapping, mark_plain, parse_yaml
 from canhaptic.scene.faults import Faults, Mark
-from canhaptic.scene.models import AxisScene, LogParameters, RunParameters, Scene, SimulationParameters
+from canhaptic.scene.models import AxisScene, RunParameters, Scene, SimulationParameters
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.section import read_list, read_mapping, read_section, refuse_unknown_keys
 

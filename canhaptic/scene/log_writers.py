@@ -1,6 +1,7 @@
 """The logs of a scene, with everything about the run that a reader needs later."""
 
 import json
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final, Literal
@@ -13,8 +14,10 @@ from canhaptic.scene.models import AxisScene, Scene
 _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
 
 
-def open_energy_log(scene: Scene, path: Path, pace: Literal["real", "free"]) -> EnergyLogWriter:
-    """Returns the energy log, made and ready.
+def open_energy_log(
+    scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None]
+) -> EnergyLogWriter:
+    """Returns the energy log, made and ready; `on_failure` is told, from another thread, when it breaks off.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -27,18 +30,24 @@ def open_energy_log(scene: Scene, path: Path, pace: Literal["real", "free"]) -> 
         sample_time_ns=scene.bus.sample_time_ns,
         with_truth=scene.simulated,
         pace=pace,
+        on_failure=on_failure,
     )
 
 
-def open_bus_log(scene: Scene, path: Path, pace: Literal["real", "free"]) -> BusLogWriter:
-    """Returns the bus log, made and ready.
+def open_bus_log(
+    scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None]
+) -> BusLogWriter:
+    """Returns the bus log, made and ready; `on_failure` is told, from another thread, when it breaks off.
 
     Raises:
         LogWriteError: The file cannot be made.
     """
     channel = scene.bus.channel
     name = _PRIVATE_NAME if channel is None else "".join(str(channel).split())
-    return BusLogWriter(path, name, pace=pace)
+    log = scene.log
+    return BusLogWriter(
+        path, name, pace=pace, file_size=log.file_size, files=log.files, last=log.last, on_failure=on_failure
+    )
 
 
 def run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:

@@ -3,24 +3,15 @@
 import hashlib
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
-
-
-class LogParameters(Parameters):
-    """Where a run is written to; paths are relative to the current folder, and options of `run` win over them."""
-
-    energy: Path | None = None
-    """Energy log (HDF5)."""
-    bus: Path | None = None
-    """Bus log (candump text)."""
 
 
 class RunParameters(Parameters):

@@ -11,8 +11,9 @@ from canhaptic.haptics.environments import ENVIRONMENTS
 from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.parameters import Parameters
+from canhaptic.logs.parameters import LogParameters
 from canhaptic.scene.axes import LOOP_KEYS, OWN_SECTIONS, SCALING_KEYS, SIMULATION_PARTS
-from canhaptic.scene.models import LogParameters, RunParameters, SimulationParameters
+from canhaptic.scene.models import RunParameters, SimulationParameters
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import EFFECTS
 from canhaptic.sim.plant import PlantParameters

@@ -1,0 +1,98 @@
+import json
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from canhaptic.cli.main import main
+from canhaptic.logs.bus_reader import read_bus_log
+from canhaptic.logs.energy_reader import EnergyLog
+
+DEMO = str(Path(__file__).parents[2] / "configs" / "demo.yaml")
+
+
+@pytest.fixture
+def full_disk() -> Iterator[None]:
+    """A limit on the size of files, inherited by the writers, stands for the full disk; the ring must fit below it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.usefixtures("full_disk")
+@pytest.mark.parametrize("mode", ["stop", "continue"])
+def test_a_run_stops_or_goes_on_when_its_disk_is_full_with_one_message(
+    mode: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", DEMO, "--duration", "18", "--pace", "free", "--set", f"log.on_failure={mode}", "--json"]
+    assert main([*words, "--bus-log", str(tmp_path / "run.log")]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("log stopped") == 1
+    assert str(tmp_path / "run.log") in captured.err
+    result = json.loads(captured.out)
+    assert (result["status"], result["error"]) == ("error", "LogWriteError")
+    cycles = result["result"]["cycles"]
+    assert cycles == 18_000 if mode == "continue" else 10_000 < cycles < 18_000
+    frames = list(read_bus_log_up_to_the_cut(tmp_path / "run.log"))
+    assert 1_900_000 < (tmp_path / "run.log").stat().st_size <= 2_000_000
+    assert len(frames) > 40_000
+
+
+def read_bus_log_up_to_the_cut(path: Path) -> Iterator[object]:
+    whole = path.with_suffix(".whole.log")
+    whole.write_text(path.read_text().rpartition("\n")[0] + "\n")
+    return read_bus_log(whole)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_any_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = tmp_path / "missing"
+    for option in ("--log", "--bus-log"):
+        assert main(["run", DEMO, "--duration", "1", option, str(missing / "run.log")]) == 2
+        text = capsys.readouterr().err
+        assert "cannot write the log" in text
+        assert "choose a folder that exists and may be written" in text
+    locked = tmp_path / "locked"
+    locked.mkdir()
+    locked.chmod(0o500)
+    try:
+        (locked / "probe").touch()
+    except PermissionError:
+        assert main(["run", DEMO, "--duration", "1", "--log", str(locked / "run.h5")]) == 2
+        assert "Permission denied" in capsys.readouterr().err
+    else:
+        (locked / "probe").unlink()  # root may write anywhere: a file in the place of a folder stands for it
+        (locked / "file").touch()
+        assert main(["run", DEMO, "--duration", "1", "--log", str(locked / "file" / "run.h5")]) == 2
+        assert "cannot write the log" in capsys.readouterr().err
+
+
+def test_a_scene_names_its_logs_and_bounds_their_size(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = f"log={{energy: {tmp_path / 'run.h5'}, bus: {tmp_path / 'run.log'}, file_size: 30000, files: 3}}"
+    assert main(["run", DEMO, "--duration", "1", "--set", logs, "--json"]) == 0
+    kept = sorted(path.name for path in tmp_path.glob("run*.log"))
+    assert len(kept) == 3
+    assert "run.log" in kept
+    assert all(path.stat().st_size < 400_000 for path in tmp_path.glob("run*.log"))
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        assert log.rows == 1000
+    capsys.readouterr()
+
+
+def test_the_last_seconds_are_kept_only_after_a_bad_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "last.log"
+    words = ["run", DEMO, "--duration", "0.5", "--set", f"log={{bus: {path}, last: 0.2 s}}", "--json"]
+    assert main(words) == 0
+    assert not path.exists()
+    assert main([*words, "--set", "axes.0.torque_limit=0.01", "--set", "axes.0.speed_limit=1e-6"]) == 3
+    frames = list(read_bus_log(path))
+    assert 0 < frames[-1].timestamp_ns - frames[0].timestamp_ns <= 200_000_000
+    capsys.readouterr()
+
+
+def test_a_series_of_files_and_the_last_seconds_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", DEMO, "--set", "log={bus: a.log, last: 1, file_size: 1000}"]) == 2
+    assert "exclude each other" in capsys.readouterr().err
