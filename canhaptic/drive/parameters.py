@@ -5,6 +5,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
+from canhaptic.drive.realtime import RealtimeParameters
 from canhaptic.object_dictionary import RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from canhaptic.parameters import Parameters, quantity
 
@@ -50,6 +51,9 @@ class BusParameters(Parameters):
     """Time in which an operator's stop takes the torque to zero."""
     spin_margin: Annotated[float, quantity("s", ge=0.0, le=0.01)] = 200e-6
     """Time before a deadline from which the clock spins instead of sleeping."""
+
+    realtime: RealtimeParameters = RealtimeParameters()
+    """What the thread of the cycle asks of the operating system."""
 
     @model_validator(mode="after")
     def _check(self) -> "BusParameters":

@@ -16,10 +16,12 @@ from typing import Final, NamedTuple, Self
 from canhaptic.drive import rig_start, rig_stop
 from canhaptic.drive.bring_up import BringUp
 from canhaptic.drive.bus_budget import BusBudget, require_budget
+from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.link import Link
 from canhaptic.drive.link_policy import STOP_TABLE, StopReason
 from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.realtime import Realtime, RealtimeParameters
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.signals import CycleTiming, Sample
@@ -47,6 +49,7 @@ class Rig:
         sync_index: Index of the last SYNC; 0 is the first that found every drive enabled, -1 before it.
         stop_reason: Why the rig stopped; NONE while it runs.
         records: The last cycles, newest last.
+        realtime: What the operating system granted to the thread that called `start`.
 
     Raises:
         InputError: A node ID is used twice on one bus.
@@ -60,6 +63,8 @@ class Rig:
         self.clock = self.links[0].clock
         self.budgets = [_budget([d for d in self.drives if d.link is link], bus) for link in self.links]
         self._exchange = Exchange(self.links, self.drives, bus)
+        # At free pace the thread never sleeps: with real-time priority it would take its processor from everybody.
+        self.realtime = Realtime(RealtimeParameters() if isinstance(self.clock, VirtualClock) else bus.realtime)
         self._reset()
 
     def _reset(self) -> None:
@@ -78,11 +83,12 @@ class Rig:
             StartError: A step was not confirmed; all drives are left disabled.
         """
         self._reset()
+        self.realtime.begin()
         try:
             rig_start.start(self._exchange)
         except BaseException:
             self.stop_reason = StopReason.EXCEPTION
-            rig_stop.disable(self._exchange)
+            self._disable()
             raise
         self._exchange.skipped = 0
         self.sync_index = 0
@@ -166,7 +172,7 @@ class Rig:
         except RigError:
             self.stop_reason = StopReason.EXCEPTION  # zero torque and disable follow below all the same
         finally:
-            unconfirmed = rig_stop.disable(self._exchange)
+            unconfirmed = self._disable()
         if unconfirmed:
             raise RigError(
                 f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive", self.records
@@ -176,11 +182,18 @@ class Rig:
         """Stops at once and returns the exception that tells why."""
         self.stop_reason = reason
         self._is_running = False
-        unconfirmed = rig_stop.disable(self._exchange)
+        unconfirmed = self._disable()
         if unconfirmed:
             text += f"; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
         error_type = STOP_TABLE[reason][1] if reason in STOP_TABLE else RigError
         return error_type(f"{text} [{reason.name}]", self.records)
+
+    def _disable(self) -> list[str]:
+        """Sends zero and disables every drive, then gives back what the operating system granted."""
+        try:
+            return rig_stop.disable(self._exchange)
+        finally:
+            self.realtime.end()
 
     def _describe(self, drive: ServoDrive, reason: StopReason) -> str:
         details = {

@@ -1,0 +1,99 @@
+"""What the thread that runs the cycle asks of the operating system, and what it was granted.
+
+Nothing is asked that the configuration does not name, a refusal never stops a run, and everything is given back at the
+end. Another platform, a container or a missing privilege refuses; the report says so in the system's own words.
+"""
+
+import ctypes
+import gc
+import os
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Annotated, Final
+
+from pydantic import Field
+
+from canhaptic.parameters import Parameters, quantity
+
+_LOCK_PRESENT: Final = 1  # MCL_CURRENT of mlockall(2); later pages are not locked, lest a limit makes them fail
+GRANTED: Final = "granted"
+
+
+class RealtimeParameters(Parameters):
+    """What to ask for; nothing by default."""
+
+    priority: Annotated[int, quantity("1", ge=1, le=99)] | None = None
+    """SCHED_FIFO priority of the thread that runs the cycle; threads and processes it starts do not inherit it."""
+    cpus: Annotated[tuple[int, ...], Field(min_length=1)] | None = None
+    """Processors that the thread may run on."""
+    lock_memory: bool = False
+    """Keeps every page that the process has at the start in memory."""
+    freeze_garbage: bool = False
+    """Takes what exists at the start out of the garbage collector's sight."""
+
+
+class Realtime:
+    """Asks at `begin`, gives back at `end`.
+
+    Args:
+        parameters: What to ask for.
+
+    Attributes:
+        report: By name of the parameter: "granted", or "refused: " and why. Empty before `begin`.
+    """
+
+    def __init__(self, parameters: RealtimeParameters) -> None:
+        self._parameters = parameters
+        self._undo = ExitStack()
+        self.report: dict[str, str] = {}
+
+    def begin(self) -> None:
+        """Asks for everything, for the calling thread; what was asked before is given back first."""
+        self.end()
+        self.report = {}
+        asked = self._parameters
+        if asked.cpus is not None:
+            self._ask("cpus", self._pin)
+        if asked.lock_memory:
+            self._ask("lock_memory", self._lock_memory)
+        if asked.freeze_garbage:
+            self._ask("freeze_garbage", self._freeze_garbage)
+        if asked.priority is not None:
+            self._ask("priority", self._raise_priority)
+
+    def end(self) -> None:
+        """Gives everything back; a second call does nothing. To be called in the thread that began."""
+        self._undo.close()
+
+    def _ask(self, name: str, ask: Callable[[], None]) -> None:
+        try:
+            ask()
+        except AttributeError:
+            self.report[name] = "refused: this platform does not offer it"
+        except (OSError, ValueError) as error:
+            self.report[name] = f"refused: {error}"
+        else:
+            self.report[name] = GRANTED
+
+    def _pin(self) -> None:
+        before = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, self._parameters.cpus or ())
+        self._undo.callback(os.sched_setaffinity, 0, before)
+
+    def _lock_memory(self) -> None:
+        system = ctypes.CDLL(None, use_errno=True)
+        if system.mlockall(_LOCK_PRESENT):
+            number = ctypes.get_errno()
+            raise OSError(number, os.strerror(number))
+        self._undo.callback(system.munlockall)
+
+    def _freeze_garbage(self) -> None:
+        gc.collect()
+        gc.freeze()
+        self._undo.callback(gc.unfreeze)
+
+    def _raise_priority(self) -> None:
+        policy, before = os.sched_getscheduler(0), os.sched_getparam(0)
+        wanted = os.sched_param(self._parameters.priority or 0)
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, wanted)
+        self._undo.callback(os.sched_setscheduler, 0, policy, before)
