@@ -1,6 +1,7 @@
 """Stability hints: what the rate, the delay and the device allow, beside what the scene asks for."""
 
-from typing import NamedTuple
+import math
+from typing import Final, NamedTuple
 
 from canhaptic.haptics.passivity.certificates import (
     reach,
@@ -12,6 +13,8 @@ from canhaptic.haptics.passivity.certificates import (
 from canhaptic.haptics.recovery import largest_stable_damping, least_oscillating_damping
 from canhaptic.scene.models import AxisScene
 
+_BY_DAMPING: Final = ("guarded", "energy_bounding")
+"""Algorithms that certain damping of the device certifies."""
 _LINEAR_ROTARY = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "N*m*s/rad"), "speed": ("m/s", "rad/s")}
 
 
@@ -33,7 +36,7 @@ class Hint(NamedTuple):
 
 def stability_hints(axis: AxisScene) -> list[Hint]:
     """Returns the limits of one axis; none of them is enforced here, the passivity algorithm is what protects."""
-    return [*_stiffness_hints(axis), *_damping_hints(axis), *_certificate_hints(axis)]
+    return [*_stiffness_hints(axis), _quantisation_hint(axis), *_damping_hints(axis), *_certificate_hints(axis)]
 
 
 def _hint(axis: AxisScene, what: str, quantity: str, limit: float | None, asked: float | None, text: str) -> Hint:
@@ -69,35 +72,95 @@ def _stiffness_hints(axis: AxisScene) -> list[Hint]:
     return hints
 
 
+def _quantisation_hint(axis: AxisScene) -> Hint:
+    """Returns the bound 2 f_c / count: the Coulomb friction f_c must cover what half a count feigns, k count / 2.
+
+    Abbott and Okamura, "Effects of position quantization and sampling rate on virtual-wall passivity", IEEE Trans.
+    Robotics 21, 2005: a plain spring wall is passive for every user up to the lesser of this and Colgate's bound.
+    """
+    count, stiffness, friction = axis.loop.encoder_count, _asked(axis, "stiffness"), _simulated_friction(axis)
+    needed = "" if stiffness is None else f"needs {0.5 * stiffness * count:.3g} of Coulomb friction for what is asked"
+    if friction is None:
+        text = f"no Coulomb friction known; {needed}" if needed else "no Coulomb friction known"
+        return _hint(axis, "stiffness, quantisation bound 2 f_c / count", "stiffness", None, stiffness, text)
+    limit = 2.0 * friction / count if count else math.inf
+    text = f"friction {friction:.3g} of the simulated plant; {needed}"
+    return _hint(axis, "stiffness, quantisation bound 2 f_c / count", "stiffness", limit, stiffness, text)
+
+
+def _simulated_friction(axis: AxisScene) -> float | None:
+    """Returns the least Coulomb friction that the simulated plant has in motion [N or N*m]; None when unknown."""
+    if axis.simulation is None:
+        return None
+    frictions = [getattr(effect.parameters, "kinetic", None) for effect in axis.simulation.effects]
+    return sum(float(friction) for friction in frictions if friction is not None)
+
+
 def _damping_hints(axis: AxisScene) -> list[Hint]:
     mass, source = _known(axis, "moving_mass", "mass")
     damping, period, delay = _asked(axis, "damping"), axis.loop.sample_time, axis.loop.delay
     ripples = None if mass is None else least_oscillating_damping(delay, mass, period)
     diverges = None if mass is None else largest_stable_damping(delay, mass, period)
     return [
-        _hint(axis, "damping, no ripple", "damping", ripples, damping, f"delay {delay}; {source}"),
+        *_colgate_damping(axis, damping),
+        _hint(
+            axis, "damping, no ripple", "damping", ripples, damping, f"delay {delay}, the cap of algorithms; {source}"
+        ),
         _hint(axis, "damping, stable", "damping", diverges, damping, f"delay {delay}; {source}"),
     ]
 
 
+def _colgate_damping(axis: AxisScene, asked: float | None) -> list[Hint]:
+    """Returns b - k T / 2, what Colgate's condition b > k T / 2 + |d| leaves for the damper at the asked stiffness."""
+    device, source = _known(axis, "device_damping", "damping")
+    stiffness = _asked(axis, "stiffness")
+    if device is None or stiffness is None:
+        return []
+    limit = max(0.0, device - 0.5 * stiffness * axis.loop.sample_time)
+    return [_hint(axis, "damping, Colgate's bound b - k T / 2", "damping", limit, asked, f"a plain wall; {source}")]
+
+
 def _certificate_hints(axis: AxisScene) -> list[Hint]:
-    """Returns what the certificates declared for `guarded` can hold at the torque limit."""
+    """Returns what each declared certificate of `guarded` can hold at the torque limit, and what of the asked wall."""
     parameters, loop = axis.passivity.parameters, axis.loop
-    stiffness, torque = _asked(axis, "stiffness"), axis.parameters.torque_limit
-    hints = []
-    hand_force = getattr(parameters, "hand_force", None)
+    torque, hints = axis.parameters.torque_limit, []
+    held: dict[str, tuple[float, str]] = {}
+    hand_force, hand_speed = getattr(parameters, "hand_force", None), getattr(parameters, "hand_speed", None)
     if hand_force is not None and loop.moving_mass is not None:
         least, most = loop.device_damping or 0.0, loop.device_damping_bound or 0.0
         response = reach(loop.sample_time, loop.moving_mass, hand_force, least, most)
-        text = f"at the torque limit, hand force up to {hand_force:g}"
         limit = renderable_by_hand_force(response, loop.delay, torque)
-        hints.append(_hint(axis, "stiffness, certified by hand force", "stiffness", limit, stiffness, text))
+        held["hand force"] = limit, f"at the torque limit, hand force up to {hand_force:g}"
         limit = start_speed(response, loop.sample_time, loop.delay)
         text = "a contact from zero energy begins above this inward speed"
         hints.append(_hint(axis, "inward speed of a start", "speed", limit, None, text))
-    hand_speed = getattr(parameters, "hand_speed", None)
+    if loop.device_damping and axis.passivity.name in _BY_DAMPING:
+        limit = renderable_by_device_damping(loop.device_damping, loop.sample_time, loop.delay)
+        held["device damping"] = limit, f"for every user, device_damping {loop.device_damping:g} declared"
     if hand_speed is not None:
         limit = renderable_by_hand_speed(hand_speed, loop.sample_time, loop.delay, torque)
-        text = f"at the torque limit, hand speed up to {hand_speed:g}"
-        hints.append(_hint(axis, "stiffness, certified by hand speed", "stiffness", limit, stiffness, text))
+        held["hand speed"] = limit, f"at the torque limit, hand speed up to {hand_speed:g}"
+    return [*_held_stiffness(axis, held), *hints]
+
+
+def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list[Hint]:
+    """Returns one hint per certificate, and what the largest of them, which is the one that counts, leaves."""
+    stiffness = _asked(axis, "stiffness")
+    hints = [
+        _hint(
+            axis, f"stiffness, certified by {name}", "stiffness", limit, stiffness, f"{text}{_share(limit, stiffness)}"
+        )
+        for name, (limit, text) in held.items()
+    ]
+    if len(held) > 1:
+        name = max(held, key=lambda entry: held[entry][0])
+        limit = held[name][0]
+        text = f"the largest counts: {name}{_share(limit, stiffness)}"
+        hints.append(_hint(axis, "stiffness, certified", "stiffness", limit, stiffness, text))
     return hints
+
+
+def _share(limit: float, asked: float | None) -> str:
+    if not asked:
+        return ""
+    return f"; holds {100.0 * min(1.0, limit / asked):.3g} % of what is asked"

@@ -168,7 +168,9 @@ def test_hints_agree_with_the_formulas_of_the_literature(tmp_path: Path) -> None
     assert limits["stiffness, Colgate's bound 2 b / T"].limit == pytest.approx(2 * 0.2 / 1e-3)
     assert limits["damping, stable"].limit == pytest.approx(2 * 0.5 / 1e-3)
     assert limits["damping, no ripple"].limit == pytest.approx(0.343 * 0.5 / 1e-3, rel=1e-3)
-    assert not any(hint.exceeded for hint in limits.values())
+    # The plant has no Coulomb friction, and 10 N*s/m of damping is more than the device has to give.
+    exceeded = {what for what, hint in limits.items() if hint.exceeded}
+    assert exceeded == {"stiffness, quantisation bound 2 f_c / count", "damping, Colgate's bound b - k T / 2"}
     late = load_scene(tmp_path / "scene.yaml", ["bus.rpdo=synchronous", "passivity.moving_mass=0.01"])
     limits = {hint.what: hint for hint in stability_hints(late.axes[0])}
     assert limits["damping, stable"].limit == pytest.approx(0.828 * 0.01 / 1e-3, rel=1e-3)
@@ -179,7 +181,8 @@ def test_what_is_not_known_is_said_to_be_unknown(tmp_path: Path) -> None:
     scene = load_scene(scene_file(tmp_path), ["simulation=null", "bus.channel=x"])
     hints = stability_hints(scene.axes[0])
     assert hints
-    assert all(hint.limit is None and not hint.exceeded and "give passivity." in hint.text for hint in hints)
+    assert all(hint.limit is None and not hint.exceeded for hint in hints)
+    assert all("give passivity." in hint.text or "no Coulomb friction known" in hint.text for hint in hints)
 
 
 def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
@@ -188,3 +191,33 @@ def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
     # (m / 2 T^2) F / (F + F_h) with F the torque limit of 20 N
     assert limits["stiffness, certified by hand force"] == pytest.approx(0.2 / 2e-6 * 20 / (20 + 20))
     assert limits["inward speed of a start"] == pytest.approx(20 * 1e-3 / 0.2)
+
+
+def test_the_quantisation_bound_needs_friction_and_takes_that_of_the_simulated_plant(tmp_path: Path) -> None:
+    path, name = scene_file(tmp_path), "stiffness, quantisation bound 2 f_c / count"
+    bare = {h.what: h for h in stability_hints(load_scene(path).axes[0])}[name]
+    assert bare.limit == 0.0  # a plant without friction: half a count feigns energy at any stiffness
+    assert bare.exceeded
+    friction = "simulation.effects=[{type: coulomb_friction, kinetic: 0.02, static: 0.03}]"
+    dry = {h.what: h for h in stability_hints(load_scene(path, [friction]).axes[0])}[name]
+    assert dry.limit == pytest.approx(2 * 0.02 / 1e-6)
+    assert "needs 5e-05 of Coulomb friction" in dry.text  # k count / 2 = 100 * 1e-6 / 2
+
+
+def test_the_damping_that_colgate_leaves_falls_with_the_stiffness(tmp_path: Path) -> None:
+    path = scene_file(tmp_path)
+    for stiffness, left in ((100.0, 0.05), (1000.0, 0.0)):
+        hints = stability_hints(load_scene(path, [f"environment.stiffness={stiffness}"]).axes[0])
+        found = {h.what: h.limit for h in hints}["damping, Colgate's bound b - k T / 2"]
+        assert found == pytest.approx(left)
+
+
+def test_the_largest_certificate_says_how_much_of_the_wall_it_holds(tmp_path: Path) -> None:
+    passivity = "{algorithm: guarded, moving_mass: 0.2, hand_force: 20, device_damping: 2, hand_speed: 50}"
+    overrides = [f"passivity={passivity}", "environment.stiffness=1e5", "bus.rpdo=synchronous"]
+    hints = {h.what: h for h in stability_hints(load_scene(scene_file(tmp_path), overrides).axes[0])}
+    assert hints["stiffness, certified by device damping"].limit == pytest.approx(2 * 2 / 2e-3)
+    assert hints["stiffness, certified by hand speed"].limit == pytest.approx(20 / (2 * 50 * 2e-3))
+    largest = max(h.limit for name, h in hints.items() if name.startswith("stiffness, certified by"))
+    assert hints["stiffness, certified"].limit == largest
+    assert f"holds {largest / 1e3:.3g} % of what is asked" in hints["stiffness, certified"].text
