@@ -120,7 +120,7 @@ class Recorder:
             self._residual = max(self._residual, abs(residual(balance, self._h_s)) / largest)
         self._h_s = balance.h_s
         damping = float("nan") if balance.branch in _APART else balance.damping_rendered
-        row = (position, true_position, torque, -motor, believed, dissipated, damping)
+        row = (position, true_position, torque, 0.0 - motor, believed, dissipated, damping)
         for column, value in zip(self._columns, row, strict=True):
             column.append(value)
         if not self._lowest < true_position < self._highest:
