@@ -36,6 +36,13 @@ def test_the_least_margin_comes_with_its_cycle():
     assert summary.energy_out == pytest.approx(0.9)
 
 
+def test_a_run_that_never_loses_has_its_least_margin_before_it_began():
+    ledger = Ledger()
+    for cycle in range(5):
+        ledger.add(hold(0.1, 0.1), cycle)
+    assert (ledger.summary().margin_value, ledger.summary().margin_cycle) == (0.0, 0)
+
+
 def test_energy_drawn_before_any_was_put_in_is_seen():
     ledger = Ledger()
     ledger.add(hold(-0.25), 0)

@@ -57,8 +57,8 @@ def test_without_a_known_mass_nothing_is_capped():
 
 
 @given(
-    alpha=st.floats(0.0, 1e6),
-    surplus=st.floats(-1.0, 1.0),
+    alpha=st.floats(1.0, 1e5),
+    surplus=st.floats(-1e-2, 1e-2),
     model=st.floats(0.0, 100.0),
     cap=st.floats(0.0, 100.0),
     displacement=st.floats(-0.1, 0.1),
@@ -71,7 +71,12 @@ def test_the_modulated_damper_is_never_negative_above_the_cap_or_more_than_the_s
     assert damping <= max(0.0, cap - model)
     if surplus <= 0.0:
         assert damping == 0.0
-    assert damping * displacement**2 / SAMPLE_TIME <= max(0.0, surplus) * (1.0 + 1e-9)
+    assert damping * displacement**2 / SAMPLE_TIME <= max(0.0, surplus) * (1.0 + 1e-9) + 1e-300
+
+
+def test_a_large_alpha_takes_out_the_surplus_in_one_such_hold_and_no_more():
+    assert modulated_damping(1e4, 1e-3, 5.0, math.inf, 0.01, 2e-3) == pytest.approx(1e-3 * 2e-3 / 0.01**2)
+    assert modulated_damping(1e4, 1e-3, 5.0, math.inf, 0.0, 2e-3) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize("bare", [200.0, 200, "200"])

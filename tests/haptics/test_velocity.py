@@ -66,6 +66,16 @@ def test_a_ramp_seen_through_counts_gives_its_speed():
     assert max(abs(v - speed) for v in last[64:]) > 0.25 * speed
 
 
+def test_at_rest_the_window_stays_within_its_longest():
+    window = AdaptiveWindow(SAMPLE_TIME, 1.0, 16)
+    lengths = []
+    for _ in range(100):
+        window.update(0.0)
+        lengths.append(window._length)
+    assert max(lengths) == 16
+    assert min(lengths[16:]) >= 8
+
+
 def test_a_sudden_motion_is_followed_at_once():
     positions = [0.0] * 50 + [0.02 * k for k in range(1, 4)]
     _, velocities = run(positions, tolerance=1e-4, longest=32)
