@@ -11,7 +11,7 @@ from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
 from canhaptic.scene.build import build_drive_group
-from canhaptic.scene.bus import open_bus
+from canhaptic.scene.bus import open_bus, with_effects
 from canhaptic.scene.models import Scene
 from canhaptic.sim.drive_group import DriveGroup
 
@@ -36,6 +36,10 @@ def execute(arguments: argparse.Namespace) -> int:
         stop = stack.enter_context(StopSignal())
         bus = open_bus(scene.bus, scene.bus.channel)
         stack.callback(bus.shutdown)
+        if scene.bus_effects is not None:
+            bus = faulty_bus = with_effects(bus, scene, "drive")
+            stack.callback(faulty_bus.shutdown)
+            faulty_bus.use(WallClock(spin_margin=0.0))
         group = build_drive_group(scene, bus)
         write_note(f"{_names(scene)} on {scene.bus.interface} {scene.bus.channel or ''}: powered, Ctrl-C ends")
         _live(group, bus, arguments.duration, stop)

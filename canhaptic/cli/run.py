@@ -97,6 +97,8 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
         "cycles_per_second": cycle.cycles / elapsed if elapsed else 0.0,
         **durations,
     }
+    if experiment.faulty_bus is not None:
+        result["bus_effects"] = experiment.faulty_bus.totals()
     result["logs"] = {"dropped": sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log)}
     return result
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self, cast
+from typing import TYPE_CHECKING, Literal, Self, cast
 
 import can
 
@@ -20,13 +20,15 @@ from canhaptic.drive.link import Link, Recorder
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.haptics.passivity.protocol import Controller
-from canhaptic.logs.bus_log import BusLogWriter
-from canhaptic.scene.bus import echoes, open_bus, private_channel
+from canhaptic.scene.bus import echoes, open_bus, private_channel, with_effects
 from canhaptic.scene.log_writers import open_bus_log, open_energy_log
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_axis_controller, build_servo_drive, build_simulated_drive
 from canhaptic.signals import FarSide, Truth
 from canhaptic.sim.drive_group import DriveGroup
+
+if TYPE_CHECKING:
+    from canhaptic.sim.faulty_bus import FaultyBus
 
 Pace = Literal["real", "free"]
 
@@ -38,6 +40,7 @@ class Experiment:
         scene: What it was built from.
         pace: "free" (lock-step with simulated drives, as fast as the machine allows) or "real".
         far_side: The simulated drives inside this process; None with real ones.
+        faulty_bus: The master's connection where the scene names effects on its bus; None for an ideal bus.
         cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
         energy_log: Where every cycle is written; None for nowhere.
         bus_log: Where every frame is written; None for nowhere.
@@ -50,14 +53,17 @@ class Experiment:
         with ExitStack() as stack:
             channel = _channel(scene)
             self.far_side = _build_far_side(scene, channel, stack) if scene.simulated else None
-            self.clock = _build_clock(scene, pace, self.far_side)
+            bus = _open_bus(scene, channel, stack)
+            self.faulty_bus = _build_faulty_bus(scene, bus, stack) if scene.simulated and scene.bus_effects else None
+            self.clock = _build_clock(scene, pace, self.far_side, self.faulty_bus)
             self.energy_log = open_energy_log(scene, energy_log, pace, self._lose_log) if energy_log else None
             if self.energy_log is not None:
                 stack.callback(self.energy_log.close, "failed")
             self.bus_log = open_bus_log(scene, bus_log, pace, self._lose_log) if bus_log else None
             if self.bus_log is not None:
                 stack.callback(self.bus_log.close)
-            link = _build_link(scene, channel, self.clock, self.bus_log, stack)
+            recorder = cast(Recorder | None, self.bus_log)
+            link = Link(self.faulty_bus or bus, self.clock, recorder, echoes=echoes(scene.bus))
             self.rig = _build_rig(scene, link)
             self.cycle = Cycle(self.rig, build_controllers(scene), self.energy_log, _truths(self.far_side))
             if self._log_failure:  # before there was a cycle to stop
@@ -154,23 +160,31 @@ def _channel(scene: Scene) -> str | int | None:
     return scene.bus.channel
 
 
+def _open_bus(scene: Scene, channel: str | int | None, stack: ExitStack) -> can.BusABC:
+    bus = open_bus(scene.bus, channel)
+    stack.callback(bus.shutdown)
+    return bus
+
+
 def _build_far_side(scene: Scene, channel: str | int | None, stack: ExitStack) -> DriveGroup:
-    bus = open_bus(scene.bus, channel)
-    stack.callback(bus.shutdown)
-    return build_drive_group(scene, bus)
+    return build_drive_group(scene, _open_bus(scene, channel, stack))
 
 
-def _build_clock(scene: Scene, pace: Pace, far_side: FarSide | None) -> Clock:
+def _build_faulty_bus(scene: Scene, bus: can.BusABC, stack: ExitStack) -> "FaultyBus":
+    faulty_bus = with_effects(bus, scene, "master")
+    stack.callback(faulty_bus.shutdown)
+    return faulty_bus
+
+
+def _build_clock(scene: Scene, pace: Pace, far_side: FarSide | None, faulty_bus: "FaultyBus | None") -> Clock:
+    """Returns the clock, which drives the simulated drives, and the faults between them and the master if any."""
+    if far_side is not None and faulty_bus is not None:
+        far_side = faulty_bus.around(far_side)
     far_sides = [] if far_side is None else [far_side]
-    return VirtualClock(far_sides) if pace == "free" else WallClock(far_sides, scene.bus.spin_margin)
-
-
-def _build_link(
-    scene: Scene, channel: str | int | None, clock: Clock, recorder: BusLogWriter | None, stack: ExitStack
-) -> Link:
-    bus = open_bus(scene.bus, channel)
-    stack.callback(bus.shutdown)
-    return Link(bus, clock, cast(Recorder | None, recorder), echoes=echoes(scene.bus))
+    clock: Clock = VirtualClock(far_sides) if pace == "free" else WallClock(far_sides, scene.bus.spin_margin)
+    if faulty_bus is not None:
+        faulty_bus.use(clock)
+    return clock
 
 
 def _build_rig(scene: Scene, link: Link) -> Rig:

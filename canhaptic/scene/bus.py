@@ -1,13 +1,17 @@
-"""Opens the CAN buses of a scene through python-can."""
+"""Opens the CAN buses of a scene through python-can, and lays the effects over them that it names."""
 
 import itertools
 import os
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import can
 
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import InputError, LinkError
+from canhaptic.scene.models import Scene
+
+if TYPE_CHECKING:
+    from canhaptic.sim.faulty_bus import FaultyBus
 
 _ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that give back what was sent, whatever they are told
 _PRIVATE: Final = itertools.count()
@@ -45,3 +49,18 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
         raise LinkError(
             f"{place}: cannot be opened ({error}); is the interface up, its bit rate {bus.bitrate} and its device free?"
         ) from error
+
+
+def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]) -> "FaultyBus":
+    """Returns a connection with the effects that a scene names on its bus.
+
+    Args:
+        bus: The connection as it was opened.
+        scene: Has `bus_effects`.
+        side: Whose connection it is.
+    """
+    from canhaptic.sim.faulty_bus import FaultyBus
+
+    if scene.bus_effects is None or scene.simulation is None:
+        raise InputError(f"{scene.source}: names no effect on its bus (simulation.bus)")
+    return FaultyBus(bus, scene.bus_effects, bitrate=scene.bus.bitrate, seed=scene.simulation.seed, side=side)

@@ -5,7 +5,7 @@ Every fault found on the way is noted with its line; all of them are raised toge
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import SceneError
@@ -17,6 +17,9 @@ from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.models import AxisScene, RunParameters, Scene, SimulationParameters
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.section import read_list, read_mapping, read_section, refuse_unknown_keys
+
+if TYPE_CHECKING:
+    from canhaptic.sim.bus_effects import BusEffects
 
 MAX_BYTES: Final = 1_000_000
 SECTIONS: Final = ("bus", "axes", "environment", "passivity", "simulation", "log", "duration")
@@ -107,12 +110,13 @@ def _sections(
     log_section = _section(sections, "log", faults)
     log = read_section(LogParameters, log_section, faults) if log_section is not None else LogParameters()
     simulation = _simulation(sections, faults)
+    bus_effects = _bus_effects(sections, faults)
     bus_section = _section(sections, "bus", faults, needed=True)
     bus = read_section(BusParameters, bus_section, faults) if bus_section is not None else None
     axes = _axes(sections, bus, simulation.seed if simulation else 0, faults)
     if run is None or log is None or bus is None or not axes:
         return None
-    return Scene(source, text, overrides, bus, axes, log, run, simulation)
+    return Scene(source, text, overrides, bus, axes, log, run, simulation, bus_effects)
 
 
 def _only(sections: MarkedMapping, model: type[RunParameters]) -> MarkedMapping:
@@ -132,8 +136,19 @@ def _simulation(sections: MarkedMapping, faults: Faults) -> SimulationParameters
     section = _section(sections, "simulation", faults)
     if section is None:
         return None
-    names = (*SIMULATION_PARTS, "axes")
+    names = (*SIMULATION_PARTS, "axes", "bus")
     return read_section(SimulationParameters, section.without(*names), faults, also=names)
+
+
+def _bus_effects(sections: MarkedMapping, faults: Faults) -> "BusEffects | None":
+    """Returns what the simulated bus does to its frames; None when it is ideal, and then nothing is imported."""
+    simulation = sections.get("simulation")
+    if not isinstance(simulation, MarkedMapping) or "bus" not in simulation:
+        return None
+    from canhaptic.sim.bus_effects import BusEffects
+
+    section = _section(simulation, "bus", faults)
+    return None if section is None else read_section(BusEffects, section, faults)
 
 
 def _axes(sections: MarkedMapping, bus: BusParameters | None, seed: int, faults: Faults) -> tuple[AxisScene, ...]:

@@ -19,4 +19,5 @@ def method_line(scene: Scene) -> str:
     if approximate:
         parts = ", ".join(f"{name} of order {order}" for name, order in sorted(approximate.items()))
         plant = f"plant exact between SYNCs but for {parts}"
-    return f"{plant}; torque acts {acts}"
+    bus = "" if scene.bus_effects is None else f"; bus with {', '.join(scene.bus_effects.named)}"
+    return f"{plant}; torque acts {acts}{bus}"

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.haptics.passivity.protocol import LoopProperties
@@ -12,6 +12,9 @@ from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
+
+if TYPE_CHECKING:
+    from canhaptic.sim.bus_effects import BusEffects
 
 
 class RunParameters(Parameters):
@@ -73,6 +76,7 @@ class Scene:
     log: LogParameters
     run: RunParameters
     simulation: SimulationParameters | None
+    bus_effects: "BusEffects | None" = None  # what the simulated bus does to its frames
 
     @property
     def simulated(self) -> bool:
@@ -86,8 +90,11 @@ class Scene:
             "axes": {axis.parameters.name: _axis(axis) for axis in self.axes},
             "log": _plain(self.log),
             "run": _plain(self.run),
-            "simulation": self.simulation and _plain(self.simulation),
+            "simulation": self.simulation and {**_plain(self.simulation), **self._bus_effects()},
         }
+
+    def _bus_effects(self) -> dict[str, Any]:
+        return {} if self.bus_effects is None else {"bus": _plain(self.bus_effects)}
 
     def config_hash(self) -> str:
         """Returns the SHA-256 of the configuration in effect, dictionaries by content.

@@ -10,10 +10,11 @@ from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.haptics.environments import ENVIRONMENTS
 from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.haptics.passivity.protocol import LoopProperties
-from canhaptic.parameters import Parameters
 from canhaptic.logs.parameters import LogParameters
+from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS, OWN_SECTIONS, SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.scene.models import RunParameters, SimulationParameters
+from canhaptic.sim.bus_effects import BusEffects
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import EFFECTS
 from canhaptic.sim.plant import PlantParameters
@@ -110,10 +111,11 @@ def _simulation(definitions: Schema) -> Schema:
     of_axis = {name: _without_required(parts[name]) for name in SIMULATION_PARTS}
     own = {"type": "object", "properties": of_axis, "additionalProperties": False}
     seed = _of(SimulationParameters, definitions)["properties"]
+    bus = _or_null(_of(BusEffects, definitions))
     return _or_null(
         {
             "type": "object",
-            "properties": {**parts, **seed, "axes": {"type": "object", "additionalProperties": own}},
+            "properties": {**parts, **seed, "bus": bus, "axes": {"type": "object", "additionalProperties": own}},
             "additionalProperties": False,
         }
     )

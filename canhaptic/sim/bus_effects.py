@@ -1,0 +1,130 @@
+"""What a simulated bus does to its frames, as a scene says it under `simulation.bus`. Absent: the bus is ideal."""
+
+from collections.abc import Sequence
+from typing import Annotated, Final, Literal
+
+from pydantic import model_validator
+
+from canhaptic.parameters import Parameters, quantity
+
+Direction = Literal["to_drive", "to_master"]
+Probability = Annotated[float, quantity("1", ge=0.0, le=1.0)]
+CobId = Annotated[int, quantity("1", ge=0, le=0x7FF)]
+
+_NANO: Final = 1e9
+_EFFECTS: Final = (
+    *("drop", "duplicate", "reorder", "truncate", "corrupt", "refuse", "delay", "jitter", "foreign_rate", "wire_time"),
+    *("freeze", "stall", "bus_off"),
+)
+
+
+class Window(Parameters):
+    """A stretch of time, once or again and again."""
+
+    begin: Annotated[float, quantity("s", ge=0.0, le=1e6)] = 0.0
+    """Counted from the first SYNC; from the first frame when `bring_up` is set."""
+    duration: Annotated[float, quantity("s", gt=0.0, le=1e6)]
+    every: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
+    """From one begin to the next; None: it happens once."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "Window":
+        if self.every is not None and self.every <= self.duration:
+            raise ValueError(f"every is {self.every:g} s, expected more than duration ({self.duration:g} s)")
+        return self
+
+
+class BusEffects(Parameters):
+    """What happens to frames between master and drives. Probabilities are per frame and direction.
+
+    `direction`, `ids` and `during` say which frames suffer from the effects on single frames: drop, duplicate, reorder,
+    truncate, corrupt, refuse, delay, jitter. The others act on the bus as a whole; frames of other devices keep to
+    `during` too.
+    """
+
+    drop: Probability = 0.0
+    """Share of frames that are lost."""
+    drop_burst: Annotated[float, quantity("count", ge=1.0, le=1e4)] | None = None
+    """Mean number of frames lost in a row (Gilbert's two states); None: each frame is lost on its own."""
+    duplicate: Probability = 0.0
+    """Share of frames that arrive twice."""
+    reorder: Probability = 0.0
+    """Share of frames that are held back for `reorder_delay` while those behind them pass."""
+    reorder_delay: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 1e-3
+    truncate: Probability = 0.0
+    """Share of frames that lose bytes at their end."""
+    corrupt: Probability = 0.0
+    """Share of frames that arrive with one bit of their data turned, as behind a gateway with a fault."""
+    refuse: Probability = 0.0
+    """Share of the master's frames that its interface refuses to send (ENOBUFS)."""
+    delay: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
+    """Every frame arrives so much later."""
+    jitter: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
+    """And later again by anything between zero and this; no frame overtakes another of its direction."""
+    direction: Literal["both", "to_drive", "to_master"] = "both"
+    ids: tuple[CobId, ...] | None = None
+    """COB-IDs that suffer; None: all."""
+    during: tuple[Window, ...] = ()
+    """When they suffer; empty: always."""
+    foreign_rate: Annotated[float, quantity("Hz", ge=0.0, le=1e5)] = 0.0
+    """Frames of other devices per second, at random times (Poisson), seen by master and drives."""
+    foreign_ids: tuple[CobId, ...] = (0x7F0,)
+    """COB-IDs that these frames take in turn; those of an axis make them impostors."""
+    wire_time: bool = False
+    """Whether each frame takes its worst-case time at `bus.bitrate`, one at a time, lowest COB-ID first."""
+    freeze: tuple[Window, ...] = ()
+    """When the bus stands still; what waits comes at the end, in one burst."""
+    stall: tuple[Window, ...] = ()
+    """When the master's host stands still; needs the master in the same process."""
+    bus_off: tuple[Window, ...] = ()
+    """When nothing can be sent and what arrives is lost."""
+    bring_up: bool = False
+    """Whether frames before the first SYNC suffer too."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "BusEffects":
+        if not any(getattr(self, name) for name in _EFFECTS):
+            raise ValueError(f"names no effect, expected one of: {', '.join(_EFFECTS)}; leave it out for an ideal bus")
+        for name in ("ids", "foreign_ids"):
+            if getattr(self, name) == ():
+                raise ValueError(f"{name} is empty, expected at least one COB-ID; leave it out for the usual ones")
+        most = 1.0 if self.drop_burst is None else self.drop_burst / (1.0 + self.drop_burst)
+        if self.drop > most:
+            raise ValueError(
+                f"drop is {self.drop:g}, expected at most {most:g} with a drop_burst of {self.drop_burst:g} frames, "
+                "since one frame at least is heard between two bursts"
+            )
+        return self
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The effects that do something, in the order in which they are listed."""
+        return tuple(name for name in _EFFECTS if getattr(self, name))
+
+    def suffers(self, direction: Direction) -> bool:
+        """Returns whether frames of a direction suffer from the effects on single frames."""
+        return self.direction in ("both", direction)
+
+
+class Schedule:
+    """Windows on integer nanoseconds.
+
+    Args:
+        windows: As the scene has them.
+    """
+
+    def __init__(self, windows: Sequence[Window]) -> None:
+        self._windows = tuple(
+            (round(w.begin * _NANO), round(w.duration * _NANO), round((w.every or 0.0) * _NANO)) for w in windows
+        )
+
+    def end(self, time: int) -> int:
+        """Returns when the window that `time` [ns] lies in ends [ns]; 0 when it lies in none."""
+        latest = 0
+        for begin, duration, every in self._windows:
+            since = time - begin
+            if since >= 0 and every:
+                since %= every
+            if 0 <= since < duration:
+                latest = max(latest, time - since + duration)
+        return latest
