@@ -1,53 +1,25 @@
-"""The one stepper: a piecewise-affine machine that moves by dyadic steps and brackets its events to one tick.
+"""State, mode and energies of one scene, moved by the functions of `stepper.py`.
 
-A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or may have
-dipped below it inside (its rate changed sign and the two tangents meet below zero), the step is halved, down to one
-tick; there the mode changes. No root finder and no adaptive step; at most `max_events` events a hold, the excess is
-counted, and the rest of that hold runs on without guards.
+Modes are compiled when they are first entered; a scene that never slides backward never pays for that mode.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from canhaptic.sim import stepper
 from canhaptic.sim.assembly import Scene
-from canhaptic.sim.compiler import Mode, Product, compile_mode, first_key, initial_state
-from canhaptic.sim.propagator import LEVELS, TICKS, Array
-
-_ROUNDING: Final = 1e-14  # a guard is broken when it is below zero by more than this part of its largest term
-_CHAIN: Final = 16  # switches without time between them
-
-
-class Books(NamedTuple):
-    """Buffers for the work of one step; two of them take turns, so that booking is two products and no sum.
-
-    The first product writes `rows`: for each work [Q y, unit row], then y, the state with the hand's deflection. In the
-    same memory y is followed by the totals, and the second product, [Q y, unit row] . [y, totals], is y'Qy + total.
-    """
-
-    rows: Array  # all but the totals, shape (works * (n + works) + n,)
-    contract: Product  # [y, totals] -> totals after the step
-    vector: Array  # [y, totals], shape (n + works,)
-    totals_after: Array  # the totals in the other buffer, shape (works,)
-
-
-def _two_books(size: int, works: int) -> tuple[Books, Books]:
-    length = works * (size + works)
-    this, other = np.zeros(length + size + works), np.zeros(length + size + works)
-
-    def books(buffer: Array, after: Array) -> Books:
-        contract = buffer[:length].reshape(works, size + works).dot
-        return Books(buffer[: length + size], contract, buffer[length:], after[length + size :])
-
-    return books(this, other), books(other, this)
+from canhaptic.sim.compiler import Exit, Mode, compile_mode, first_key, initial_state
+from canhaptic.sim.propagator import TICKS, Array
+from canhaptic.sim.stepper import CAPPED, COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, PRODUCTS, Settings, Tables
 
 
 class Snapshot(NamedTuple):
     """Everything that a hold changes."""
 
     state: Array
-    mode: Mode
+    mode: int
     totals: Array
     events: int
     capped: int
@@ -58,26 +30,31 @@ class Machine:
 
     Attributes:
         state: z, shape (n,); the torque is the last but one component.
-        events: Mode changes since the start.
-        capped: Holds in which the cap on events was reached.
         tick_time: T / 2^24 [s].
-        products: Matrix-vector products of flows taken, a machine-independent price.
     """
 
     def __init__(self, scene: Scene, max_events: int, event_bits: int) -> None:
         self.scene = scene
-        self.max_events = max_events
-        self._event_level = event_bits
         self.tick_time = scene.sample_time / TICKS
-        self._modes: dict[tuple[str, ...], Mode] = {}
+        self._settings = Settings(max_events, event_bits, self.tick_time)
+        self._modes: list[Mode] = []
+        self._index: dict[tuple[str, ...], int] = {}
+        self._tables = Tables(*([] for _ in Tables._fields))
         self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
         names = scene.names
         sines = [name for name in names if name.endswith("_sine")]
         self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
-        size, works = len(names), len(scene.works)
-        self._size = size
-        self._books, self._spare_books = _two_books(size, works)
+        self._books: list[Any] = self._new_books()
+        self._counts: Any = self._new_counts()
+        self._values: Any = [None, None]
+        self._first = self._mode_of(first_key(scene))
         self.reset()
+
+    def _new_books(self) -> list[Any]:
+        return list(stepper.two_books(len(self.scene.names), len(self.scene.works)))
+
+    def _new_counts(self) -> Any:
+        return [0] * COUNTS
 
     def reset(self) -> None:
         """Returns to the initial state and mode, with no energy booked."""
@@ -85,31 +62,54 @@ class Machine:
         self._moved = self.state.copy()
         self.totals.fill(0.0)
         self._sums, self._carries = self.totals.copy(), self.totals.copy()
-        self.events = self.capped = self.products = 0
-        self.mode = self._mode_of(first_key(self.scene))
-        self._settle()  # a body that starts beyond a stop starts with the stop's energy
+        counts = self._counts
+        counts[MODE], counts[MISSING], counts[LIMIT] = self._first, NONE, 0
+        self.run(0)  # a body that starts beyond a stop starts with the stop's energy
         self.totals.fill(0.0)
-        self.events = 0
+        counts[EVENTS] = counts[CAPPED] = counts[PRODUCTS] = 0
+
+    @property
+    def mode(self) -> Mode:
+        """The mode it is in."""
+        return self._modes[int(self._counts[MODE])]
 
     @property
     def first_mode(self) -> Mode:
         """The mode the scene starts in."""
-        return self._mode_of(first_key(self.scene))
+        return self._modes[self._first]
+
+    @property
+    def events(self) -> int:
+        """Mode changes since the start."""
+        return int(self._counts[EVENTS])
+
+    @property
+    def capped(self) -> int:
+        """Holds in which the cap on events was reached."""
+        return int(self._counts[CAPPED])
+
+    @property
+    def products(self) -> int:
+        """Steps of flows tried since the start, a machine-independent price."""
+        return int(self._counts[PRODUCTS])
 
     def save(self) -> Snapshot:
         """Returns a copy of everything that a hold changes."""
-        return Snapshot(self.state.copy(), self.mode, self.totals.copy(), self.events, self.capped)
+        counts = self._counts
+        return Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS], counts[CAPPED])
 
     def restore(self, saved: Snapshot) -> None:
         """Goes back to a copy."""
         np.copyto(self.state, saved.state)
         np.copyto(self.totals, saved.totals)
-        self.mode, self.events, self.capped = saved.mode, saved.events, saved.capped
+        counts = self._counts
+        counts[MODE], counts[EVENTS], counts[CAPPED] = saved.mode, saved.events, saved.capped
 
     @property
     def totals(self) -> Array:
         """Work booked since the last `tidy`, in the order of `scene.works` [J]; a view."""
-        return self._books.vector[self._size :]
+        totals: Array = self._books[0].totals
+        return totals
 
     def works(self) -> Array:
         """Returns the work booked since the start, in the order of `scene.works` [J]."""
@@ -132,137 +132,109 @@ class Machine:
 
     def stored(self) -> float:
         """Returns the kinetic and elastic energy [J]."""
-        return float(self.mode.storage.dot(self.state).dot(self.state))
+        return stepper.stored(self.mode.storage, self.state)
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Puts one part into another mode, at a time that the scene fixed beforehand."""
-        self._enter(self._part_index[part], mode)
+        self._counts[MODE] = self._mode_of(self._key_with(self.mode, self._part_index[part], mode))
 
     def period(self, torque: float) -> float:
         """Takes one whole sample time in one step, for scenes without guards; returns the position after it.
 
         The same as `run_free`, written flat: this is the whole plant of most scenes, at every SYNC.
         """
-        state, moved, mode = self.state, self._moved, self.mode
+        state, moved, mode = self.state, self._moved, self._modes[0]
         state[-2] = torque
-        rows, contract, vector, totals_after = books = self._books
-        mode.works[0](state, rows)
-        contract(vector, totals_after)
-        self._books, self._spare_books = self._spare_books, books
+        this, spare = self._books
+        mode.works[0](state, this.rows)
+        this.contract(this.vector, this.totals_after)
+        self._books = [spare, this]
         mode.flows[0](state, moved)
         self.state, self._moved = moved, state
-        self.products += 1
+        self._counts[PRODUCTS] += 1
         return moved.item(0)
 
     def run_free(self, ticks: int) -> None:
-        """Moves by `ticks` ignoring guards: whole sample times, then one step per bit."""
-        mode = self.mode
-        for _ in range(ticks >> LEVELS):
-            self._commit(mode, 0)
-        for level in range(1, LEVELS + 1):
-            if ticks & (TICKS >> level):
-                self._commit(mode, level)
-        self.products += (ticks >> LEVELS) + (ticks & (TICKS - 1)).bit_count()
+        """Moves by `ticks` ignoring guards."""
+        self.state, self._moved = stepper.run_free(
+            self._tables, self.state, self._moved, self._books, self._counts, ticks
+        )
 
     def run(self, ticks: int) -> None:
         """Moves by `ticks` under constant inputs, through every event on the way."""
-        limit = self.events + self.max_events
-        values = self._settle()
-        mode, level, window = self.mode, self.mode.base, -1
-        while ticks:
-            while TICKS >> level > ticks:
-                level += 1
-            broken, after = self._try(mode, level, values)
-            if broken != _NONE and level < self._event_level:
-                window, level = ticks - (TICKS >> level), level + 1
-                continue
-            self._book_and_swap(mode, level)
-            ticks -= TICKS >> level
-            if broken >= 0:
-                if self.events >= limit:
-                    self.capped += 1
-                    self.run_free(ticks)
-                    return
-                self._leave(broken)
-                values = self._settle()
-                mode, level, window = self.mode, self.mode.base, -1
-                continue
-            values = after
-            if ticks <= window:
-                level, window = mode.base, -1
+        self._counts[LIMIT] = self._counts[EVENTS] + self._settings.max_events
+        self._run_on(ticks)
 
-    def _try(self, mode: Mode, level: int, before: list[float]) -> tuple[int, list[float]]:
-        """Steps into the spare state; returns the guard that broke (or _NONE, _DOUBTFUL) and the guards' values."""
-        self.products += 1
-        mode.flows[level](self.state, self._moved)
-        after: list[float] = mode.guards.dot(self._moved).tolist()
-        count = len(mode.exits)
-        for i in range(count):
-            if after[i] < 0.0 and self._is_broken(mode, i, after[i], self._moved):
-                return i, after
-        if level < self._event_level:
-            step = self.tick_time * (TICKS >> level)
-            for i in range(count):
-                if before[count + i] < 0.0 < after[count + i] and _dips(before, after, i, count, step):
-                    return _DOUBTFUL, after
-        return _NONE, after
+    def run_holds(self, torques: Array, positions: Array) -> None:
+        """Takes one sample time under each torque and writes the position after it.
 
-    def _settle(self) -> list[float]:
-        """Leaves every mode whose guards do not hold at this very state; returns the guards' values."""
-        for _ in range(_CHAIN):
-            mode = self.mode
-            values: list[float] = mode.guards.dot(self.state).tolist()
-            for i in range(len(mode.exits)):
-                if values[i] < 0.0 and self._is_broken(mode, i, values[i], self.state):
-                    self._leave(i)
-                    break
-            else:
-                return values
-        return values
+        Args:
+            torques: Shape (n_holds,) [N or N*m].
+            positions: Written, shape (n_holds,) [m or rad].
+        """
+        done = 0
+        while done < len(torques):
+            self.state, self._moved, begun, left = self._step_holds(torques[done:], positions[done:])
+            done += begun
+            if self._counts[MISSING] != NONE:
+                self._enter_missing()
+                self._run_on(left)
+                positions[done - 1] = self.state[0]
 
-    def _is_broken(self, mode: Mode, guard: int, value: float, state: Array) -> bool:
-        largest = float(np.abs(mode.guards[guard] * state).max())
-        return value < -_ROUNDING * largest
+    def _run_on(self, ticks: int) -> None:
+        while True:
+            self.state, self._moved, ticks = self._step(ticks)
+            if self._counts[MISSING] == NONE:
+                return
+            self._enter_missing()
 
-    def _leave(self, guard: int) -> None:
-        leaving = self.mode.exits[guard]
-        self.events += 1
-        before = self.stored() if leaving.resets else 0.0
-        for state, value in [(i, float(row @ self.state)) for i, row in leaving.resets]:
-            self.state[state] = value
-        self._enter(leaving.part, leaving.mode)
-        if leaving.resets:
-            self.totals[leaving.work] += before - self.stored()
+    def _step(self, ticks: int) -> tuple[Array, Array, int]:
+        return stepper.run(
+            self._tables, self._settings, self.state, self._moved, self._books, self._counts, self._values, ticks
+        )
 
-    def _enter(self, part: int, mode: str) -> None:
-        key = self.mode.key
-        self.mode = self._mode_of((*key[:part], mode, *key[part + 1 :]))
+    def _step_holds(self, torques: Array, positions: Array) -> tuple[Array, Array, int, int]:
+        return stepper.run_holds(
+            self._tables, self._settings, self.state, self._moved, self._books, self._counts, self._values,
+            torques, positions,
+        )  # fmt: skip
 
-    def _mode_of(self, key: tuple[str, ...]) -> Mode:
-        if key not in self._modes:
-            self._modes[key] = compile_mode(self.scene, key)
-        return self._modes[key]
+    def _enter_missing(self) -> None:
+        """Compiles the mode behind the guard that the stepper stands at; it then goes through by itself."""
+        mode, guard = self._counts[MODE], self._counts[MISSING]
+        through = self._modes[mode].exits[guard]
+        target = self._mode_of(self._key_with(self._modes[mode], through.part, through.mode))
+        self._counts[MISSING] = NONE
+        self._connect(mode, guard, target)
 
-    def _commit(self, mode: Mode, level: int) -> None:
-        mode.flows[level](self.state, self._moved)
-        self._book_and_swap(mode, level)
+    def _connect(self, mode: int, guard: int, target: int) -> None:
+        self._tables.targets[mode][guard] = target
 
-    def _book_and_swap(self, mode: Mode, level: int) -> None:
-        """Books the work of a step from `state` and makes the spare state, already moved, the state."""
-        state = self.state
-        books = self._books
-        mode.works[level](state, books.rows)
-        books.contract(books.vector, books.totals_after)
-        self._books, self._spare_books = self._spare_books, books
-        self.state, self._moved = self._moved, state
+    def _key_with(self, mode: Mode, part: int, part_mode: str) -> tuple[str, ...]:
+        return (*mode.key[:part], part_mode, *mode.key[part + 1 :])
+
+    def _mode_of(self, key: tuple[str, ...]) -> int:
+        if key not in self._index:
+            self._index[key] = len(self._modes)
+            self._add(compile_mode(self.scene, key))
+        return self._index[key]
+
+    def _add(self, mode: Mode) -> None:
+        """Puts a mode at the end of the tables."""
+        self._modes.append(mode)
+        resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
+        row = Tables(
+            mode.flows, mode.works, mode.base, mode.guards, len(mode.exits), [NONE] * len(mode.exits),
+            [bool(leaving.resets) for leaving in mode.exits], resets, [leaving.work for leaving in mode.exits],
+            mode.storage,
+        )  # fmt: skip
+        for table, entry in zip(self._tables, row, strict=True):
+            table.append(entry)
 
 
-_NONE: Final = -1  # every guard holds
-_DOUBTFUL: Final = -2  # a guard may have dipped below zero inside the step
-
-
-def _dips(before: list[float], after: list[float], guard: int, count: int, step: float) -> bool:
-    """True when the tangents at both ends of the step meet below zero: a bound for a convex guard."""
-    falling, rising = before[count + guard], after[count + guard]
-    meeting = (after[guard] - before[guard] - rising * step) / (falling - rising)
-    return before[guard] + falling * meeting < 0.0
+def reset_matrix(leaving: Exit, size: int) -> Array:
+    """Returns the matrix of the jump that belongs to a way out of a mode."""
+    matrix = np.eye(size)
+    for state, row in leaving.resets:
+        matrix[state] = row
+    return matrix

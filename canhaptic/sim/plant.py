@@ -90,6 +90,8 @@ class Plant:
         sample_time_ns: T [ns]; a whole sample time is cheapest.
         seed: Of every random effect.
         accuracy: Events and substeps; the defaults when None.
+        compiled: Whether holds run compiled by numba (the extra `fast`). Worth its seconds of compiling for whole runs
+            (`run`) and for stiff scenes; a light hold called from Python costs more than interpreted.
 
     Attributes:
         position: True position of the motor [m or rad].
@@ -106,16 +108,19 @@ class Plant:
         sample_time_ns: int,
         seed: int = 0,
         accuracy: AccuracyParameters | None = None,
+        compiled: bool = False,
     ) -> None:
         if sample_time_ns < 1:
             raise ParameterError(f"sample time: got {sample_time_ns} ns, expected at least 1 ns; lower the rate")
         self.parameters = parameters
         self.user = user
+        self.effects = tuple(effects)
         self.accuracy = accuracy or AccuracyParameters()
         self.sample_time_ns = sample_time_ns
         self.seed = seed
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
-        self._machine = Machine(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
+        machine_type = _compiled_machine() if compiled else Machine
+        self._machine = machine_type(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
         self._splitting = Splitting(self._machine, self.accuracy.substeps) if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
@@ -238,6 +243,46 @@ class Plant:
                 if (self._tick - ticks) // _TIDY != self._tick // _TIDY:
                     self._machine.tidy()
 
+    def run(self, torques: Array) -> Array:
+        """Moves by one sample time under each torque and returns the positions after them; begins at 0 if need be.
+
+        The same as `advance_to` called for each; compiled, the whole run is one call where nothing but guards acts.
+
+        Args:
+            torques: Shape (n_holds,) [N or N*m].
+
+        Raises:
+            ParameterError: The plant is inside a sample time.
+        """
+        self.begin(0)
+        if self._next_period < 0:
+            raise ParameterError(f"run: got a plant {self._tick % TICKS} ticks inside a sample time, expected 0")
+        positions = np.empty(len(torques))
+        if self._splitting or self._timetable:
+            for k, torque in enumerate(torques.tolist()):
+                self.advance_to(self._next_period, torque)
+                positions[k] = self.position
+            return positions
+        held = self._after_commands(torques)
+        done = 0
+        while done < len(held):
+            count = min(len(held) - done, ((_TIDY - self._tick % _TIDY) // TICKS))
+            self._machine.run_holds(held[done : done + count], positions[done : done + count])
+            self._tick += count * TICKS
+            self._next_period += count * self.sample_time_ns
+            if self._tick % _TIDY == 0:
+                self._machine.tidy()
+            done += count
+        self.position = self._machine.state.item(0)
+        return positions
+
+    def _after_commands(self, torques: Array) -> Array:
+        """Returns what reaches the motor of a run of torques."""
+        held = torques.astype(float)
+        for command in self.scene.commands:
+            held = np.array([command.apply(torque, self.scene.sample_time) for torque in held.tolist()])
+        return held
+
     def energy(self) -> PlantEnergy:
         """Returns the true energies since the start [J]."""
         motor, user, dissipated = self._accounts.dot(self._machine.works()).tolist()
@@ -284,6 +329,21 @@ class Plant:
         whole, inside = divmod(tick, TICKS)
         self._next_period = -1 if inside else epoch + (whole + 1) * period
         return ticks
+
+
+def _compiled_machine() -> type[Machine]:
+    """Returns the machine whose holds are compiled.
+
+    Raises:
+        ParameterError: numba is not installed.
+    """
+    try:
+        from canhaptic.sim.compiled import CompiledMachine
+    except ImportError as error:
+        raise ParameterError(
+            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
+        ) from error
+    return CompiledMachine
 
 
 def collect(

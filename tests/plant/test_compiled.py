@@ -1,0 +1,91 @@
+"""Whole runs, interpreted and compiled, against holds called one by one."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from plant_scenes import MS, make_plant, run
+
+from canhaptic.errors import ParameterError
+from canhaptic.sim.plant import Plant, PlantParameters
+
+STOP = {"type": "hard_stop", "position": 0.01, "stiffness": 1e6}
+DAMPED_STOP = {**STOP, "damping": 30}
+COULOMB = {"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5}
+SHAFT = {"type": "shaft_compliance", "stiffness": 1e5, "load_mass": 0.1, "damping": 0.5}
+BACKLASH = {"type": "backlash", "gap": 1e-3}
+CURRENT = {"type": "current_loop", "time_constant": 5e-5}
+SATURATION = {"type": "torque_saturation", "limit": 1.0}
+COGGING = {"type": "cogging", "amplitude": 0.1, "pitch": 0.01}
+GRASP = {"type": "grasp_change", "time": 0.0503, "stiffness": 50, "damping": 1}
+SCENES = [
+    [], [CURRENT], [SATURATION], [COULOMB], [STOP], [DAMPED_STOP], [COULOMB, DAMPED_STOP, CURRENT], [SHAFT, BACKLASH],
+    [COGGING], [GRASP],
+]  # fmt: skip
+TORQUES = np.random.default_rng(5).uniform(-2.0, 2.0, 1300)
+
+
+def names(effects):
+    return "+".join(effect["type"] for effect in effects) or "bare"
+
+
+@pytest.mark.parametrize("effects", SCENES, ids=names)
+def test_a_whole_run_is_the_same_floats_as_its_holds(effects):
+    whole, single = make_plant(*effects), make_plant(*effects)
+    first, rest = whole.run(TORQUES[:700]), whole.run(TORQUES[700:])
+    expected = run(single, TORQUES.tolist())[1:]
+    assert np.concatenate([first, rest]).tobytes() == expected.tobytes()
+    assert whole.energy() == single.energy()
+    assert (whole.events, whole.products) == (single.events, single.products)
+    whole.advance_to(1301 * MS, 1.0)
+    single.advance_to(1301 * MS, 1.0)
+    assert whole.position == single.position
+
+
+def test_a_run_from_inside_a_sample_time_is_refused():
+    plant = make_plant()
+    plant.begin(0)
+    plant.advance_to(MS // 2, 0.0)
+    with pytest.raises(ParameterError, match="inside a sample time"):
+        plant.run(TORQUES)
+
+
+def compiled(*effects):
+    pytest.importorskip("numba", reason="the extra `fast` is not installed")
+    interpreted = make_plant(*effects)
+    plant = Plant(
+        interpreted.parameters, interpreted.user, interpreted.effects, MS, 1, interpreted.accuracy, compiled=True
+    )
+    return interpreted, plant
+
+
+def test_compiled_holds_agree_with_interpreted_ones():
+    """Without events to 1e-12; a rounding may move an event by one tick, 6e-11 s, whose effect is below 1e-11 m.
+
+    One test for all scenes, so that one process compiles. Backlash is chaotic: it is compared before it has forgotten.
+    """
+    for effects in SCENES:
+        holds = 60 if BACKLASH in effects else len(TORQUES)
+        interpreted, plant = compiled(*effects)
+        expected, got = interpreted.run(TORQUES[:holds]), plant.run(TORQUES[:holds])
+        tolerance = 1e-11 if interpreted.events else 1e-12 * np.abs(expected).max()
+        assert np.abs(got - expected).max() <= tolerance, names(effects)
+        assert plant.energy() == pytest.approx(interpreted.energy(), rel=1e-9, abs=1e-11), names(effects)
+        assert plant.events == pytest.approx(interpreted.events, rel=0.01), names(effects)
+        plant.reset()
+        again = run(plant, TORQUES[:holds].tolist())[1:]
+        assert again.tobytes() == got.tobytes(), names(effects)
+
+
+def test_numba_is_imported_only_when_it_is_asked_for():
+    code = "import sys; import canhaptic.sim.plant, canhaptic.sim.effects.hard_stop; print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "False"
+
+
+def test_compiled_without_numba_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "canhaptic.sim.compiled", raising=False)
+    with pytest.raises(ParameterError, match=r"canhaptic\[fast\]"):
+        Plant(PlantParameters(mass=0.25), None, [], MS, compiled=True)
