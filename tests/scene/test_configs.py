@@ -8,7 +8,7 @@ from scene_text import REPOSITORY
 
 from canhaptic.scene.load import load_scene
 
-CONFIGS = sorted((REPOSITORY / "configs").glob("*.yaml"))
+CONFIGS = sorted((REPOSITORY / "configs").rglob("*.yaml"))
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
