@@ -2,10 +2,15 @@
 
 import argparse
 from pathlib import Path
+from typing import Final
 
+from canhaptic.errors import InputError
 from canhaptic.parameters import Unit
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
+
+PICTURES: Final = (".png", ".svg", ".pdf")
+"""Suffixes of a picture."""
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +38,18 @@ def scene_of(arguments: argparse.Namespace) -> Scene:
         SceneError: Anything in it is wrong.
     """
     return load_scene(arguments.config, arguments.overrides)
+
+
+def check_picture(path: Path) -> None:
+    """Refuses a picture that could not be written, before anything runs.
+
+    Raises:
+        InputError: An unknown suffix, or a folder that is not there.
+    """
+    if path.suffix not in PICTURES:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}")
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
 
 
 def seconds(text: str) -> float:

@@ -4,10 +4,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
+from canhaptic.cli.arguments import add_json, add_scene, check_picture, scene_of, seconds
 from canhaptic.cli.output import write_json, write_note
 from canhaptic.cli.progress import RunProgress
-from canhaptic.errors import InputError
 from canhaptic.parameters import Unit
 from canhaptic.study.compare import chosen_algorithms, compare, cycles_of
 from canhaptic.view.energy_table import make_console
@@ -34,8 +33,8 @@ def execute(arguments: argparse.Namespace) -> int:
     """
     scene = scene_of(arguments)
     algorithms = chosen_algorithms(arguments.algorithms)
-    if arguments.png is not None and not arguments.png.absolute().parent.is_dir():
-        raise InputError(f"{arguments.png}: no such folder {arguments.png.absolute().parent}; make it first")
+    if arguments.png is not None:
+        check_picture(arguments.png)
     total = cycles_of(scene, arguments.duration) * len(algorithms) * len(scene.axes)
     if arguments.rate is not None:
         total = round(total * arguments.rate * scene.bus.sample_time)

@@ -3,36 +3,49 @@
 Times are of this machine at this moment: for comparing the columns of one table, never a pass mark.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.study.loop import LoopCase, LoopRun
 
+_Block = list[tuple[float, float]]
+
 _STEPS: Final = 2000
 """Steps of one timing, from the middle of a run, where contacts are."""
+_BLOCK: Final = 250
+"""Steps between two readings of the clock: short enough that some repeat of each block is not interrupted."""
 
 
 def microseconds_per_step(cases: Mapping[str, tuple[LoopCase, LoopRun]], repeats: int) -> dict[str, float]:
-    """Returns the least time of a step over interleaved repeats [us].
+    """Returns the time of a step [us]: each block of steps at its least over interleaved repeats.
 
     Args:
         cases: Algorithm -> what it is and the run that it is fed with.
         repeats: Of each, in turn A B C A B C, so that a drifting machine hits all alike.
     """
-    clock, best = WallClock(), dict.fromkeys(cases, float("inf"))
-    inputs = {name: _inputs(run) for name, (_, run) in cases.items()}
+    blocks = {name: _blocks(run) for name, (_, run) in cases.items()}
+    best = {name: [float("inf")] * len(of_run) for name, of_run in blocks.items()}
     for _ in range(repeats):
         for name, (case, _) in cases.items():
-            step, pairs = case.controller().step, inputs[name]
-            begin = clock.now()
-            for position, torque in pairs:
-                step(position, torque)
-            best[name] = min(best[name], (clock.now() - begin) * 1e-3 / len(pairs))
-    return best
+            times = _times(case.controller().step, blocks[name])
+            best[name] = [min(pair) for pair in zip(best[name], times, strict=True)]
+    steps = {name: sum(len(block) for block in of_run) for name, of_run in blocks.items()}
+    return {name: sum(times) * 1e-3 / steps[name] for name, times in best.items()}
 
 
-def _inputs(run: LoopRun) -> list[tuple[float, float]]:
+def _times(step: Callable[[float, float], object], blocks: Sequence[_Block]) -> list[int]:
+    clock, times = WallClock(), []
+    for block in blocks:
+        begin = clock.now()
+        for position, torque in block:
+            step(position, torque)
+        times.append(clock.now() - begin)
+    return times
+
+
+def _blocks(run: LoopRun) -> list[_Block]:
     begin = max(0, (len(run.position) - _STEPS) // 2)
     part = slice(begin, begin + _STEPS)
-    return list(zip(run.position[part].tolist(), run.torque[part].tolist(), strict=True))
+    pairs = list(zip(run.position[part].tolist(), run.torque[part].tolist(), strict=True))
+    return [pairs[start : start + _BLOCK] for start in range(0, len(pairs), _BLOCK)]

@@ -44,7 +44,9 @@ def standard_case(
     plant: PlantParameters = PLANT,
     effects: tuple[Effect, ...] = (),
     encoder_count: float = 0.0,
+    torque_quantum: float = 0.0,
     hand_force: float = 0.0,
+    pull: float | None = None,
     declared_damping: float | None = None,
     seed: int = 0,
     **parameters: Any,
@@ -60,7 +62,9 @@ def standard_case(
         plant: Moving mass and bearings.
         effects: Of the plant, with a hand only.
         encoder_count: [m]; 0 for an ideal encoder.
-        hand_force: Declared to `guarded`, and the limit of a force law [N].
+        torque_quantum: Step of the command [N]; 0 for an ideal one.
+        hand_force: Declared to `guarded`, and the limit of a force law unless `pull` says another [N].
+        pull: Limit of a force law [N].
         declared_damping: Certain damping of the device; None: not declared [N*s/m].
         seed: Of a force law.
         parameters: Of the algorithm.
@@ -76,17 +80,28 @@ def standard_case(
         device_damping=declared_damping,
         device_damping_bound=plant.damping,
         encoder_count=encoder_count,
+        torque_quantum=torque_quantum,
     )
 
     def make_plant() -> Plant:
         if isinstance(user, UserParameters):
             return Plant(plant, user, effects, sample_time_ns)
         law = USERS[user](random.Random(seed))
-        hand = HandPlant(law, sample_time_ns, hand_force=hand_force, mass=plant.mass, damping=plant.damping)
+        limit = hand_force if pull is None else pull
+        hand = HandPlant(law, sample_time_ns, hand_force=limit, mass=plant.mass, damping=plant.damping)
         return cast(Plant, hand)  # as far as a loop uses it
 
-    counts = 1.0 / encoder_count if encoder_count else None
-    return LoopCase(environment, algorithm, model(**parameters), loop, make_plant, sample_time_ns, delay, counts)
+    return LoopCase(
+        environment,
+        algorithm,
+        model(**parameters),
+        loop,
+        make_plant,
+        sample_time_ns,
+        delay,
+        counts_per_unit=1.0 / encoder_count if encoder_count else None,
+        torque_quantum=torque_quantum or None,
+    )
 
 
 def standard_reference(

@@ -48,11 +48,14 @@ class HandPlant:
         fade = damping / mass * step
         self.position, self.velocity = initial_position, 0.0
         self._law, self._hand_force, self._step = law, hand_force, step
-        # Displacement and change of velocity per velocity and per force; series where the closed form would cancel.
+        # Series where the closed form would cancel; both are right to 1e-12 at the limit between them.
+        small = fade < 1e-3
+        drift = 1.0 - fade * (1.0 - fade * (1.0 - fade / 4.0) / 3.0) / 2.0
+        creep = 0.5 - fade * (1.0 - fade * (1.0 - fade / 5.0) / 4.0) / 6.0
         self._keep = math.exp(-fade)
-        self._drift = -math.expm1(-fade) * mass / damping if fade > 1e-4 else step * (1.0 - fade / 2.0)
+        self._drift = step * drift if small else -math.expm1(-fade) * mass / damping
+        self._creep = step * step / mass * creep if small else (step - self._drift) / damping
         self._gain = self._drift / mass
-        self._creep = (step - self._drift) / damping if fade > 1e-4 else step * step / mass * (0.5 - fade / 6.0)
         self._damping, self._mass, self._time = damping, mass, 0.0
         self._motor = self._user = 0.0
         self._period, self._now = sample_time_ns, 0

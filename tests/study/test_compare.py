@@ -1,0 +1,197 @@
+"""Comparisons: the figures against an independent simulation, the same over CAN, and what a table says of failures."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reference_loop import USER_S, continuous, sampled
+from rich.console import Console
+
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.haptics.passivity import ALGORITHMS, build_controller
+from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.scene.load import load_scene
+from canhaptic.study.compare import at_rate, compare, with_algorithm, with_known_plant
+from canhaptic.study.compare_picture import draw_comparison
+from canhaptic.study.compare_table import comparison_report
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+HARD = sorted((REPOSITORY / "configs" / "hard").glob("*.yaml"))
+SCENE = f"""\
+# User S of `reference_loop`, an encoder and a torque fine enough not to matter.
+duration: 1.5 s
+bus: {{interface: virtual, rate: 1 kHz, rpdo: event}}
+axes:
+  - {{name: handle, node_id: 1, eds: {REPOSITORY}/eds/cia402_servo.eds, unit: m, counts_per_unit: 1e9,
+     rated_torque: 1 mN, torque_limit: 30 N}}
+environment: {{type: spring_damper_wall, stiffness: 1000, damping: 5}}
+passivity: {{algorithm: guarded, moving_mass: 0.25, device_damping: 0.1}}
+simulation:
+  plant: {{mass: 0.25, damping: 0.1}}
+  user: {{stiffness: 300, damping: 3, motion: {{amplitude: 0.03, frequency: 1}}}}
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return lambda *overrides: load_scene(tmp_path / "scene.yaml", overrides)
+
+
+def account(scene, algorithm, **options):
+    result = compare(scene, [algorithm], repeats=0, **options).result
+    return result["axes"]["handle"]["algorithms"][algorithm]
+
+
+@pytest.mark.parametrize("algorithm", ["direct", "internal_dissipation", "guarded"])
+@pytest.mark.parametrize("delay", [0, 1])
+def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, delay):
+    chosen = scene("bus.rpdo=" + ("synchronous" if delay else "event"))
+    found = account(chosen, algorithm)
+    axis = chosen.axes[0]
+    loop = LoopProperties(sample_time=1e-3, delay=delay, moving_mass=0.25, device_damping=0.1)
+    controller = build_controller(axis.environment.parameters, algorithm, None, loop)
+    run = sampled(USER_S, controller, 1e-3, 1.499, delay)
+    position, torque = continuous(USER_S, 1000.0, 5.0, 0.0, np.arange(0.0, 1.49905, 1e-4))
+    error = run.position - position[::10]
+    assert found["position_error"]["rms"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-3)
+    assert found["position_error"]["max"] == pytest.approx(np.abs(error).max(), rel=1e-3)
+    interaction = np.cumsum(-run.torque[1:] * np.diff(run.position))
+    dissipated = np.cumsum([balance.h_r for balance in run.balances])[1:]
+    assert found["least_interaction"] == pytest.approx(min(0.0, interaction.min()), abs=1e-7)
+    assert found["margin"]["value"] == pytest.approx(min(0.0, (interaction - dissipated).min()), abs=1e-6)
+    assert found["force_variation"]["value"] == pytest.approx(np.abs(np.diff(run.torque)).sum(), rel=1e-2)
+    ratio = found["force_variation"]["value"] / found["force_variation"]["ratio"]
+    assert ratio == pytest.approx(np.abs(np.diff(torque)).sum(), rel=2e-3)
+
+
+def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
+    chosen = load_scene(REPOSITORY / "configs" / "hard" / "torque_saturation.yaml")
+    for overrides in (chosen, scene("axes.0.rated_torque=10 N", "axes.0.counts_per_unit=1e6", "bus.rpdo=synchronous")):
+        direct, over_can = (account(overrides, "guarded", duration=0.9, over_can=c) for c in (False, True))
+        assert direct == over_can
+        assert direct["force_variation"]["value"] > 1.0
+
+
+@pytest.mark.parametrize("path", HARD, ids=lambda path: path.stem)
+def test_guarded_gives_out_nothing_on_any_hard_scene(path):
+    assert path.read_text().startswith("# ")  # what is hard about it
+    loaded = load_scene(path)
+    longest = min(loaded.run.duration, 4.0)
+    [of_axis] = compare(loaded, ["guarded"], duration=longest, repeats=0).axes
+    run = of_axis.runs["guarded"]
+    assert run.ended == ""
+    assert run.least_interaction >= -1e-6
+    assert np.abs(run.torque).max() > 0.4  # the wall was felt
+
+
+def test_there_are_at_least_ten_hard_scenes():
+    assert len(HARD) >= 10
+
+
+def test_a_wall_that_rings_out_of_the_room_is_reported_as_diverged(scene):
+    chosen = scene("environment.damping=600", "axes.0.torque_limit=1e5", "bus.rpdo=synchronous")
+    found = account(chosen, "direct")
+    assert found["status"] == "diverged"
+    assert 0.0 < found["diverged"] < 1.5
+    assert found["force_variation"]["ratio"] is None
+
+
+def test_an_algorithm_that_lacks_something_is_told_the_plant_or_refused_with_its_reason(scene):
+    bare = scene("passivity={algorithm: direct}")
+    assert "device_damping 0.1 of the plant" in account(bare, "energy_bounding", duration=0.1)["remark"]
+    frictionless = scene("passivity={algorithm: direct}", "simulation.plant.damping=0")
+    found = account(frictionless, "energy_bounding", duration=0.1)
+    assert found["status"] == "refused"
+    assert "device_damping" in found["remark"]
+
+
+def test_what_two_algorithms_have_in_common_is_kept(scene):
+    axis = scene("passivity={algorithm: internal_dissipation, alpha: 200 s/m^2, velocity: windowed}").axes[0]
+    assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0
+    assert with_algorithm(axis, "direct").passivity.parameters.velocity == "windowed"
+    assert with_algorithm(axis, "internal_dissipation") is axis
+    told, _ = with_known_plant(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})))
+    assert (told.loop.moving_mass, told.loop.device_damping) == (0.2, 0.1)
+
+
+def test_at_rest_the_stiffness_is_that_of_the_wall_and_nothing_cycles(scene):
+    leaning = scene("simulation.user={damping: 10, push: -5}", "duration=4 s")
+    found = account(leaning, "direct")
+    assert found["stiffness_rendered"]["value"] == pytest.approx(1000.0, rel=1e-4)
+    assert found["stiffness_rendered"]["share"] == pytest.approx(1.0, rel=1e-4)
+    assert found["limit_cycle"] < 1e-7
+    assert account(scene(), "direct")["stiffness_rendered"] is None  # a hand that moves has no rest
+
+
+def test_another_rate_may_be_beyond_the_bus_but_not_over_can(scene):
+    assert account(scene(), "guarded", rate=8000.0, duration=0.6)["position_error"]["rms"] < 2e-5
+    assert at_rate(scene(), 8000.0).axes[0].loop.sample_time == 125e-6
+    with pytest.raises(InputError, match="without a bus"):
+        compare(scene(), ["direct"], rate=8000.0, over_can=True)
+    with pytest.raises(ParameterError, match="rate"):
+        at_rate(scene(), 1e6)
+
+
+def test_a_real_rig_and_an_unknown_algorithm_are_refused(scene):
+    with pytest.raises(InputError, match="simulation"):
+        compare(load_scene(REPOSITORY / "configs" / "socketcan_example.yaml"))
+    with pytest.raises(ParameterError, match="did you mean 'guarded'"):
+        compare(scene(), ["gaurded"])
+
+
+def test_without_a_continuous_reference_the_errors_are_left_out(scene):
+    nonlinear = "environment={type: hardening_wall, stiffness: 200, hardening: 1e7}"
+    friction = "simulation.effects=[{type: coulomb_friction, kinetic: 0.1, static: 0.2}]"
+    result = compare(scene(nonlinear, friction), ["direct"], duration=0.6, repeats=0).result
+    axis = result["axes"]["handle"]
+    assert axis["reference"]["method"].startswith("none: DOP853 takes a linear plant")
+    assert axis["algorithms"]["direct"]["position_error"] is None
+    assert axis["algorithms"]["direct"]["interaction"] > 0.0
+    assert "position error" not in text_of(result)
+
+
+def text_of(result, width=100):
+    console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    with console.file:
+        console.print(comparison_report(result))
+    return console.export_text()
+
+
+def test_table_and_json_show_every_algorithm(scene):
+    done = []
+    comparison = compare(scene(), duration=0.6, repeats=1, progress=done.append)
+    assert done
+    assert done == sorted(done)
+    assert json.loads(json.dumps(comparison.result, allow_nan=False)) == comparison.result
+    table = text_of(comparison.result, width=200)
+    assert max(len(line.rstrip()) for line in table.splitlines()[2:]) <= 100
+    assert "…" not in text_of(comparison.result)
+    for name in ALGORITHMS:
+        assert name.split("_")[-1] in table
+        assert comparison.result["axes"]["handle"]["algorithms"][name]["microseconds_per_step"] > 0.0
+
+
+def test_a_picture_that_cannot_be_written_or_has_nothing_to_show_is_refused(scene, tmp_path):
+    comparison = compare(scene(), ["direct"], duration=0.1, repeats=0)
+    with pytest.raises(InputError, match="cannot be written"):
+        draw_comparison(comparison, tmp_path / "no_folder" / "picture.png")
+    refused = compare(scene("simulation.plant.damping=0", "passivity={algorithm: direct}"), ["energy_bounding"])
+    with pytest.raises(InputError, match="nothing to draw"):
+        draw_comparison(refused, tmp_path / "picture.png")
+
+
+def test_two_axes_are_compared_each_with_its_own_reference(tmp_path):
+    second = """- {name: knob, node_id: 2, eds: cia402_servo.eds, unit: rad, counts_per_unit: 1e5, rated_torque: 1,
+     torque_limit: 2, environment: {type: viscous_medium, damping: 0.05}}\n"""
+    hand = "{stiffness: 1, damping: 0.02, motion: {amplitude: 1, frequency: 1}}"
+    own = f"  axes: {{knob: {{plant: {{mass: 0.001}}, user: {hand}}}}}\n"
+    text = SCENE.replace("environment:", f"  {second}environment:", 1) + own
+    (tmp_path / "two.yaml").write_text(text)
+    comparison = compare(load_scene(tmp_path / "two.yaml"), ["direct"], duration=0.3, repeats=0)
+    assert [axis.unit for axis in comparison.axes] == ["m", "rad"]
+    assert comparison.axes[1].reference.travel > 0.1
+    assert "mrad" in text_of(comparison.result)
+    draw_comparison(comparison, tmp_path / "two.png")

@@ -1,0 +1,57 @@
+"""`canhaptic compare` and `tools/compare_passivity.py`."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from canhaptic.cli.main import main
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+FIGURE = str(REPOSITORY / "configs" / "paper_fig5_100hz.yaml")
+
+
+def test_the_table_shows_that_the_original_fails_in_fig_5(capsys):
+    assert main(["compare", FIGURE, "--algorithms", "original,internal_dissipation"]) == 0
+    shown = capsys.readouterr().out
+    [line] = [line for line in shown.splitlines() if "force variation" in line]
+    original, paper = (float(word) for word in line.split()[-2:])
+    assert original > 30.0
+    assert paper < 1.5
+
+
+def test_json_is_one_object_and_the_picture_is_written(capsys, tmp_path):
+    picture = tmp_path / "picture.png"
+    arguments = ["--duration", "1.3 s", "--algorithms", "direct", "--set", "environment.stiffness=200", "--json"]
+    assert main(["compare", FIGURE, *arguments, "--png", str(picture), "--rate", "200 Hz"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["rate"], result["cycles"], result["path"]) == (200.0, 260, "direct")
+    assert picture.stat().st_size > 10_000
+
+
+def test_over_can_from_the_command_line(capsys):
+    assert main(["compare", FIGURE, "--duration", "1.2 s", "--algorithms", "direct", "--can", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["path"] == "can"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--algorithms", "best"], "unknown passivity algorithm 'best'"),
+        (["--can", "--rate", "50"], "without a bus"),
+        (["--png", "/no/such/folder/a.png"], "no such folder"),
+        (["--png", "picture.bmp"], "expected a name that ends in"),
+    ],
+)
+def test_bad_arguments_end_with_2_before_anything_runs(capsys, arguments, message):
+    assert main(["compare", FIGURE, *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_tool_is_the_same_command():
+    command = [sys.executable, "tools/compare_passivity.py", FIGURE, "--algorithms", "nothing"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY, check=False)
+    assert done.returncode == 2
+    assert "unknown passivity algorithm" in done.stderr
