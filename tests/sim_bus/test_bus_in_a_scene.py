@@ -120,8 +120,9 @@ def test_an_ideal_scene_is_built_with_a_bare_connection() -> None:
 
 
 def test_a_run_tells_what_its_bus_did(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["run", str(DEMO), "--duration", "0.5", "--json", "--set", "simulation.bus={drop: 0.05, ids: [0x181]}"]
-    assert main(words) == 0
+    within = "during: [{begin: 0.1 s, duration: 0.3 s}]"
+    bus = f"simulation.bus={{drop: 0.05, ids: [0x181], {within}}}"
+    assert main(["run", str(DEMO), "--duration", "0.5", "--json", "--set", bus]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["bus_effects"] == {"drop": {"to_master": result["link"]["missed_tpdos"]}}
     assert "bus with drop" in result["method"]
