@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="EXPRESSION",
         help="exit with 1 unless it holds, such as 'margin >= -1 uJ', 'handle.deficit == 0', 'compute.p99.9 < 50 us'",
     )
-    parser.add_argument("--compare", type=Path, metavar="OTHER", help="exit with 1 unless the other log is the same")
+    parser.add_argument(
+        "--compare",
+        type=Path,
+        metavar="OTHER",
+        help="exit with 1 unless the other log is the same; pictures show both",
+    )
     for option, what in (("--csv", "a table of every row"), ("--parquet", "the same"), ("--mat", "the same")):
         parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
     for option in ("--png", "--svg"):
         parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write one self-contained interactive page")
     parser.add_argument(
         "--recompute",
         action="store_true",
@@ -74,7 +81,7 @@ def execute(arguments: argparse.Namespace) -> int:
         result = inspect(log, arguments.start, arguments.stop)
         result["checks"] = _checks(result, arguments)
         _judge(log, result, arguments)
-        _write_files(log, arguments)
+        _write_files(log, result, arguments)
     _show(result, console, as_json=arguments.json)
     return 0 if _is_good(result) else 1
 
@@ -105,14 +112,22 @@ def _is_good(result: dict[str, Any]) -> bool:
     )
 
 
-def _write_files(log: EnergyLog, arguments: argparse.Namespace) -> None:
+def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
     for path in (arguments.csv, arguments.parquet, arguments.mat):
         if path is not None:
             _suffix_fits(path, arguments)
             export(log, path)
-    for path in (arguments.png, arguments.svg):
-        if path is not None:
-            draw_energy(log, path, arguments.start, arguments.stop)
+    pictures = [path for path in (arguments.png, arguments.svg) if path is not None]
+    if not pictures and arguments.html is None:
+        return
+    with ExitStack() as stack:
+        other = stack.enter_context(EnergyLog.open(arguments.compare)) if arguments.compare is not None else None
+        for path in pictures:
+            draw_energy(log, path, arguments.start, arguments.stop, other)
+        if arguments.html is not None:
+            from canhaptic.view.html_report import write_html
+
+            write_html(log, arguments.html, result, arguments.start, arguments.stop, other)
 
 
 def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:

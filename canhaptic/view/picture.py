@@ -4,6 +4,7 @@ matplotlib is imported when a picture is drawn, not before. Colours are those of
 everyone; lines differ in width and style too.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,13 +37,24 @@ _STYLE: Final[Any] = {
     "legend.handlelength": 1.6,
     "svg.hashsalt": "canhaptic",
 }
+_LEGEND: Final[Any] = {
+    "loc": "lower right",
+    "bbox_to_anchor": (1.0, 0.985),
+    "ncols": 5,
+    "borderaxespad": 0.0,
+    "columnspacing": 1.2,
+}
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
 
 Array = NDArray[Any]
 
 
 def draw_energy(
-    log: EnergyLog | str | Path, path: str | Path, start: float | None = None, stop: float | None = None
+    log: EnergyLog | str | Path,
+    path: str | Path,
+    start: float | None = None,
+    stop: float | None = None,
+    other: EnergyLog | None = None,
 ) -> None:
     """Draws a run into a file; its suffix says how (.png, .svg, .pdf).
 
@@ -53,13 +65,14 @@ def draw_energy(
         path: The picture.
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.
+        other: A second run, drawn over the first in thin dashed lines where it has the same ports.
 
     Raises:
         InputError: The log holds no cycle there, or matplotlib is not installed.
     """
     if not isinstance(log, EnergyLog):
         with EnergyLog.open(log) as opened:
-            draw_energy(opened, path, start, stop)
+            draw_energy(opened, path, start, stop, other)
         return
     if log.rows == 0:
         raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
@@ -76,6 +89,9 @@ def draw_energy(
         for column, (name, port) in enumerate(log.ports.items()):
             picture = _PortPicture(log, name, port, rows)
             picture.draw(panels[:, column])
+            if other is not None and name in other.ports and other.rows:
+                overlay = _PortPicture(other, name, other.ports[name], rows_between(other, start, stop))
+                overlay.draw_over(panels[:, column], picture.scales)
             panels[-1, column].set_xlabel("time [s]" + picture.faults())
         figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
         figure.savefig(path)
@@ -97,6 +113,7 @@ class _PortPicture:
         self._port = port
         self._rows = rows
         self._time = log.time[rows]
+        self.scales: list[float] = []  # of the panels, top to bottom
         self._contacts = contacts(self._column("branch"))
         if len(self._contacts) > _MAX_CONTACTS_SHADED:
             self._contacts = []
@@ -120,6 +137,16 @@ class _PortPicture:
         if len(self._log.ports) > 1:
             position.set_title(f"{self._name}: position", fontweight="bold")
 
+    def draw_over(self, panels: Any, scales: Sequence[float]) -> None:
+        """Draws the same quantities over the panels of another run, whose scales they take."""
+        taken_in, dissipated = np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))
+        lines = (self._column("position"),), (self._column("torque_applied"),), (taken_in, dissipated)
+        for axes, scale, values in zip(panels, scales, (*lines, (self._column("h_dis"),)), strict=True):
+            for number, line in enumerate(values):
+                label = self._log.path.name if number == 0 else None
+                self._line(axes, line, scale, color="black", linewidth=0.7, linestyle=(0, (3, 2)), label=label)
+            axes.legend(**_LEGEND)
+
     def _column(self, name: str) -> Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
 
@@ -130,7 +157,7 @@ class _PortPicture:
     def _draw_position(self, axes: Any) -> None:
         position = self._column("position")
         wall = self._log.attributes.get(f"{self._name}.wall_position")
-        scale, prefix = _prefix(position)
+        scale, prefix = self._prefix(position)
         self._line(axes, position, scale, color=_BLUE, linewidth=1.3, label="position")
         if isinstance(wall, int | float):
             axes.axhline(wall / scale, color=_GREY, linewidth=1.0, linestyle="--", label="wall")
@@ -143,7 +170,7 @@ class _PortPicture:
     def _draw_torque(self, axes: Any) -> None:
         command, applied = self._column("torque_command"), self._column("torque_applied")
         unit = self._port.unit("torque_applied")
-        scale, prefix = _prefix(command, applied)
+        scale, prefix = self._prefix(command, applied)
         self._line(
             axes, command, scale, color=_ORANGE, linewidth=2.2, alpha=0.8, drawstyle="steps-post", label="commanded"
         )
@@ -153,7 +180,7 @@ class _PortPicture:
     def _draw_energy(self, axes: Any) -> None:
         taken_in, dissipated = np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))
         margin = taken_in - dissipated
-        scale, prefix = _prefix(taken_in, dissipated)
+        scale, prefix = self._prefix(taken_in, dissipated)
         shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in (taken_in, dissipated, margin)]))
         time, upper, lower = self._time[shown], taken_in[shown] / scale, dissipated[shown] / scale
         axes.fill_between(time, lower, upper, upper >= lower, color=_GREEN, alpha=0.22, linewidth=0, label="margin")
@@ -168,12 +195,17 @@ class _PortPicture:
 
     def _draw_surplus(self, axes: Any) -> None:
         surplus, deficit = self._column("h_dis"), np.cumsum(self._column("deficit"))
-        scale, prefix = _prefix(surplus, deficit)
+        scale, prefix = self._prefix(surplus, deficit)
         self._line(axes, surplus, scale, color=_ORANGE, linewidth=1.3, label="surplus to dissipate")
         self._line(axes, deficit, scale, color=_VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
         if not (surplus.any() or deficit.any()):
             axes.set_ylim(-0.05, 1.0)
         _finish(axes, "surplus", f"{prefix}J")
+
+    def _prefix(self, *lines: Array) -> tuple[float, str]:
+        scale, prefix = _prefix(*lines)
+        self.scales.append(scale)
+        return scale, prefix
 
     def _mark(self, axes: Any) -> None:
         """Shades the contacts and marks faults."""
@@ -204,4 +236,4 @@ def _finish(axes: Any, title: str, unit: str) -> None:
     """Titles at the left, legend at the right of the same line: nothing can lie on the data."""
     axes.set_title(title, fontweight="bold")
     axes.set_ylabel(f"[{unit}]")
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=5, borderaxespad=0.0, columnspacing=1.2)
+    axes.legend(**_LEGEND)

@@ -1,0 +1,134 @@
+import argparse
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chromium import chromium
+from hour_run import SPIKE, write_hour
+from synthetic_run import write_run
+
+from canhaptic.errors import InputError
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.view.inspect_command import add_arguments, execute
+from canhaptic.view.series import PortSeries
+
+ROOT = Path(__file__).parents[2]
+READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"
+
+
+def command(*words: str | Path) -> int:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return execute(parser.parse_args([str(word) for word in words]))
+
+
+def test_what_is_drawn_keeps_spikes_and_every_row_around_worst_margin_and_faults(tmp_path: Path) -> None:
+    write_hour(tmp_path / "run.h5", rows=200_000)
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        series = PortSeries(log, "handle", slice(0, log.rows))
+    time, position = series.columns["time"], series.columns["position"]
+    assert len(time) < 12_000
+    assert np.all(np.diff(time) > 0)
+    assert position.max() == np.float32(SPIKE)
+    assert series.columns["margin"].min() == series.columns["margin"][np.searchsorted(time, series.worst)]
+    for place in (series.worst, series.faults[0].sync_index * 1e-3):
+        around = time[(time > place - 0.2) & (time < place + 0.2)]
+        assert len(around) in (399, 400)
+    touching = position < -0.02
+    assert abs(len(series.contacts["start"]) - 100) <= 1
+    assert touching.any()
+
+
+def test_a_part_of_a_run_can_be_drawn_and_an_empty_log_cannot(tmp_path: Path) -> None:
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+    write_run(tmp_path / "run.h5", cycles=600, ports=("handle", "knob"))
+    assert command(tmp_path / "run.h5", "--html", tmp_path / "part.html", "--from", "0.1", "--to", "0.3", "--json") == 0
+    page = (tmp_path / "part.html").read_text()
+    assert len(page) < 6_000_000
+    assert not re.search(r"<script[^>]+src=|<link[^>]+href=", page)  # nothing is fetched from anywhere
+    write_run(tmp_path / "empty.h5", cycles=0)
+    with pytest.raises(InputError, match="no cycle"):
+        command(tmp_path / "empty.h5", "--html", tmp_path / "empty.html")
+    with pytest.raises(InputError, match="cannot be written"):
+        command(tmp_path / "run.h5", "--html", tmp_path / "missing" / "run.html")
+
+
+def test_two_runs_are_drawn_over_each_other(tmp_path: Path) -> None:
+    write_run(tmp_path / "a.h5", cycles=600)
+    write_run(tmp_path / "b.h5", cycles=400)
+    assert command(tmp_path / "a.h5", "--compare", tmp_path / "b.h5", "--svg", tmp_path / "both.svg") == 1
+    picture = (tmp_path / "both.svg").read_text()
+    assert command(tmp_path / "a.h5", "--svg", tmp_path / "one.svg") == 0
+    assert (
+        picture.count("stroke-dasharray: 2.1") >= (tmp_path / "one.svg").read_text().count("stroke-dasharray: 2.1") + 5
+    )
+
+
+APART = """
+import resource, sys
+from tools.inspect_energy import main
+assert main() == 0
+usage = resource.getrusage(resource.RUSAGE_SELF)
+peak = next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(usage.ru_utime + usage.ru_stime, int(peak) / 1000.0, file=sys.stderr)
+"""
+
+
+def inspect_apart(*words: str | Path) -> tuple[float, float]:
+    """Seconds of processor (the machine may be shared) and megabytes that `inspect` takes in its own process."""
+    program = [sys.executable, "-c", APART, *map(str, words), "--json"]
+    done = subprocess.run(program, check=True, capture_output=True, cwd=ROOT, text=True)
+    seconds, megabytes = done.stderr.split()
+    return float(seconds), float(megabytes)
+
+
+@pytest.mark.slow
+def test_an_hour_is_inspected_in_seconds_and_opens_at_once(tmp_path: Path) -> None:
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+    log, page_file = tmp_path / "hour.h5", tmp_path / "hour.html"
+    write_hour(log)
+    seconds, _ = inspect_apart(log)
+    assert seconds < 5.0
+    seconds, megabytes = inspect_apart(log, "--html", page_file)
+    assert seconds < 10.0
+    assert megabytes < 500.0
+    assert page_file.stat().st_size < 6_000_000
+    with chromium() as page:
+        page.open(page_file.as_uri())
+        page.wait_for(READY)
+        assert page.value("performance.now()") < 3000.0
+        page.screenshot(tmp_path / "hour.png")
+        assert page.faults == []
+        assert (tmp_path / "hour.png").stat().st_size > 20_000
+
+
+@pytest.mark.slow
+def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path) -> None:
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+    write_run(tmp_path / "run.h5", cycles=4000, ports=("handle", "knob"))
+    assert command(tmp_path / "run.h5", "--html", tmp_path / "run.html", "--json") == 0
+    with chromium() as page:
+        page.open((tmp_path / "run.html").as_uri())
+        page.wait_for(READY)
+        models = "[...Bokeh.documents[0]._all_models.values()]"
+        time = f"{models}.filter(m => m.type == 'Figure')[0].x_range"
+        ranges = f"new Set({models}.filter(m => m.type == 'Figure').map(m => m.x_range.id)).size"
+        assert page.value(ranges) == 1  # one time axis for all panels
+        assert page.value(f"{time}.end - {time}.start") == pytest.approx(3.999)
+        click = f"{models}.find(m => m.type == 'Button' && m.label.endsWith('worst margin')).trigger_event"
+        assert page.value(f"typeof ({click})") == "function"
+        page.value("""(() => {
+            const view = (function find(v) {
+                if (v.model && v.model.type == 'Button' && v.model.label == 'handle: worst margin') return v;
+                for (const c of (v.children ? v.children() : [])) { const f = find(c); if (f) return f; }
+            })(Object.values(Bokeh.index)[0] || [...Bokeh.index.roots][0]);
+            view.click(); })()""")
+        assert 0.2 < page.value(f"{time}.end - {time}.start") <= 0.51
+        tooltips = page.value(f"{models}.filter(m => m.type == 'HoverTool').map(m => JSON.stringify(m.tooltips))")
+        text = " ".join(tooltips)
+        assert all(unit in text for unit in (' m"', ' N"', ' J"', ' s"', ' us"', "N*s/m", "N*m"))
+        page.screenshot(tmp_path / "zoomed.png")
+        assert page.faults == []
