@@ -69,7 +69,7 @@ def compare(
         rate: SYNCs per second instead of the scene's, also beyond what its bus could carry; not over CAN.
         over_can: Over the whole CAN path instead of `DirectRig`.
         repeats: Interleaved timings of a step, of which the least counts; 0 for none.
-        progress: Told the number of cycles done so far, of `total_cycles`.
+        progress: Told the number of cycles done so far, of all runs together.
 
     Raises:
         InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
@@ -91,19 +91,10 @@ def compare(
         AxisComparison(axis.parameters.name, axis.parameters.unit, reference, run)
         for axis, (reference, _), run in zip(scene.axes, references, runs, strict=True)
     )
-    accounts = {
+    result = _result(scene, cycles, "can" if over_can else "direct")
+    result["axes"] = {
         axis.name: _account(scene, axis, index, references[index][1], names, remarks[index], cost[index])
         for index, axis in enumerate(axes)
-    }
-    result = {
-        "scene": scene.source,
-        "config_hash": scene.config_hash(),
-        "path": "can" if over_can else "direct",
-        "rate": 1.0 / scene.bus.sample_time,
-        "delay": _delay(scene),
-        "cycles": cycles,
-        "duration": cycles * scene.bus.sample_time,
-        "axes": accounts,
     }
     return Comparison(result, axes, scene.bus.sample_time)
 
@@ -285,5 +276,13 @@ def _account(
     }
 
 
-def _delay(scene: Scene) -> int:
-    return 1 if scene.bus.rpdo == "synchronous" else 0
+def _result(scene: Scene, cycles: int, path: str) -> dict[str, Any]:
+    return {
+        "scene": scene.source,
+        "config_hash": scene.config_hash(),
+        "path": path,
+        "rate": 1.0 / scene.bus.sample_time,
+        "delay": 1 if scene.bus.rpdo == "synchronous" else 0,
+        "cycles": cycles,
+        "duration": cycles * scene.bus.sample_time,
+    }

@@ -20,8 +20,10 @@ _BLUE, _VERMILION, _GREEN, _GREY = "#0072B2", "#D55E00", "#009E73", "#8C8C8C"
 _BUCKETS: Final = 1200
 _ROOM: Final = 0.35
 """Above and below the continuous run, as a part of its range."""
-_MARGIN: Final = 0.06
+_FLATTENING: Final = 4.0
+"""Times the median range of an energy, beyond which a run does not widen the scale of all."""
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
+_PAPER: Final[Any] = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
 _STYLE: Final[Any] = {
     "font.size": 9.0,
     "axes.spines.top": False,
@@ -79,7 +81,7 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: Any) -> Non
     scales = (
         _scale(reference.position if reference else calm[0].true_position),
         _scale(reference.fine_torque if reference else calm[0].torque),
-        _scale(*(run.interaction for run in calm)),
+        _scale(*_comparable([run.interaction for run in calm])),
     )
     accounts = comparison.result["axes"][axis.name]["algorithms"]
     for column, (name, run) in enumerate(runs.items()):
@@ -101,6 +103,13 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: Any) -> Non
 
 
 _Scale = tuple[float, str, tuple[float, float]]
+
+
+def _comparable(lines: list[Array]) -> list[Array]:
+    """Returns the lines without those whose range would flatten the rest."""
+    ranges = [float(np.ptp(line)) for line in lines]
+    usual = float(np.median(ranges))
+    return [line for line, size in zip(lines, ranges, strict=True) if size <= _FLATTENING * usual]
 
 
 def _scale(*lines: Array) -> _Scale:
@@ -160,4 +169,6 @@ def _write_error(panel: Any, account: dict[str, Any], unit: str) -> None:
         words = [str(account["status"]).partition(":")[0]]
     elif ratio is not None:
         words.append(f"force varies {ratio:.3g} x")
-    panel.text(0.02, 0.98, "\n".join(words), transform=panel.transAxes, va="top", fontsize=8.0, color="#404040")
+    panel.text(
+        0.02, 0.98, "\n".join(words), transform=panel.transAxes, va="top", fontsize=8.0, color="#404040", bbox=_PAPER
+    )

@@ -73,35 +73,36 @@ def standard_case(
     if algorithm == "guarded":
         parameters["hand_force"] = hand_force
     model = load(ALGORITHMS, algorithm, "passivity algorithm").parameters_type
-    loop = LoopProperties(
-        sample_time=sample_time_ns * 1e-9,
-        delay=delay,
-        moving_mass=plant.mass,
-        device_damping=declared_damping,
-        device_damping_bound=plant.damping,
-        encoder_count=encoder_count,
-        torque_quantum=torque_quantum,
-    )
-
-    def make_plant() -> Plant:
-        if isinstance(user, UserParameters):
-            return Plant(plant, user, effects, sample_time_ns)
-        law = USERS[user](random.Random(seed))
-        limit = hand_force if pull is None else pull
-        hand = HandPlant(law, sample_time_ns, hand_force=limit, mass=plant.mass, damping=plant.damping)
-        return cast(Plant, hand)  # as far as a loop uses it
-
+    known = {"moving_mass": plant.mass, "device_damping": declared_damping, "device_damping_bound": plant.damping}
+    steps = {"encoder_count": encoder_count, "torque_quantum": torque_quantum}
+    loop = LoopProperties(sample_time=sample_time_ns * 1e-9, delay=delay, **known, **steps)
+    limit = hand_force if pull is None else pull
     return LoopCase(
         environment,
         algorithm,
         model(**parameters),
         loop,
-        make_plant,
+        lambda: _plant(user, plant, effects, sample_time_ns, limit, seed),
         sample_time_ns,
         delay,
         counts_per_unit=1.0 / encoder_count if encoder_count else None,
         torque_quantum=torque_quantum or None,
     )
+
+
+def _plant(
+    user: UserParameters | str,
+    plant: PlantParameters,
+    effects: tuple[Effect, ...],
+    sample_time_ns: int,
+    limit: float,
+    seed: int,
+) -> Plant:
+    if isinstance(user, UserParameters):
+        return Plant(plant, user, effects, sample_time_ns)
+    law = USERS[user](random.Random(seed))
+    hand = HandPlant(law, sample_time_ns, hand_force=limit, mass=plant.mass, damping=plant.damping)
+    return cast(Plant, hand)  # as far as a loop uses it
 
 
 def standard_reference(

@@ -79,7 +79,7 @@ def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
 def test_guarded_gives_out_nothing_on_any_hard_scene(path):
     assert path.read_text().startswith("# ")  # what is hard about it
     loaded = load_scene(path)
-    longest = min(loaded.run.duration, 4.0)
+    longest = min(loaded.run.duration, 3.0)
     [of_axis] = compare(loaded, ["guarded"], duration=longest, repeats=0).axes
     run = of_axis.runs["guarded"]
     assert run.ended == ""
