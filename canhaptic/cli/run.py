@@ -88,8 +88,13 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
         status=status,
         config_hash=scene.config_hash(),
         sample_time=scene.bus.sample_time,
-        method=method_line(scene),
+        method=method_line(scene, experiment.plants, cycle.cycles),
     )
+    names = [axis.parameters.name for axis in scene.axes]
+    result["plants"] = {
+        name: {"events": plant.events, "products": plant.products, "capped_holds": plant.capped_holds}
+        for name, plant in zip(names, experiment.plants, strict=False)
+    }
     # In lock-step virtual time stands still within a cycle: its durations say nothing.
     durations = result["timing"] if experiment.pace == "real" else {}
     result["timing"] = {

@@ -26,6 +26,7 @@ from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_axis_controller, build_servo_drive, build_simulated_drive
 from canhaptic.signals import FarSide, Truth
 from canhaptic.sim.drive_group import DriveGroup
+from canhaptic.sim.plant import Plant
 
 if TYPE_CHECKING:
     from canhaptic.sim.faulty_bus import FaultyBus
@@ -76,6 +77,12 @@ class Experiment:
             self._log_failure = reason
             if hasattr(self, "cycle"):
                 self.cycle.fail_log(reason)
+
+    @property
+    def plants(self) -> list[Plant]:
+        """The simulated plant of each axis; none with real drives."""
+        motors = [drive.servo.motor for drive in self.far_side.drives] if self.far_side else []
+        return [motor for motor in motors if isinstance(motor, Plant)]
 
     def close(self, status: str = "completed") -> None:
         """Closes logs and buses; a second call does nothing.

@@ -8,7 +8,7 @@ from canhaptic.drive.fitness import Verdict, check_dictionary
 from canhaptic.drive.pdo_map import AxisMap, choose_map
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
-from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
@@ -96,8 +96,22 @@ def _check_parts(
         try:
             build_plant(axis.simulation, scene.bus.sample_time_ns)
         except ParameterError as error:
-            faults.add(sections["simulation"].value_at("plant"), str(error))
+            faults.add(_place_in_simulation(axis, sections["simulation"], str(error)), str(error))
     return _check_dictionary(axis, entry, faults)
+
+
+def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, message: str) -> Mark:
+    """Returns where the scene names what a plant refuses: the effect or key that the message begins with."""
+    message = message.removeprefix("effects: got ")
+    axes = simulation.get("axes")
+    own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
+    for owner in (own, simulation):
+        effects = owner.get("effects") if isinstance(owner, MarkedMapping) else None
+        if isinstance(effects, MarkedList):
+            for effect, at in effects.items_at():
+                if isinstance(effect, MarkedMapping) and message.startswith(str(effect.get("type"))):
+                    return at
+    return simulation.value_at("compiled" if message.startswith("compiled") else "plant")
 
 
 def _check_dictionary(axis: AxisScene, entry: MarkedMapping, faults: Faults) -> AxisMap | None:

@@ -4,6 +4,7 @@ Every fault found on the way is noted with its line; all of them are raised toge
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,12 +18,13 @@ from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.models import AxisScene, RunParameters, Scene, SimulationParameters
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.section import read_list, read_mapping, read_section, refuse_unknown_keys
+from canhaptic.sim.plant import AccuracyParameters
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus_effects import BusEffects
 
 MAX_BYTES: Final = 1_000_000
-SECTIONS: Final = ("bus", "axes", "environment", "passivity", "simulation", "log", "duration")
+SECTIONS: Final = ("bus", "axes", "environment", "passivity", "simulation", "accuracy", "log", "duration")
 
 
 def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
@@ -113,9 +115,11 @@ def _sections(
     bus_effects = _bus_effects(sections, faults)
     bus_section = _section(sections, "bus", faults, needed=True)
     bus = read_section(BusParameters, bus_section, faults) if bus_section is not None else None
+    accuracy = _accuracy(sections, faults)
     axes = _axes(sections, bus, simulation.seed if simulation else 0, faults)
-    if run is None or log is None or bus is None or not axes:
+    if run is None or log is None or bus is None or accuracy is None or not axes:
         return None
+    axes = tuple(_solved(axis, accuracy, simulation is not None and simulation.compiled) for axis in axes)
     return Scene(source, text, overrides, bus, axes, log, run, simulation, bus_effects)
 
 
@@ -138,6 +142,28 @@ def _simulation(sections: MarkedMapping, faults: Faults) -> SimulationParameters
         return None
     names = (*SIMULATION_PARTS, "axes", "bus")
     return read_section(SimulationParameters, section.without(*names), faults, also=names)
+
+
+def _accuracy(sections: MarkedMapping, faults: Faults) -> AccuracyParameters | None:
+    """Returns what simulated plants spend on accuracy; the defaults where the scene does not say."""
+    if sections.get("accuracy") == "auto":
+        names = ", ".join(AccuracyParameters.model_fields)
+        faults.add(
+            sections.value_at("accuracy"),
+            f"got 'auto', which no run can choose beforehand; give any of {names}, or leave it out",
+        )
+        return None
+    section = _section(sections, "accuracy", faults)
+    if section is None:
+        return AccuracyParameters() if sections.get("accuracy") is None else None
+    return read_section(AccuracyParameters, section, faults)
+
+
+def _solved(axis: AxisScene, accuracy: AccuracyParameters, compiled: bool) -> AxisScene:
+    """Returns an axis whose plant, if it is simulated, is solved so."""
+    if axis.simulation is None:
+        return axis
+    return replace(axis, simulation=replace(axis.simulation, accuracy=accuracy, compiled=compiled))
 
 
 def _bus_effects(sections: MarkedMapping, faults: Faults) -> "BusEffects | None":

@@ -1,10 +1,19 @@
 """One line on how a scene is computed, and how exact that is."""
 
+from collections.abc import Sequence
+
 from canhaptic.scene.models import Scene
+from canhaptic.sim.plant import Plant
 
 
-def method_line(scene: Scene) -> str:
-    """Returns the line that every run prints under `method`; empty with real drives."""
+def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0) -> str:
+    """Returns the line that every run prints under `method`; empty with real drives.
+
+    Args:
+        scene: What is run.
+        plants: The plants of its axes after the run, for what they spent.
+        periods: Sample times that they were moved by.
+    """
     if not scene.simulated:
         return ""
     orders = {
@@ -19,5 +28,18 @@ def method_line(scene: Scene) -> str:
     if approximate:
         parts = ", ".join(f"{name} of order {order}" for name, order in sorted(approximate.items()))
         plant = f"plant exact between SYNCs but for {parts}"
+    if plants and periods:
+        plant = f"{plant}, {_spent(plants, periods)}"
     bus = "" if scene.bus_effects is None else f"; bus with {', '.join(scene.bus_effects.named)}"
     return f"{plant}; torque acts {acts}{bus}"
+
+
+def _spent(plants: Sequence[Plant], periods: int) -> str:
+    """Returns events, products and capped holds of all plants together; products are those of one plant on average."""
+    events, capped = sum(plant.events for plant in plants), sum(plant.capped_holds for plant in plants)
+    products = sum(plant.products for plant in plants) / len(plants) / periods
+    text = f"{events} event{'' if events == 1 else 's'}, {products:.2g} products per period"
+    if capped:
+        most = max(plant.accuracy.max_events for plant in plants)
+        text += f", {capped} holds with more than {most} events ran on without guards (raise accuracy.max_events)"
+    return text

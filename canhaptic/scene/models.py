@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from canhaptic.drive.parameters import AxisParameters, BusParameters
@@ -10,7 +10,7 @@ from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ class SimulationParameters(Parameters):
 
     seed: Annotated[int, quantity("1", ge=0, le=1e9)] = 0
     """Of everything random in the simulation."""
+    compiled: bool = False
+    """Whether plants run compiled by numba (the extra `fast`); seconds of compiling, for stiff scenes."""
 
 
 class Typed(NamedTuple):
@@ -47,6 +49,8 @@ class AxisSimulation:
     user: UserParameters | None
     effects: tuple[Typed, ...]
     seed: int
+    accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)
+    compiled: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,5 +135,6 @@ def _axis(axis: AxisScene) -> dict[str, Any]:
             "user": simulation.user and _plain(simulation.user),
             "effects": [_typed("type", effect) for effect in simulation.effects],
             "seed": simulation.seed,
+            "accuracy": _plain(simulation.accuracy),
         },
     }

@@ -20,7 +20,10 @@ from canhaptic.sim.plant import Plant
 def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
     """Returns the motor and user of one axis, at rest until the first SYNC with the drive enabled."""
     effects = [cast(Effect, effect.parameters) for effect in simulation.effects]  # every class of EFFECTS is one
-    return Plant(simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed)
+    return Plant(
+        simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy,
+        simulation.compiled,
+    )  # fmt: skip
 
 
 def build_axis_controller(axis: AxisScene) -> Controller:

@@ -17,7 +17,7 @@ from canhaptic.scene.models import RunParameters, SimulationParameters
 from canhaptic.sim.bus_effects import BusEffects
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import EFFECTS
-from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.tables import load
 
@@ -33,6 +33,7 @@ def scene_schema() -> Schema:
         "environment": _environment(definitions),
         "passivity": _passivity(definitions),
         "simulation": _simulation(definitions),
+        "accuracy": _or_null(_of(AccuracyParameters, definitions)),
         "log": _or_null(_of(LogParameters, definitions)),
         **_of(RunParameters, definitions)["properties"],
     }

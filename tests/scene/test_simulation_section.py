@@ -1,0 +1,106 @@
+"""What a scene says of its simulated plants: effects, accuracy, compiled; and what is refused, with its line."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from scene_text import scene_file
+
+from canhaptic.errors import SceneError
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.method import method_line
+from canhaptic.scene.parts import build_plant
+
+COULOMB = "{type: coulomb_friction, kinetic: 0.3 N, static: 0.5 N}"
+STOPS = (
+    "[{type: hard_stop, position: 1e-9, stiffness: 1e10}, "
+    "{type: hard_stop, position: -1e-9, side: lower, stiffness: 1e10}]"
+)
+
+
+def faults(folder: Path, *replacements: tuple[str, str]) -> list[str]:
+    with pytest.raises(SceneError) as caught:
+        load_scene(scene_file(folder, *replacements))
+    return caught.value.faults
+
+
+@pytest.mark.parametrize(
+    ("effects", "expected"),
+    [
+        ("[{type: colomb_friction}]", r"scene.yaml:17:.*unknown effect 'colomb_friction'.*did you mean 'coulomb_fric"),
+        ("[{type: coulomb_friction, kinetic: 0.5, static: 0.3}]", r":17:.*static 0.3 is below kinetic 0.5"),
+        ("[{type: hard_stop, position: 0, stiffness: -1}]", r":17:.*stiffness: got -1, expected 0 < stiffness"),
+        ("[{type: hard_stop, position: 0, stiffness: 1 N*s/m}]", r":17:.*stiffness: got '1 N\*s/m'"),
+        (f"\n    - {COULOMB}\n    - {{type: backlash, gap: 1 mm}}", r":19:.*backlash: got no shaft_compliance"),
+        (f"\n    - {COULOMB}\n    - {COULOMB}", r":18:.*one friction model"),
+    ],
+)
+def test_a_bad_effect_is_refused_with_file_and_line(tmp_path: Path, effects: str, expected: str) -> None:
+    lines = faults(tmp_path, ("simulation:\n", f"simulation:\n  effects: {effects}\n"))
+    assert any(re.search(expected, line) for line in lines), "\n".join(lines)
+
+
+def test_a_tremor_without_a_hand_and_a_negative_mass_are_refused_with_their_line(tmp_path: Path) -> None:
+    user = "  user: {stiffness: 60, damping: 5, motion: {amplitude: 0.1, frequency: 0.5}}\n"
+    [line] = faults(tmp_path, (user, "  effects: [{type: tremor, amplitude: 1 mm}]\n"))
+    assert re.search(r"scene.yaml:\d+:\d+: simulation.effects.0: tremor: got no hand", line)
+    [line] = faults(tmp_path, ("mass: 0.25", "mass: -0.25"))
+    assert re.search(r"scene.yaml:17:\d+: simulation.plant.mass: got -0.25, expected 0 < mass", line)
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "expected"),
+    [
+        ("auto", r"scene.yaml:2:11: accuracy: got 'auto', which no run can choose beforehand; give any of event_bits"),
+        ("{substeps: 3}", r":2:\d+: accuracy: .*substeps 3 is no power of two"),
+        ("{event_bits: 25}", r":2:\d+: accuracy.event_bits: got 25, expected 1 <= event_bits <= 24"),
+        ("{max_event: 25}", r":2:\d+: accuracy.max_event: unknown key; did you mean 'max_events'"),
+        ("fine", r":2:\d+: accuracy: got 'fine', expected a mapping"),
+    ],
+)
+def test_a_bad_accuracy_is_refused_with_file_and_line(tmp_path: Path, accuracy: str, expected: str) -> None:
+    [line] = faults(tmp_path, ("duration: 1 s\n", f"duration: 1 s\naccuracy: {accuracy}\n"))
+    assert re.search(expected, line), line
+
+
+def test_accuracy_reaches_the_plant_and_the_hash(tmp_path: Path) -> None:
+    path = scene_file(tmp_path)
+    plain, coarse = load_scene(path), load_scene(path, ["accuracy={event_bits: 8, substeps: 4, max_events: 7}"])
+    simulation = coarse.axes[0].simulation
+    assert simulation is not None
+    accuracy = build_plant(simulation, 1_000_000).accuracy
+    assert (accuracy.event_bits, accuracy.substeps, accuracy.max_events) == (8, 4, 7)
+    assert plain.config_hash() != coarse.config_hash()
+
+
+def test_the_method_line_tells_events_products_and_capped_holds(tmp_path: Path) -> None:
+    path = scene_file(tmp_path)
+    scene = load_scene(path, [f"simulation.effects=[{COULOMB}]"])
+    with build(scene) as experiment:
+        experiment.rig.start()
+        for _ in range(20):
+            experiment.cycle.step()
+        [plant] = experiment.plants
+        line = method_line(scene, experiment.plants, 20)
+        assert f"exact between SYNCs, {plant.events} event" in line
+        assert "products per period; torque acts" in line
+    plant.accuracy = plant.accuracy.model_copy(update={"max_events": 3})
+    stuck = load_scene(path, [f"simulation.effects={STOPS}", "accuracy={max_events: 3}"])
+    simulation = stuck.axes[0].simulation
+    assert simulation is not None
+    plant = build_plant(simulation, 1_000_000)
+    plant.begin(0)
+    plant.advance_to(1_000_000, 10.0)
+    assert plant.capped_holds == 1
+    assert "1 holds with more than 3 events ran on without guards" in method_line(stuck, [plant], 1)
+
+
+def test_a_compiled_scene_without_numba_is_refused_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "canhaptic.sim.compiled", raising=False)
+    [line] = faults(tmp_path, ("simulation:\n", "simulation:\n  compiled: true\n"))
+    assert re.search(r"scene.yaml:17:\d+: simulation.compiled: compiled: needs numba", line)
