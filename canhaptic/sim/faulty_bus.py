@@ -66,6 +66,7 @@ class FaultyBus(can.BusABC):
         self._foreign = Foreign(effects, seed) if effects.foreign_rate else None
         self._foreign_times = Schedule(effects.during) if effects.during else None
         self._begins_at_once = effects.bring_up
+        self._is_pumped = False  # by a far side, which collects what the connection receives
         self._epoch: int | None = None
 
     def use(self, clock: Clock) -> None:
@@ -89,20 +90,26 @@ class FaultyBus(can.BusABC):
             self._outgoing.push(copy.copy(msg), now, epoch)
         self.advance(now)
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Returns the next frame that has arrived; None when none did within `timeout` [s], None for ever."""
         now = self._awake()
         deadline = NEVER if timeout is None else now + round(timeout * 1e9)
         while True:
-            self.advance(now)
-            self.collect(now)
+            if self._is_pumped:
+                self.advance(now)
+            else:
+                self.collect(now)
             if self._ready:
-                return self._ready.popleft(), False
+                return self._ready.popleft()
             if now >= deadline:
-                return None, False
+                return None
             message = self._bus.recv(max(0, min(deadline, self.next_due(), now + 1_000_000_000) - now) * 1e-9)
             now = self._awake()
             if message is not None:
                 self._take(message, now)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return self.recv(timeout), False  # python-can's own way in, for its Notifier and iterator
 
     def shutdown(self) -> None:
         """Shuts the connection down; frames on their way are lost."""
@@ -121,6 +128,7 @@ class FaultyBus(can.BusABC):
 
     def around(self, far_side: FarSide) -> FarSide:
         """Returns a far side whose frames come and go through the faults, for the master's clock to drive."""
+        self._is_pumped = True
         return FaultyFarSide(self, far_side)
 
     def advance(self, now: int) -> None:
