@@ -21,6 +21,7 @@ COMMANDS: Final = {
     "compare": "compare every passivity algorithm on one scene with the continuous environment",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
     "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",
+    "scope": "show an energy log in a browser while it is written",
     "decode": "name every frame of a bus log",
     "schema": "print the JSON Schema of scene files, for editors",
 }

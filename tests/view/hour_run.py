@@ -21,7 +21,7 @@ def write_hour(path: Path, rows: int = HOUR) -> None:
     torque = np.where(touching, -800.0 * depth, 0.0)
     step = np.diff(depth, prepend=0.0)
     noise = np.random.default_rng(1).standard_normal(rows)
-    h_i, h_r = -np.roll(torque, 1) * step + 1e-7 * np.abs(noise) * touching, np.abs(step) * 1e-4
+    h_i, h_r = -np.roll(torque, 1) * step + 1e-5 * np.abs(noise) * touching, np.abs(step) * 1e-4
     position = 0.05 * np.sin(2 * np.pi * 0.5 * time)
     position[rows // 3] = SPIKE
     h_i[rows // 2] -= 5.0  # the worst margin, and the account stays below

@@ -40,3 +40,11 @@ def write_run(path: Path, cycles: int = 4000, ports: tuple[str, ...] = ("handle"
         writer.append(k, [sample] * len(ports), [balance] * len(ports), timing)
     writer.event(cycles // 2, "emcy", ports[0], "0x8130 heartbeat lost")
     writer.close()
+
+
+PORTS = (PortDescription("handle", "m"),)
+
+
+def append(writer: EnergyLogWriter, k: int) -> None:
+    """One cycle at rest."""
+    writer.append(k, [Sample(k, 0.0, 0.0, 0x1237, True)], [AT_REST], CycleTiming(1, 2, 3, 4))

@@ -1,0 +1,108 @@
+import contextlib
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chromium import chromium
+from synthetic_run import write_run
+
+from canhaptic.cli.main import main
+from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.view.live_log import LiveLog
+
+PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main(sys.argv[1:]))"
+DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
+
+
+def test_looks_at_a_growing_log_add_up_to_the_whole_run(tmp_path: Path) -> None:
+    live = LiveLog(tmp_path / "run.h5")
+    assert live.look() is None
+    write_run(tmp_path / "run.h5", cycles=3000)
+    looks = [live.look() for _ in range(2)]
+    first, second = looks
+    assert first is not None
+    assert second is not None
+    assert (first.rows, len(first.time), len(second.time)) == (3000, 3000, 0)
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        assert np.allclose(first.ports["handle"]["taken_in"], np.cumsum(log.ports["handle"]["h_i"]), rtol=1e-12)
+        assert first.status == log.status
+    write_run(tmp_path / "run.h5", cycles=500)  # another run in the same file
+    again = live.look()
+    assert again is not None
+    assert again.restarted
+    assert len(again.time) == 500
+    assert again.ports["handle"]["taken_in"][0] == 0.0
+
+
+def test_a_log_under_the_writers_hands_is_followed(tmp_path: Path) -> None:
+    from synthetic_run import PORTS, append
+
+    path, live, seen = tmp_path / "run.h5", LiveLog(tmp_path / "run.h5"), []
+    writer = EnergyLogWriter(path, PORTS, {}, sample_time_ns=1_000_000, with_truth=False)
+    pause = threading.Event()
+    for k in range(2000):
+        append(writer, k)
+        if k % 200 == 0:
+            pause.wait(0.05)
+            news = live.look()
+            if news is not None:
+                seen += news.time.tolist()
+    writer.close()
+    news = live.look()
+    assert news is not None
+    assert not news.restarted
+    seen += news.time.tolist()
+    assert np.allclose(seen, np.arange(2000) * 1e-3)
+
+
+def test_the_scope_wants_to_know_its_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scope"]) == 2
+    assert main(["scope", "--config", str(DEMO)]) == 2
+    assert "names no energy log" in capsys.readouterr().err
+    assert main(["scope", str(tmp_path / "run.h5"), "--window", "0"]) == 2
+
+
+@contextlib.contextmanager
+def scope(log: Path) -> Iterator[str]:
+    words = [sys.executable, "-c", PROGRAM, "scope", str(log), "--port", "0", "--window", "3"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=DEMO.parents[1]) as process:
+        assert process.stdout is not None
+        try:
+            line = process.stdout.readline()
+            yield line.split(" at ")[1].split()[0]
+            process.send_signal(signal.SIGINT)
+            process.wait(20)
+        finally:
+            process.kill()
+
+
+@pytest.mark.slow
+def test_a_browser_sees_a_run_while_it_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+    log = tmp_path / "run.h5"
+    words = ["run", str(DEMO), "--pace", "real", "--duration", "8", "--set", "bus.rate=200 Hz", "--log", str(log)]
+    with chromium(height=900) as page, scope(log) as address:
+        assert address.startswith("http://127.0.0.1:")
+        page.open(address)
+        page.wait_for("window.Bokeh && Bokeh.documents.length")
+        status = "[...Bokeh.documents[0]._all_models.values()].find(m => m.name == 'status').text"
+        page.wait_for(f"{status}.includes('waiting for')")
+        with subprocess.Popen([sys.executable, "-c", PROGRAM, *words], stdout=subprocess.DEVNULL) as run:
+            page.wait_for(f"{status}.includes('running')")
+            source = "[...Bokeh.documents[0]._all_models.values()].find(m => m.data && 'position' in m.data)"
+            page.wait_for(f"({source}).data.position.length > 300")
+            early = page.value(f"({source}).data.time.at(-1)")
+            page.wait_for(f"({source}).data.time.at(-1) > {early} + 0.5")
+            page.screenshot(tmp_path / "scope.png")
+            assert run.poll() is None  # all that was while the run went on
+            text = page.value(status)
+            assert "operation enabled" in text
+            assert "margin" in text
+            page.wait_for(f"{status}.includes('completed')")
+        assert page.faults == []
