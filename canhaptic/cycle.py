@@ -9,6 +9,7 @@ One thread walks it. Whatever goes wrong on the way, zero torque is sent first a
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import ControlError, LogWriteError, RigError
 from canhaptic.haptics.balance import EnergyBalance, Ledger
@@ -46,7 +47,7 @@ class Cycle:
     Attributes:
         ledgers: The account of each axis.
         judge: What the simulated plant says of them; None without truth.
-        timing: Durations of each part of the cycle.
+        timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
     """
 
@@ -63,6 +64,7 @@ class Cycle:
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = TruthJudge(len(self.controllers)) if truths is not None else None
         self.cycles = 0
+        self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time stands still within a cycle
         self._log = log
         self._truths = truths
 
@@ -96,8 +98,9 @@ class Cycle:
         if self.judge is not None and truths is not None:
             self.judge.compare(self.ledgers, truths)
         timing = self.rig.timing
-        for histogram, duration in zip(self.timing.values(), timing, strict=True):
-            histogram.add(duration)
+        if self._is_timed:
+            for histogram, duration in zip(self.timing.values(), timing, strict=True):
+                histogram.add(duration)
         if self._log is not None:
             self._log.append(index, samples, balances, timing, truths)
         self.cycles += 1

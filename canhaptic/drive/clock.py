@@ -101,27 +101,32 @@ class VirtualClock:
         """Lets the far sides live until `deadline` [ns]."""
         while self._now < deadline:
             self._process()
-            self._now = self._next_event(deadline)
+            self._now, _ = self._next_event(deadline)
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
         """Returns the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
+        self._process()
         while True:
-            self._process()
             message = bus.recv(0.0)
             if message is not None or self._now >= deadline:
                 return message
-            self._now = self._next_event(deadline)
+            self._now, is_due = self._next_event(deadline)
+            if is_due:
+                self._process()
 
     def _process(self) -> None:
         now = self._now
         for far_side in self._far_sides:
             far_side.process(now)
 
-    def _next_event(self, deadline: int) -> int:
-        """Returns the next instant at which something happens; a timer that is overdue cannot hold time up."""
-        earliest = deadline
+    def _next_event(self, deadline: int) -> tuple[int, bool]:
+        """Returns the next instant at which something happens, and whether anything is due then.
+
+        A timer that is overdue cannot hold time up.
+        """
+        earliest, is_due = deadline, False
         for far_side in self._far_sides:
             due = far_side.next_due()
-            if self._now < due < earliest:
-                earliest = due
-        return earliest
+            if self._now < due <= earliest:
+                earliest, is_due = due, True
+        return earliest, is_due

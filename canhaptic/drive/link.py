@@ -4,7 +4,7 @@ There is no Notifier and no callback thread: whoever waits pumps the bus, and an
 """
 
 from collections.abc import Callable
-from typing import Final, cast
+from typing import Any, Final, cast
 
 import can
 
@@ -38,6 +38,17 @@ class LinkStatistics:
     def as_dict(self) -> dict[str, int]:
         """Returns the counts by name."""
         return {name: getattr(self, name) for name in self.__slots__}
+
+
+class _Frame(can.Message):
+    """A data frame to send. The virtual bus makes a deep copy for each receiver: here that is one object and its data."""
+
+    __slots__ = ()
+
+    def __deepcopy__(self, memo: dict[int, Any] | None) -> can.Message:
+        """Returns a frame of its own, whose data nobody else can change."""
+        data = bytearray(self.data)
+        return can.Message(self.timestamp, self.arbitration_id, False, False, False, None, len(data), data)
 
 
 class Link:
@@ -77,7 +88,7 @@ class Link:
         """
         message = self._frames.get(can_id)
         if message is None:
-            message = self._frames[can_id] = can.Message(arbitration_id=can_id, is_extended_id=False, is_rx=False)
+            message = self._frames[can_id] = _Frame(arbitration_id=can_id, is_extended_id=False, is_rx=False)
         now = self.clock.now()
         message.timestamp = now * 1e-9
         message.data = cast(bytearray, data)  # bytes: python-can copies them faster and never changes them

@@ -76,6 +76,24 @@ def test_receiving_ends_at_the_deadline_and_not_before(pair: tuple[can.BusABC, c
     assert clock.now() == 10 * MS
 
 
+def test_a_drive_with_nothing_due_is_not_asked_again_after_time_has_jumped(
+    pair: tuple[can.BusABC, can.BusABC],
+) -> None:
+    class Counted(Metronome):
+        calls = 0
+
+        def process(self, now: int) -> None:
+            self.calls += 1
+            super().process(now)
+
+    far_side = Counted()
+    clock = VirtualClock([far_side])
+    assert clock.receive(pair[0], 2 * MS) is None
+    assert (clock.now(), far_side.calls) == (2 * MS, 1)
+    assert clock.receive(pair[0], 3 * MS) is None  # the timer is due at the deadline itself
+    assert (far_side.ticks, far_side.calls) == ([3 * MS], 3)
+
+
 def test_a_timer_that_stays_overdue_cannot_hold_time_up() -> None:
     class Stuck(Metronome):
         def process(self, now: int) -> None:

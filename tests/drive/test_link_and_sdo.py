@@ -220,3 +220,15 @@ def test_a_bus_that_cannot_be_read_is_a_link_error(wire: Wire) -> None:
     wire.bus.recv = fail  # type: ignore[method-assign]
     with pytest.raises(LinkError, match="interface is down"):
         wire.link.drain()
+
+
+def test_a_frame_that_was_received_does_not_change_when_the_next_one_is_sent(wire: Wire) -> None:
+    wire.link.send(0x205, b"\x01\x02")
+    wire.link.send(0x205, b"\x03")
+    first, second = wire.buses[1].recv(0), wire.buses[1].recv(0)
+    assert first is not None
+    assert second is not None
+    assert [bytes(frame.data) for frame in (first, second)] == [b"\x01\x02", b"\x03"]
+    assert [frame.dlc for frame in (first, second)] == [2, 1]
+    expected = can.Message(arbitration_id=0x205, is_extended_id=False, channel=first.channel, data=[1, 2])
+    assert first.equals(expected, timestamp_delta=None)
