@@ -41,7 +41,7 @@ class LinkStatistics:
 
 
 class _Frame(can.Message):
-    """A data frame to send. The virtual bus makes a deep copy for each receiver: here that is one object and its data."""
+    """A data frame to send; the deep copy that the virtual bus makes for each receiver is one object and its data."""
 
     __slots__ = ()
 
