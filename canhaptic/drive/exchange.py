@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.servo_drive import ServoDrive, SyncWindow
+from canhaptic.errors import LinkError
 from canhaptic.object_dictionary import HEARTBEAT_BASE, SYNC_FRAME_COB_ID, NmtState
 
 _HEARTBEAT = bytes([NmtState.OPERATIONAL])
@@ -60,9 +61,10 @@ class Exchange:
         """Waits for the deadline, sends SYNC on every bus and takes the TPDOs until all came or their time is over.
 
         Raises:
-            LinkError: A bus failed.
+            LinkError: A bus failed; the others had their SYNC all the same.
         """
         clock = self.clock
+        failure: LinkError | None = None
         self._wait()
         self.woken = clock.now()
         for link, window, group in self._buses:
@@ -70,7 +72,12 @@ class Exchange:
             window.pending = len(group)
             for drive in group:
                 drive.expect_tpdos()
-            link.send(SYNC_FRAME_COB_ID, b"")
+            try:
+                link.send(SYNC_FRAME_COB_ID, b"")
+            except LinkError as error:
+                failure, window.pending = error, 0
+                for drive in group:
+                    drive.refuse_tpdos()
         self.synced = synced = clock.now()
         end = synced + self._window_ns
         for link, window, group in self._buses:
@@ -81,6 +88,8 @@ class Exchange:
                 for drive in group:
                     drive.refuse_tpdos()
         self.heard = clock.now()
+        if failure is not None:
+            raise failure
 
     def _wait(self) -> None:
         """Handles frames until the next deadline; one that is overslept by half a period is skipped for the next."""
@@ -107,14 +116,20 @@ class Exchange:
             drive.write(0)
         self.beat()
 
-    def beat(self) -> None:
-        """Sends the master's heartbeat when its number of cycles has gone by.
+    def beat(self, *, at_once: bool = False) -> None:
+        """Sends the master's heartbeat when its number of cycles has gone by, or at once.
 
         Raises:
             LinkError: It could not be sent.
         """
         self._since_heartbeat += 1
-        if self._since_heartbeat >= self._heartbeat_cycles:
+        if at_once or self._since_heartbeat >= self._heartbeat_cycles:
             self._since_heartbeat = 0
+            failure: LinkError | None = None
             for link in self.links:
-                link.send(self._heartbeat_cob_id, _HEARTBEAT)
+                try:
+                    link.send(self._heartbeat_cob_id, _HEARTBEAT)
+                except LinkError as error:  # the drives of the other buses need theirs all the same
+                    failure = error
+            if failure is not None:
+                raise failure

@@ -1,6 +1,7 @@
 """The start of a rig beyond the SDOs of each drive: SYNC, NMT operational, zero torque on the wire, enable."""
 
 from collections.abc import Callable, Sequence
+from itertools import count
 from typing import Final
 
 from canhaptic.drive.bring_up import BringUp, nmt_name
@@ -18,6 +19,7 @@ from canhaptic.object_dictionary import (
 
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
 _WRAP: Final = 1 << 32
+_PATIENCE: Final = 3  # heartbeats after which a drive that has not confirmed is asked again
 _FAULTS: Final = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 
 
@@ -36,7 +38,7 @@ def start(exchange: Exchange) -> None:
     exchange.begin()
     _enter_operational(exchange, bring_ups)
     _exchange_zero_torque(exchange, bring_ups)
-    _check_positions(exchange.drives, bring_ups)
+    _check_positions(exchange, bring_ups)
     _enable(exchange, bring_ups)
 
 
@@ -54,19 +56,23 @@ def _cycle_until(
     expected: str,
     confirmed: Callable[[ServoDrive], bool],
     seen: Callable[[ServoDrive], str],
+    ask: Callable[[ServoDrive], None] = lambda _drive: None,
 ) -> None:
-    """Cycles until every drive has confirmed.
+    """Cycles until every drive has confirmed; those that have not are asked again now and then.
 
     Raises:
         StartError: One did not within its time.
     """
     begin = exchange.clock.now()
-    while True:
+    for cycle in count():
         _cycle(exchange, bring_ups)
         waiting = [(d, b) for d, b in zip(exchange.drives, bring_ups, strict=True) if not confirmed(d)]
         if not waiting:
             return
         for drive, bring_up in waiting:
+            if (cycle + 1) % (_PATIENCE * exchange.bus.heartbeat_cycles) == 0:
+                with bring_up.step("bus"):
+                    ask(drive)
             if exchange.clock.now() - begin > round(drive.axis.step_timeout * 1e9):
                 raise bring_up.refusal(name, seen(drive), expected)
 
@@ -75,7 +81,7 @@ def _enter_operational(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         drive.controlword = int(Controlword.DISABLE_VOLTAGE)
         with bring_up.step("bus"):
-            drive.link.send(NMT_COB_ID, bytes([NmtCommand.START, drive.axis.node_id]))
+            _send_start(drive)
     _cycle_until(
         exchange,
         bring_ups,
@@ -83,7 +89,12 @@ def _enter_operational(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None
         "a heartbeat with OPERATIONAL",
         lambda drive: drive.nmt_state == NmtState.OPERATIONAL,
         lambda drive: nmt_name(drive.nmt_state),
+        _send_start,
     )
+
+
+def _send_start(drive: ServoDrive) -> None:
+    drive.link.send(NMT_COB_ID, bytes([NmtCommand.START, drive.axis.node_id]))
 
 
 def _exchange_zero_torque(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
@@ -99,18 +110,26 @@ def _exchange_zero_torque(exchange: Exchange, bring_ups: Sequence[BringUp]) -> N
     _cycle(exchange, bring_ups)  # a synchronous RPDO acts only now
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("zero torque"):
-            target = drive.sdo.read(TARGET_TORQUE)
+            target = _read(exchange, drive, TARGET_TORQUE)
         if target != 0:
             raise bring_up.refusal("zero torque", f"0x6071 = {target} after an RPDO with 0", "0")
         if drive.map.read_back == "demand" and drive.reported_per_mille != 0:
             raise bring_up.refusal("zero torque", f"0x6074 = {drive.reported_per_mille} in the TPDO", "0")
 
 
-def _check_positions(drives: Sequence[ServoDrive], bring_ups: Sequence[BringUp]) -> None:
+def _read(exchange: Exchange, drive: ServoDrive, index: int) -> int:
+    """Reads an object while the drives' watchdogs of the master run: nothing beats while an answer is awaited."""
+    exchange.beat(at_once=True)
+    value = drive.sdo.read_within(exchange.bus.master_silence_ns // 2, index)
+    exchange.beat(at_once=True)
+    return value
+
+
+def _check_positions(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """Compares the position in the TPDO with the one by SDO: a map that is shifted shows here, before any torque."""
-    for drive, bring_up in zip(drives, bring_ups, strict=True):
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("position"):
-            by_sdo = drive.sdo.read(POSITION_ACTUAL)
+            by_sdo = _read(exchange, drive, POSITION_ACTUAL)
         by_tpdo = drive.position_counts
         distance = (by_tpdo - by_sdo + _WRAP // 2) % _WRAP - _WRAP // 2
         if abs(distance) >= _PLAUSIBLE_COUNTS:

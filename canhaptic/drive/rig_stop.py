@@ -73,11 +73,17 @@ def _write_zero(drives: Sequence[ServoDrive]) -> None:
 
 
 def _cycle_until_disabled(exchange: Exchange, drives: Sequence[ServoDrive]) -> None:
-    end = exchange.clock.now() + max(_CONFIRMATION, _FEWEST_CYCLES * exchange.bus.sample_time_ns)
-    while exchange.clock.now() < end:
-        if not _try(exchange.write_zero) or not _try(exchange.sync):
-            return
-        if all(drive.is_complete and drive.state in TORQUE_FREE for drive in drives):
+    """Repeats zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
+
+    After the silence of the master that they tolerate the drives have stopped by their own watchdogs.
+    """
+    period, now = exchange.bus.sample_time_ns, exchange.clock.now
+    end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.bus.master_silence_ns)
+    while now() < end:
+        parts = [_try(partial(_write_zero, exchange.drives)), _try(exchange.beat), _try(exchange.sync)]
+        if not all(parts):
+            exchange.clock.wait_until(now() + period)
+        elif all(drive.is_complete and drive.state in TORQUE_FREE for drive in drives):
             return
 
 

@@ -43,13 +43,14 @@ class _PumpedClient(SdoClient):
         link.subscribe(self.tx_cobid, self._take)
 
     @contextmanager
-    def single_attempt(self) -> Iterator[None]:
-        """Within the block nothing is repeated."""
-        attempts, self._attempts = self._attempts, 1
+    def patience(self, timeout: int, attempts: int) -> Iterator[None]:
+        """Within the block an answer may take `timeout` [ns], and a request is sent `attempts` times, at most."""
+        before = self._timeout, self._attempts
+        self._timeout, self._attempts = min(self._timeout, timeout), min(self._attempts, attempts)
         try:
             yield
         finally:
-            self._attempts = attempts
+            self._timeout, self._attempts = before
 
     def _take(self, data: bytearray) -> None:
         if len(data) != _FRAME_LENGTH:
@@ -111,6 +112,7 @@ class SdoChannel:
         self._client = _PumpedClient(link, node_id, dictionary, timeout, attempts)
         self._node_id = node_id
         self._name = name
+        self._timeout, self._attempts = timeout, attempts
         self._patience = f"{attempts} requests, {timeout / 1e9:g} s each"
 
     def read(self, index: int, subindex: int = 0) -> int:
@@ -135,7 +137,16 @@ class SdoChannel:
         Raises:
             SdoError: Aborted by the drive or not answered.
         """
-        with self._client.single_attempt():
+        with self._client.patience(self._timeout, 1):
+            return self.read(index, subindex)
+
+    def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
+        """Returns the value of an object like `read`; all attempts together take at most `limit` [ns].
+
+        Raises:
+            SdoError: Aborted by the drive or not answered.
+        """
+        with self._client.patience(limit // self._attempts, self._attempts):
             return self.read(index, subindex)
 
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> None:
