@@ -17,6 +17,13 @@ from canhaptic.view.si import si
 _POINTS: Final = 6000  # kept per line
 _BUCKETS: Final = 250  # per look; about twice as many rows
 _LINES: Final = ("position", "torque_command", "torque_applied", "taken_in", "dissipated", "margin", "h_dis")
+_LABELS: Final = {
+    "torque_command": "commanded",
+    "torque_applied": "applied",
+    "taken_in": "in",
+    "h_dis": "surplus",
+    "cycle_time": "SYNC to RPDO",
+}
 _EVENTS_SHOWN: Final = 4
 
 
@@ -82,11 +89,13 @@ class ScopePage:
         panel.min_border_left = 80
         panel.yaxis.axis_label = f"{title} [{unit}]"
         for name, colour in lines.items():
-            panel.line("time", name, source=source, color=colour, line_width=1.5, legend_label=name.replace("_", " "))
-        tooltips = [(name.replace("_", " "), f"@{name} {unit}") for name in lines]
+            panel.line("time", name, source=source, color=colour, line_width=1.5, legend_label=_LABELS.get(name, name))
+        tooltips = [(_LABELS.get(name, name), f"@{name} {unit}") for name in lines]
         panel.add_tools(HoverTool(mode="vline", tooltips=[("time", "@time{0.000} s"), *tooltips]))
         legend = panel.legend[0]
-        legend.orientation, legend.location, legend.border_line_alpha = "horizontal", "top_left", 0.0
+        legend.orientation, legend.location, legend.border_line_alpha = "horizontal", "right", 0.0
+        legend.padding = legend.margin = 0
+        panel.add_layout(legend, "above")
         return panel
 
     def _energy(self, source: Any) -> Any:

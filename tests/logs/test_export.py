@@ -1,0 +1,65 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_rows import PORTS, SAMPLE_TIME_NS, append, balance
+
+from canhaptic.errors import InputError
+from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.export import export
+
+ROWS = 700
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("export") / "run.h5"
+    writer = EnergyLogWriter(
+        path, PORTS, {"bus.rate": 1e3}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, pace="free"
+    )
+    for k in range(ROWS):
+        append(writer, k, ports=2)
+    writer.close()
+    return path
+
+
+def test_a_parquet_table_holds_every_quantity_bit_for_bit_with_its_unit(path: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip(
+        "pyarrow.parquet", reason="pyarrow is not installed (pip install 'canhaptic[export]')"
+    )
+    with EnergyLog.open(path) as log:
+        export(log, tmp_path / "run.parquet")
+        table = parquet.read_table(tmp_path / "run.parquet")
+        assert table.num_rows == ROWS
+        assert table.column("knob.h_i").to_numpy().tobytes() == log.ports["knob"]["h_i"].tobytes()
+        assert table.column("true.handle.motor").to_pylist() == log.truth["handle"]["motor"].tolist()
+        assert table.schema.field("handle.torque_applied").metadata == {b"unit": b"N"}
+        assert table.schema.field("knob.torque_applied").metadata == {b"unit": b"N*m"}
+        assert str(table.schema.field("handle.statusword").type) == "uint16"
+
+
+def test_a_mat_file_holds_ports_timing_and_attributes(path: Path, tmp_path: Path) -> None:
+    scipy_io = pytest.importorskip("scipy.io", reason="SciPy is not installed (pip install 'canhaptic[export]')")
+    with EnergyLog.open(path) as log:
+        export(log, tmp_path / "run.mat")
+    content = scipy_io.loadmat(tmp_path / "run.mat", simplify_cells=True)
+    assert content["sample_time"] == 1e-3
+    assert content["ports"]["knob"]["h_r"][-1] == balance(ROWS - 1, 1).h_r
+    assert content["attributes"]["bus_rate"] == 1e3
+    assert math.isclose(content["truth"]["handle"]["position"][5], 0.0051)
+
+
+def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path) -> None:
+    with EnergyLog.open(path) as log:
+        export(log, tmp_path / "run.csv")
+        header = (tmp_path / "run.csv").read_text().partition("\n")[0].split(",")
+        values = np.genfromtxt(tmp_path / "run.csv", delimiter=",", skip_header=1)
+        column = values[:, header.index("handle.h_m [J]")]
+        assert column.tobytes() == log.ports["handle"]["h_m"].tobytes()
+
+
+def test_another_suffix_is_refused_with_those_that_exist(path: Path, tmp_path: Path) -> None:
+    with EnergyLog.open(path) as log, pytest.raises(InputError, match=r"\.csv, \.parquet, \.mat"):
+        export(log, tmp_path / "run.xlsx")
