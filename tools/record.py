@@ -7,6 +7,7 @@ alter what is sent, look at what this prints, and commit the recordings with the
 import argparse
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple, cast
@@ -114,7 +115,11 @@ def changes(old: Path, new: Path, scene: Scene) -> list[str]:
         return []
     before, after = list(read_bus_log(old)), list(read_bus_log(new))
     unequal = [n for n, (a, b) in enumerate(zip(before, after, strict=False)) if a[:4] != b[:4]]
-    lines = [f"{len(before)} frames before, {len(after)} now, {len(unequal)} of those in both differ"]
+    contents = [Counter((frame.can_id, frame.data) for frame in frames) for frames in (before, after)]
+    gone, new_ones = (contents[0] - contents[1]).total(), (contents[1] - contents[0]).total()
+    lines = [
+        f"{len(before)} frames before, {len(after)} now: {gone} are gone, {new_ones} are new; the first that differ:"
+    ]
     first = unequal[0] if unequal else min(len(before), len(after))
     for label, frames in (("before", before), ("now", after)):
         lines.append(f"  {label:<7} {_decoded(frames, first, scene)}")
