@@ -1,4 +1,4 @@
-"""Durations of a whole run in constant memory: a histogram with bins of 1 us, exact maximum, no allocation per entry."""
+"""Durations of a whole run in constant memory: a histogram with bins of 1 us and an exact maximum."""
 
 from typing import Final
 

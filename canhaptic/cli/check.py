@@ -15,6 +15,7 @@ from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.bus_budget import BusBudget, require_budget
 from canhaptic.drive.fitness import Finding, check_dictionary
 from canhaptic.drive.pdo_map import choose_map
+from canhaptic.drive.realtime import GRANTED, Realtime
 from canhaptic.scene.hints import Hint, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.view.energy_table import make_console
@@ -62,6 +63,7 @@ def _as_json(scene: Scene, budget: BusBudget, findings: dict[str, list[Finding]]
         },
         "stability": [{**hint._asdict(), "exceeded": hint.exceeded} for hint in hints],
         "host": [setting._asdict() for setting in host_settings()],
+        "realtime": _realtime(scene),
     }
 
 
@@ -77,6 +79,17 @@ def _print(
         console.print(_fitness_table(axis, findings[axis.parameters.name]))
     console.print(_hint_table(hints))
     console.print(_host_table())
+    answers = _realtime(scene)
+    if answers:
+        console.print(_realtime_table(answers))
+
+
+def _realtime(scene: Scene) -> dict[str, str]:
+    """Returns what the operating system says to `bus.realtime`, by asking for it and giving it back."""
+    realtime = Realtime(scene.bus.realtime)
+    realtime.begin()
+    realtime.end()
+    return realtime.report
 
 
 def _changed(scene: Scene) -> dict[str, Any]:
@@ -129,4 +142,11 @@ def _host_table() -> Table:
     table = _table("host", "setting", "value", "advice")
     for setting in host_settings():
         table.add_row(setting.name, setting.value, setting.advice)
+    return table
+
+
+def _realtime_table(answers: dict[str, str]) -> Table:
+    table = _table("bus.realtime", "asked", "answer")
+    for name, answer in answers.items():
+        table.add_row(name, answer.replace("[", r"\["), style="" if answer == GRANTED else "yellow")
     return table

@@ -101,6 +101,7 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
         "pace": experiment.pace,
         "cycles_per_second": cycle.cycles / elapsed if elapsed else 0.0,
         **durations,
+        **{f"realtime_{name}": answer for name, answer in experiment.rig.realtime.report.items()},
     }
     if experiment.faulty_bus is not None:
         result["bus_effects"] = experiment.faulty_bus.totals()
