@@ -11,7 +11,7 @@ from typing import Protocol
 
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import ControlError, LogWriteError, RigError
+from canhaptic.errors import CycleFailedError, LogWriteError, RigError
 from canhaptic.haptics.balance import EnergyBalance, Ledger
 from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.signals import CycleTiming, Sample, Truth
@@ -184,7 +184,8 @@ def run(
         if isinstance(error, RigError):
             error.records = error.records or tuple(rig.records)
             raise
-        raise ControlError(f"the cycle failed, torque is zero: {type(error).__name__}: {error}", rig.records) from error
+        text = f"the cycle failed, torque is zero: {type(error).__name__}: {error}"
+        raise CycleFailedError(text, rig.records) from error
     except BaseException:
         rig.stop(ramp=False)
         raise

@@ -13,8 +13,21 @@
        |- StartError                         3   a step of the fail-closed start was not confirmed
        |- SdoError                           3   an SDO was aborted by the drive or not answered
        |- DriveFaultError                    3   EMCY, fault or unexpected state in the cycle
+       |  |- EmergencyError                  3   the drive sent an EMCY
+       |  |- DriveStateFaultError            3   the drive is in FAULT
+       |  |- StateLeftError                  3   the drive left OPERATION ENABLED
+       |  |- NmtStateLeftError               3   the drive left NMT OPERATIONAL
+       |  `- PositionJumpError               3   a position that no hand can have moved to
        |- LinkError (TimeoutError)           3   lost frames, lost heartbeat, bus-off
+       |  |- TpdoLostError                   3   too many SYNCs in a row without an answer
+       |  |- HeartbeatLostError              3   a drive fell silent
+       |  `- BusFailedError                  3   a frame could not be sent, or none be read
        `- ControlError                       3   the controller raised or produced a non-finite torque
+          |- TorqueNotFiniteError            3   the controller's torque is no number
+          `- CycleFailedError                3   anything else was raised in the cycle; it is the cause
+
+A rig that stops by itself raises one of the innermost, by the reason in `canhaptic.drive.link_policy`, with the last
+thousand records.
 
 Every message says what happened, the value seen, the limit, and what to do.
 """
@@ -127,3 +140,43 @@ class LinkError(RigError, TimeoutError):
 
 class ControlError(RigError):
     """The controller raised, or produced a torque that is not finite."""
+
+
+class EmergencyError(DriveFaultError):
+    """A drive sent an EMCY with an error code."""
+
+
+class DriveStateFaultError(DriveFaultError):
+    """The statusword of a drive says FAULT or FAULT REACTION ACTIVE."""
+
+
+class StateLeftError(DriveFaultError):
+    """A drive left OPERATION ENABLED without a fault."""
+
+
+class NmtStateLeftError(DriveFaultError):
+    """A drive left NMT OPERATIONAL: reset, stopped, or commanded by another master."""
+
+
+class PositionJumpError(DriveFaultError):
+    """A position moved faster than the speed limit of its axis."""
+
+
+class TpdoLostError(LinkError):
+    """A drive left too many SYNCs in a row without an answer."""
+
+
+class HeartbeatLostError(LinkError):
+    """A drive's heartbeat stopped."""
+
+
+class BusFailedError(LinkError):
+    """The interface refused a frame twice, or could not be read."""
+
+
+class TorqueNotFiniteError(ControlError):
+    """The controller asked for a torque that is no finite number."""
+
+
+class CycleFailedError(ControlError):
+    """Something else was raised in the cycle; `__cause__` is what."""

@@ -8,9 +8,21 @@ everything below        at once      zero torque, the rig stops
 """
 
 from enum import Enum, IntEnum
-from typing import Final
+from typing import Final, NamedTuple
 
-from canhaptic.errors import ControlError, DriveFaultError, LinkError, RigError
+from canhaptic.errors import (
+    BusFailedError,
+    CycleFailedError,
+    DriveStateFaultError,
+    EmergencyError,
+    HeartbeatLostError,
+    NmtStateLeftError,
+    PositionJumpError,
+    RigError,
+    StateLeftError,
+    TorqueNotFiniteError,
+    TpdoLostError,
+)
 
 
 class StopReason(IntEnum):
@@ -39,17 +51,53 @@ class Action(Enum):
     STOP = "zero and disable"
 
 
-STOP_TABLE: Final[dict[StopReason, tuple[str, type[RigError]]]] = {
-    # reason -> (what it means, what is raised)
-    StopReason.TPDO_LOST: ("no TPDO for too many SYNCs", LinkError),
-    StopReason.HEARTBEAT_LOST: ("the drive's heartbeat stopped", LinkError),
-    StopReason.SEND_FAILED: ("a frame could not be sent", LinkError),
-    StopReason.EMERGENCY: ("the drive sent an EMCY", DriveFaultError),
-    StopReason.DRIVE_FAULT: ("the drive is in FAULT", DriveFaultError),
-    StopReason.STATE_LEFT: ("the drive left OPERATION ENABLED", DriveFaultError),
-    StopReason.NMT_STATE_LEFT: ("the drive left NMT OPERATIONAL", DriveFaultError),
-    StopReason.POSITION_JUMP: ("the position moved faster than the speed limit", DriveFaultError),
-    StopReason.CONTROLLER: ("the controller's torque is not finite", ControlError),
+class StopRule(NamedTuple):
+    """One reason of a stop."""
+
+    meaning: str
+    error: type[RigError]  # what is raised
+    remedy: str
+
+
+STOP_TABLE: Final[dict[StopReason, StopRule]] = {
+    StopReason.TPDO_LOST: StopRule(
+        "no TPDO for too many SYNCs",
+        TpdoLostError,
+        "check the cable and what else loads the bus, or raise bus.tpdo_timeout or bus.stop_cycles",
+    ),
+    StopReason.HEARTBEAT_LOST: StopRule(
+        "the drive's heartbeat stopped",
+        HeartbeatLostError,
+        "check power and cable of the drive, or raise bus.heartbeat_timeout",
+    ),
+    StopReason.SEND_FAILED: StopRule(
+        "a frame could not be sent, or none be read",
+        BusFailedError,
+        "check the cable, the bit rate and the length of the interface's queue",
+    ),
+    StopReason.EMERGENCY: StopRule(
+        "the drive sent an EMCY", EmergencyError, "look the code up in the drive's manual and remove its cause"
+    ),
+    StopReason.DRIVE_FAULT: StopRule(
+        "the drive is in FAULT", DriveStateFaultError, "look its error code (0x603F) up and remove the cause"
+    ),
+    StopReason.STATE_LEFT: StopRule(
+        "the drive left OPERATION ENABLED", StateLeftError, "check enable input, supply and limits of the drive"
+    ),
+    StopReason.NMT_STATE_LEFT: StopRule(
+        "the drive left NMT OPERATIONAL", NmtStateLeftError, "look for a reset of the drive and for another NMT master"
+    ),
+    StopReason.POSITION_JUMP: StopRule(
+        "the position moved faster than the speed limit",
+        PositionJumpError,
+        "check the encoder and counts_per_unit, or raise speed_limit of the axis",
+    ),
+    StopReason.CONTROLLER: StopRule(
+        "the controller's torque is not finite",
+        TorqueNotFiniteError,
+        "check the parameters of environment and algorithm against the motion",
+    ),
+    StopReason.EXCEPTION: StopRule("the cycle raised an exception", CycleFailedError, "see the error that caused it"),
 }
 
 

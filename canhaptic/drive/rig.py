@@ -185,8 +185,7 @@ class Rig:
         unconfirmed = self._disable()
         if unconfirmed:
             text += f"; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
-        error_type = STOP_TABLE[reason][1] if reason in STOP_TABLE else RigError
-        return error_type(f"{text} [{reason.name}]", self.records)
+        return STOP_TABLE[reason].error(f"{text} [{reason.name}]", self.records)
 
     def _disable(self) -> list[str]:
         """Sends zero and disables every drive, then gives back what the operating system granted."""
@@ -204,7 +203,9 @@ class Rig:
             StopReason.NMT_STATE_LEFT: f"NMT state {drive.nmt_state}",
         }
         detail = details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
-        return f"{drive.axis.name}: {STOP_TABLE[reason][0]} at SYNC {self.sync_index}: {detail}; torque is zero"
+        rule = STOP_TABLE[reason]
+        what = f"{drive.axis.name}: {rule.meaning} at SYNC {self.sync_index}: {detail}"
+        return f"{what}; torque is zero; {rule.remedy}"
 
     def reset_faults(self) -> None:
         """Resets the faults of all drives for the operator; leaves every drive disabled, and never enables one.

@@ -125,7 +125,7 @@ def test_the_policy_holds_ramps_and_stops_as_its_table_says() -> None:
     assert policy.success_rate() == pytest.approx(1 / 8)
 
 
-def test_every_reason_that_is_raised_has_words_and_an_exception_of_the_rig() -> None:
-    without = {StopReason.NONE, StopReason.OPERATOR, StopReason.EXCEPTION}
-    assert set(STOP_TABLE) == set(StopReason) - without
-    assert all(words and issubclass(kind, RigError) for words, kind in STOP_TABLE.values())
+def test_every_reason_that_is_raised_has_words_a_remedy_and_an_exception_of_its_own() -> None:
+    assert set(STOP_TABLE) == set(StopReason) - {StopReason.NONE, StopReason.OPERATOR}
+    assert all(rule.meaning and rule.remedy and issubclass(rule.error, RigError) for rule in STOP_TABLE.values())
+    assert len({rule.error for rule in STOP_TABLE.values()}) == len(STOP_TABLE)

@@ -2,7 +2,18 @@
 
 from types import ModuleType
 
-from canhaptic.errors import ControlError, DriveFaultError, LinkError
+from canhaptic.errors import (
+    BusFailedError,
+    CycleFailedError,
+    DriveStateFaultError,
+    EmergencyError,
+    HeartbeatLostError,
+    NmtStateLeftError,
+    PositionJumpError,
+    StateLeftError,
+    TorqueNotFiniteError,
+    TpdoLostError,
+)
 
 REASONS = {  # the numbers are in logs that exist
     "NONE": 0,
@@ -19,15 +30,16 @@ REASONS = {  # the numbers are in logs that exist
     "EXCEPTION": 31,
 }
 RAISED = {
-    "TPDO_LOST": LinkError,
-    "HEARTBEAT_LOST": LinkError,
-    "SEND_FAILED": LinkError,
-    "EMERGENCY": DriveFaultError,
-    "DRIVE_FAULT": DriveFaultError,
-    "STATE_LEFT": DriveFaultError,
-    "NMT_STATE_LEFT": DriveFaultError,
-    "POSITION_JUMP": DriveFaultError,
-    "CONTROLLER": ControlError,
+    "TPDO_LOST": TpdoLostError,
+    "HEARTBEAT_LOST": HeartbeatLostError,
+    "SEND_FAILED": BusFailedError,
+    "EMERGENCY": EmergencyError,
+    "DRIVE_FAULT": DriveStateFaultError,
+    "STATE_LEFT": StateLeftError,
+    "NMT_STATE_LEFT": NmtStateLeftError,
+    "POSITION_JUMP": PositionJumpError,
+    "CONTROLLER": TorqueNotFiniteError,
+    "EXCEPTION": CycleFailedError,
 }
 CASES = (
     # hold, stop, what happens at 0, 1, 2, ... missed, and what is left of the torque
@@ -42,7 +54,7 @@ CASES = (
 def judge(module: ModuleType) -> None:
     """Raises when the module is not what its table says."""
     assert {reason.name: int(reason) for reason in module.StopReason} == REASONS
-    assert {reason.name: raised for reason, (_, raised) in module.STOP_TABLE.items()} == RAISED
+    assert {reason.name: rule.error for reason, rule in module.STOP_TABLE.items()} == RAISED
     assert {action.name for action in module.Action} == {"RUN", "HOLD", "RAMP", "STOP"}
     for hold, stop, actions, shares in CASES:
         policy = module.LinkPolicy(hold, stop)

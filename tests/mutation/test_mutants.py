@@ -67,9 +67,13 @@ SUBJECTS = {
         members={"StopReason": link_policy.StopReason, "Action": link_policy.Action},
         names={
             "max": ("min",),
-            "LinkError": ("DriveFaultError",),
-            "DriveFaultError": ("ControlError",),
-            "ControlError": ("LinkError",),
+            "TpdoLostError": ("HeartbeatLostError",),
+            "BusFailedError": ("TpdoLostError",),
+            "EmergencyError": ("DriveStateFaultError",),
+            "DriveStateFaultError": ("StateLeftError",),
+            "StateLeftError": ("NmtStateLeftError",),
+            "PositionJumpError": ("TorqueNotFiniteError",),
+            "TorqueNotFiniteError": ("CycleFailedError",),
         },
         equivalent={
             "LinkPolicy.action: if self.missed == 0: => if self.missed <= 0:": "a count is never negative",

@@ -1,0 +1,67 @@
+"""Writes docs/link_policy.md from the tables of `canhaptic.drive.link_policy`: `python -m tools.make_link_policy`."""
+
+import sys
+from pathlib import Path
+
+from canhaptic.drive.link_policy import STOP_TABLE, Action, StopReason
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "link_policy.md"
+_MISSED = {
+    Action.RUN: "0",
+    Action.HOLD: "1 to `bus.hold_cycles`",
+    Action.RAMP: "up to `bus.stop_cycles`",
+    Action.STOP: "`bus.stop_cycles`",
+}
+_INTRODUCTION = """\
+# Link policy
+
+What becomes of the torque when a drive goes unheard or unwell. This page is made from `canhaptic/drive/link_policy.py`
+by `python -m tools.make_link_policy`.
+
+## Missed TPDOs
+
+Counted per axis. One TPDO that comes in time sets the count back to zero.
+"""
+_STOPS = """
+## Stops
+
+Each of these sends zero torque to every axis of the rig first, disables the drives second, and raises the exception
+third. The number is in the energy log; the exception carries the last thousand cycles in `records`. No drive is enabled
+again before the operator starts the rig anew.
+"""
+
+
+def page() -> str:
+    """Returns the text of the page."""
+    missed = [[_MISSED[action], action.name, action.value] for action in Action]
+    stops = [
+        [str(int(reason)), reason.name, rule.meaning, f"`{rule.error.__name__}`", rule.remedy]
+        for reason, rule in STOP_TABLE.items()
+    ]
+    quiet = [[str(int(reason)), reason.name] for reason in StopReason if reason not in STOP_TABLE]
+    words = " and ".join(f"{number} ({name})" for number, name in quiet)
+    return "\n".join(
+        [
+            _INTRODUCTION,
+            *_table(["TPDOs missed in a row", "action", "torque"], missed),
+            _STOPS,
+            *_table(["number", "reason", "meaning", "exception", "what to do"], stops),
+            "",
+            f"The numbers {words} stand for a rig that runs and for a stop that was asked for; nothing is raised.",
+            "",
+        ]
+    )
+
+
+def _table(headings: list[str], rows: list[list[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in (headings, ["---"] * len(headings), *rows)]
+
+
+def main() -> int:
+    """Writes the page; returns 0."""
+    PAGE.write_text(page(), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
