@@ -10,12 +10,17 @@ from reference_loop import USER_S, continuous, sampled
 from rich.console import Console
 
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.haptics.balance import Ledger
+from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.haptics.passivity import ALGORITHMS, build_controller
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.scene.load import load_scene
 from canhaptic.study.compare import at_rate, compare, with_algorithm, with_known_plant
 from canhaptic.study.compare_picture import draw_comparison
 from canhaptic.study.compare_table import comparison_report
+from canhaptic.study.figures import figures
+from canhaptic.study.loop import LoopRun
+from canhaptic.study.reference import Reference
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 HARD = sorted((REPOSITORY / "configs" / "hard").glob("*.yaml"))
@@ -58,6 +63,9 @@ def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, del
     error = run.position - position[::10]
     assert found["position_error"]["rms"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-3)
     assert found["position_error"]["max"] == pytest.approx(np.abs(error).max(), rel=1e-3)
+    mean = 0.5 * (torque[1:14991] + torque[:14990]).reshape(-1, 10).mean(axis=1)
+    force_error = run.torque - np.concatenate([[0.0], mean])
+    assert found["force_error"]["rms"] == pytest.approx(np.sqrt(np.mean(force_error**2)), rel=5e-2)
     interaction = np.cumsum(-run.torque[1:] * np.diff(run.position))
     dissipated = np.cumsum([balance.h_r for balance in run.balances])[1:]
     assert found["least_interaction"] == pytest.approx(min(0.0, interaction.min()), abs=1e-7)
@@ -65,6 +73,25 @@ def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, del
     assert found["force_variation"]["value"] == pytest.approx(np.abs(np.diff(run.torque)).sum(), rel=1e-2)
     ratio = found["force_variation"]["value"] / found["force_variation"]["ratio"]
     assert ratio == pytest.approx(np.abs(np.diff(torque)).sum(), rel=2e-3)
+
+
+def test_the_energy_believed_is_that_of_the_whole_torque_with_a_modulated_damper_too(scene):
+    damped = scene("passivity={algorithm: internal_dissipation, alpha: 1e6 s/m^2, moving_mass: 0.25}", "bus.rate=100")
+    run = compare(damped, ["internal_dissipation"], repeats=0).axes[0].runs["internal_dissipation"]
+    assert run.summary.recovered > 1e-6
+    assert run.believed_error < 2e-8  # half a count of 1 nm times the variation of the torque
+
+
+def test_what_the_continuous_axis_still_moves_is_no_limit_cycle():
+    time = np.arange(5000) * 1e-3
+    ring = 5e-5 * np.sin(60.0 * time)
+    still = np.where(time < 1.0, 0.01 * (1.0 - time), 0.0) - 1e-3
+    nothing = np.zeros(5000)
+    reference = Reference(still + ring, nothing, 1.0, time, nothing, "")
+    position = still + 3.0 * ring
+    run = LoopRun(position, position, nothing, nothing, nothing, nothing, nothing, Ledger().summary(), 0.0, "")
+    found = figures(SpringDamperWall(stiffness=1e3), run, reference, 1e-3)
+    assert found["limit_cycle"] == pytest.approx(2e-4, rel=1e-2)
 
 
 def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
