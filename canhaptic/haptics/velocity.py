@@ -5,6 +5,7 @@ A difference over one sample turns one count into count / T, at 10 kHz and 0.1 m
 count of every sample in it: long and quiet at rest, short and quick in motion.
 """
 
+from math import inf
 from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
@@ -49,6 +50,20 @@ class AdaptiveWindow:
         scanned: Samples looked at since the start, to prove the cost.
     """
 
+    __slots__ = (
+        "_anchor",
+        "_least",
+        "_length",
+        "_most",
+        "_newest",
+        "_ring",
+        "_sample_time",
+        "_size",
+        "_tolerance",
+        "scanned",
+        "velocity",
+    )
+
     def __init__(self, sample_time: float, tolerance: float, longest: int) -> None:
         """Makes an estimator at rest.
 
@@ -68,47 +83,56 @@ class AdaptiveWindow:
         self._newest = 0
         self._length = 0
         self._anchor = position
-        self._least, self._most = float("-inf"), float("inf")
+        self._least, self._most = -inf, inf
         self.velocity = 0.0
         self.scanned = 0
 
     def update(self, position: float) -> float:
         """Takes the position [m or rad] one sample later and returns the velocity [m/s or rad/s]."""
-        self._newest = (self._newest + 1) % self._size
-        self._ring[self._newest] = position
+        newest, size = self._newest + 1, self._size
+        if newest == size:
+            newest = 0
+        self._newest = newest
+        self._ring[newest] = position
         self.scanned += 1
         length = self._length + 1
         slope = (position - self._anchor) / length
-        if length < self._size and self._least <= slope <= self._most:
+        if length < size and self._least <= slope <= self._most:
             self._length = length
             self._narrow(position, length)
         else:
-            slope = self._search(position, max(1, min(length, self._size - 1) // 2))
-        self.velocity = slope / self._sample_time
-        return self.velocity
+            slope = self._search(position, (length if length < size else size - 1) // 2 or 1)
+        self.velocity = velocity = slope / self._sample_time
+        return velocity
 
     def _narrow(self, position: float, distance: int) -> None:
         """Admits only slopes that pass a sample `distance` after the anchor within the tolerance."""
-        least = (position - self._tolerance - self._anchor) / distance
-        most = (position + self._tolerance - self._anchor) / distance
-        self._least, self._most = max(self._least, least), min(self._most, most)
+        anchor, tolerance = self._anchor, self._tolerance
+        least = (position - tolerance - anchor) / distance
+        most = (position + tolerance - anchor) / distance
+        if least > self._least:
+            self._least = least
+        if most < self._most:
+            self._most = most
 
     def _search(self, position: float, furthest: int) -> float:
         """Takes the longest window of at most `furthest` samples that fits; returns its slope per sample."""
-        ring, size, newest, tolerance = self._ring, self._size, self._newest, self._tolerance
-        least, most, length = float("-inf"), float("inf"), 0
+        ring, newest, tolerance = self._ring, self._newest, self._tolerance  # an index below 0 wraps, as the ring does
+        least, most, length = -inf, inf, 0
         for distance in range(1, furthest + 1):
-            self.scanned += 1
-            past = ring[(newest - distance) % size]
-            if not least <= (position - past) / distance <= most:
+            ahead = position - ring[newest - distance]
+            if not least <= ahead / distance <= most:
                 break
             length = distance
-            least = max(least, (position - past - tolerance) / distance)
-            most = min(most, (position - past + tolerance) / distance)
-        self._length = length
-        self._anchor = ring[(newest - length) % size]
-        self._least, self._most = float("-inf"), float("inf")
+            low, high = (ahead - tolerance) / distance, (ahead + tolerance) / distance
+            if low > least:
+                least = low
+            if high < most:
+                most = high
+        anchor_at = newest - length
+        self._length, self._anchor = length, ring[anchor_at]
+        self._least, self._most = -inf, inf
         for distance in range(1, length + 1):
-            self.scanned += 1
-            self._narrow(ring[(newest - length + distance) % size], distance)
+            self._narrow(ring[anchor_at + distance], distance)
+        self.scanned += distance + length
         return (position - self._anchor) / length

@@ -1,6 +1,7 @@
 """The three bounds against worst users found independently: closed forms, brute force and simulated attack."""
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def test_the_reach_is_attained_by_the_hand_that_pulls_with_all_its_force():
 
 def test_without_damping_the_reach_has_the_known_coefficients():
     response = reach(1e-3, 0.25, 20.0)
-    assert response == pytest.approx((1.0, 2e-6, 2e-6, 8e-5))
+    assert astuple(response) == pytest.approx((1.0, 2e-6, 2e-6, 8e-5))
 
 
 @pytest.mark.parametrize("y", [0.9e-3, 1.1e-3])
@@ -110,25 +111,6 @@ def test_the_hand_speed_bound_is_energy_over_the_longest_path():
     assert hand_speed_bound(2e-3, 0.5, 1e-3) == pytest.approx(4.0)
     assert hand_speed_bound(2e-3, 0.5, 1e-3, holds=4) == pytest.approx(1.0)
     assert hand_speed_bound(-1.0, 0.5, 1e-3) == 0.0
-
-
-def test_arrays_give_what_floats_give():
-    rng = np.random.default_rng(1)
-    budget, base, gain = rng.normal(size=200), rng.normal(size=200), np.abs(rng.normal(size=200)) + 1e-3
-    base[:20] = 0.0
-    budget[10:30] = 0.0
-    response = reach(1e-3, 0.25, 20.0, 1.0, 2.0)
-    batch = hand_force_bound(budget, base, gain)
-    single = [hand_force_bound(float(e), float(b), float(g)) for e, b, g in zip(budget, base, gain, strict=True)]
-    np.testing.assert_allclose(batch, single, rtol=1e-15)
-    np.testing.assert_allclose(
-        next_displacement(base, budget, gain, response),
-        [next_displacement(float(b), float(e), float(g), response) for e, b, g in zip(budget, base, gain, strict=True)],
-        rtol=1e-15,
-    )
-    np.testing.assert_allclose(
-        device_damping_bound(budget, 0.3, 1e-3, 0.1), [device_damping_bound(e, 0.3, 1e-3, 0.1) for e in budget]
-    )
 
 
 @pytest.mark.parametrize(("delay", "share"), [(0, 2.0), (1, 6.0)])

@@ -4,6 +4,7 @@ The pieces are taken out here, by patching; the package has no switches for it.
 """
 
 import random
+from dataclasses import replace
 
 import pytest
 from guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
@@ -20,7 +21,7 @@ def without_previous_torque(patch):
 
 
 def without_damping_term(patch):
-    patch.setattr(torque_bound, "next_displacement", lambda d, b, f, r: whole_step(d, b, f, r._replace(retained=1.0)))
+    patch.setattr(torque_bound, "next_displacement", lambda d, b, f, r: whole_step(d, b, f, replace(r, retained=1.0)))
 
 
 def without_mirror(patch):

@@ -79,7 +79,7 @@ def test_booking_the_newest_damper_effort_instead_would_ring_with_one_sample_of_
 
     def newest(self, position, torque_applied):
         hold = opened(self, position, torque_applied)
-        return hold if hold is None else hold._replace(damper=self._in_flight._queue[-1].damper)
+        return hold if hold is None else hold._replace(damper=self._in_flight._queue[-1][1])
 
     paired = render(FIGURE_7, "internal_dissipation", 1000, delay=1)
     monkeypatch.setattr(Books, "open", newest)

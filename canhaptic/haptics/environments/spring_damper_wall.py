@@ -1,6 +1,6 @@
 """The paper's virtual wall: a spring and a damper side by side, felt on one side of a plane (eqs. 12-14)."""
 
-import math
+from math import copysign, sqrt
 from typing import Annotated, ClassVar
 
 from canhaptic.haptics.environments.sides import Side
@@ -24,7 +24,9 @@ class SpringDamperWall(Parameters):
 
     def contact(self, position: float) -> int:
         """Returns 1 inside the wall, 0 outside (eq. 12)."""
-        return int(position < self.position) if self.side == "below" else int(position > self.position)
+        if self.side == "below":
+            return 1 if position < self.position else 0
+        return 1 if position > self.position else 0
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
         """Returns x = q - q_w [m or rad] (eq. 14): negative in a wall below, positive in a wall above."""
@@ -46,7 +48,7 @@ class SpringDamperWall(Parameters):
         """Returns sqrt(2 H / k) with the sign of `like`; eq. 18 prints it positive, where contact has x < 0."""
         if self.stiffness == 0.0:
             return 0.0
-        return math.copysign(math.sqrt(2.0 * max(0.0, energy) / self.stiffness), like)
+        return copysign(sqrt(2.0 * energy / self.stiffness) if energy > 0.0 else 0.0, like)
 
     def relaxed(self, state: float, sample_time: float) -> float:
         """Returns the state: nothing relaxes."""

@@ -2,8 +2,7 @@
 
 Only the torque of a hold and the displacement in it exchange energy (eq. 2), so the question of every step is how far
 the axis can move OUT (with the torque) while the torque cannot be changed. All formulas below are written for a torque
-that acts in the positive direction and for displacements counted positive with it; the caller mirrors. They use
-arithmetic only, without branches, so that they take floats in the cycle and arrays in a batch.
+that acts in the positive direction and for displacements counted positive with it; the caller mirrors.
 
 **Hand force.** An axis m v' + b v = f(t) + u(t), f held constant in each hold, outward hand force u <= F_h, inward hand
 force without limit. With D_i the displacement in hold i and K the response of the displacement to a force,
@@ -28,10 +27,11 @@ E_d = E + (b/T) sum(D^2) >= 0 for every user.
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 
-class Reach(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Reach:
     """Worst response of the displacement in a hold, for one axis and hand (see the module)."""
 
     retained: float  # least share of an inward displacement that the next hold repeats, e^(-bT/m)
@@ -77,10 +77,13 @@ def next_displacement(displacement: float, torque_before: float, torque: float, 
         torque: Outward torque of the hold asked about; 0 gives the base of `hand_force_bound`.
         response: Of the axis and hand.
     """
-    inward = 0.5 * (displacement - abs(displacement))
-    pushed = 0.5 * (torque_before + abs(torque_before)) * response.before
-    pushing = 0.5 * (torque + abs(torque)) * response.during
-    return displacement - (1.0 - response.retained) * inward + pushed + pushing + response.hand
+    if displacement < 0.0:
+        displacement -= (1.0 - response.retained) * displacement
+    if torque_before > 0.0:
+        displacement += torque_before * response.before
+    if torque > 0.0:
+        displacement += torque * response.during
+    return displacement + response.hand
 
 
 def hand_force_bound(budget: float, base: float, gain: float) -> float:
@@ -94,13 +97,10 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
         gain: Displacement per torque [m/N or rad/(N*m)], > 0.
     """
     square = base * base + 4.0 * gain * budget
-    root = (0.5 * (square + abs(square))) ** 0.5
-    scale = abs(base) + root
-    outward = base > 0.0
-    # base > 0: the form without cancellation; the tiny number keeps 0 / 0 at 0.
-    away = (budget + abs(budget)) / (scale + 1e-300)
-    bound: float = outward * away + (1 - outward) * scale / (2.0 * gain)
-    return bound
+    root: float = square**0.5 if square > 0.0 else 0.0
+    if base <= 0.0:
+        return (root - base) / (2.0 * gain)
+    return 2.0 * budget / (root + base) if budget > 0.0 else 0.0  # the form without cancellation
 
 
 def device_damping_bound(
@@ -116,7 +116,7 @@ def device_damping_bound(
         holds: Holds for which the torque may act before another one arrives.
     """
     square = 4.0 * damping * budget / sample_time - squares_under_way
-    bound: float = (0.5 * (square + abs(square)) / holds) ** 0.5
+    bound: float = (square / holds) ** 0.5 if square > 0.0 else 0.0
     return bound
 
 
@@ -129,7 +129,7 @@ def hand_speed_bound(budget: float, speed: float, sample_time: float, holds: int
         sample_time: [s].
         holds: Holds for which the torque may act before another one arrives.
     """
-    return 0.5 * (budget + abs(budget)) / (speed * sample_time * holds)
+    return budget / (speed * sample_time * holds) if budget > 0.0 else 0.0
 
 
 def renderable_by_hand_force(response: Reach, delay: int, torque: float) -> float:

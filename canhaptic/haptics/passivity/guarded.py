@@ -20,6 +20,7 @@ gets softer, and the balance says so: `certificate` is not EXACT, `damping_rende
 """
 
 import math
+from collections import deque
 from typing import Annotated, ClassVar, Final
 
 from canhaptic.errors import ControlError, ParameterError
@@ -39,6 +40,9 @@ _STICKY, _DEPLETED = Branch.STICKY.value, Branch.DEPLETED.value
 _EXIT, _HELD = Branch.EXIT.value, Branch.HELD.value
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
+
+_tuple = tuple.__new__
+"""Makes a balance at half the cost of calling its class."""
 
 _CALM: Final = 0.7
 """Stiffness of the energy-permitted spring over the one whose lead alone uses up the damping cap.
@@ -89,12 +93,13 @@ class Guarded:
                 "guarded: got neither moving_mass with hand_force, nor device_damping, nor hand_speed, expected one of "
                 "them; without any no torque can be certified: declare what is known or choose another algorithm"
             )
-        self._environment = environment
+        self._environment, self._relaxes = environment, environment.relaxes
         self._sample_time, self._delay = sample_time, loop.delay
         self._credit, self._alpha, self._quantum = parameters.credit, parameters.alpha, loop.torque_quantum
         self._lead = parameters.lead + loop.delay
         self._cap = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time))
         self._damping = min(environment.damping, self._cap)
+        self._lead_room = (_LEAD_ROOM - 1.0) * self._cap
         self._calm_stiffness = _CALM * self._cap / (sample_time * (0.5 + loop.delay)) if response else 0.0
         self._damped_stiffness = 2.0 * damping / (sample_time * (1 + loop.delay)) if damping else 0.0
         self._path = (parameters.hand_speed or 0.0) * sample_time * (1 + loop.delay)
@@ -112,7 +117,7 @@ class Guarded:
         """Forgets everything: zero stored energy, no torque in flight, no last position."""
         self._bound.reset()
         self._in_flight.reset()
-        self._under_way = (0.0,) * self._delay
+        self._under_way = deque((0.0,) * self._delay, maxlen=self._delay)
         self._skipped: tuple[float, ...] = ()
         self._zone = 0
         self._state = self._stored = self._h_s = self._h_dis = self._kept_back = 0.0
@@ -126,8 +131,7 @@ class Guarded:
         self._skipped += (in_flight.torques[0],)
         in_flight.lose_hold()
         torque = in_flight.torques[-1]
-        if self._delay:
-            self._under_way = (*self._under_way[1:], torque)
+        self._under_way.append(torque)
         return AT_REST._replace(torque=torque, h_s=self._h_s, h_dis=self._h_dis, branch=_HELD, state=self._stored)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
@@ -149,7 +153,7 @@ class Guarded:
         torque = rendered = 0.0
         certificate = _UNBOUNDED
         if zone:
-            if environment.relaxes:
+            if self._relaxes:
                 state, ceiling, lost = self._relax(state, ceiling)
                 h_r += lost
             spring = environment.effort(state)
@@ -157,18 +161,20 @@ class Guarded:
             torque, rendered, certificate = self._render(state, travel, inside, spring, ceiling)
             branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
         else:
-            self._send(0.0, 0.0, 0.0)
-            self._fade()
+            self._in_flight.send(0.0, 0.0, 0.0)
+            if self._bound.dissipated:
+                self._fade()
             branch = _EXIT if before or h_i or leak else _FREE
         if deficit > 0.0:
             branch = _DEPLETED
+        self._under_way.append(torque)
         self._state = state
         h_s = self._h_s
         self._stored = stored = state if h_s == ceiling else environment.state_of_energy(h_s, state)
-        return EnergyBalance(
+        return _tuple(EnergyBalance, (
             torque, h_i, h_pas, h_i - h_pas, h_r, h_s, self._h_dis, 0.0, deficit, leak, paid, branch, rendered,
             certificate, stored,
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def _ended_hold(self, position: float, torque_applied: float) -> tuple[float, float, float, int, float] | None:
         """Returns (displacement, damper effort, modulated effort, holds, energy unsure), None at the first sample."""
@@ -208,26 +214,18 @@ class Guarded:
 
     def _motion(self, state: float, last: float, displacement: float, holds: int, same: bool) -> tuple[float, float]:
         """Returns the motion per hold of the state and of the damper inside the contact [m or rad]."""
-        travel = inside = displacement
+        window = None if self._relaxes else self._window
         if same:
-            travel = state - last
-        else:
-            inside = state - self._environment.admissible(state - displacement, state)
-        if self._window is not None and not self._environment.relaxes:
-            smooth = self._window.velocity * self._sample_time
-            return smooth, smooth if same else inside / holds
-        return travel / holds, inside / holds
+            if window is None:
+                return (state - last) / holds, displacement / holds
+            smooth = window.velocity * self._sample_time
+            return smooth, smooth
+        inside = (state - self._environment.admissible(state - displacement, state)) / holds
+        return displacement / holds if window is None else window.velocity * self._sample_time, inside
 
     def _fade(self) -> None:
-        bound = self._bound
-        if bound.dissipated:
-            energy = self._h_s - self._h_dis
-            bound.keep(energy, _FADE * max(0.0, energy + bound.dissipated))
-
-    def _send(self, torque: float, damper: float, modulated: float) -> None:
-        self._in_flight.send(torque, damper, modulated)
-        if self._delay:
-            self._under_way = (*self._under_way[1:], torque)
+        bound, energy = self._bound, self._h_s - self._h_dis
+        bound.keep(energy, _FADE * max(0.0, energy + bound.dissipated))
 
     def _book(self, h_i: float, h_pas: float, damped: float, ceiling: float) -> tuple[float, float, float, float]:
         """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
@@ -239,10 +237,11 @@ class Guarded:
             ceiling: What the environment stores at its true state [J]; more is not kept.
         """
         h_s, surplus = self._h_s + h_i - h_pas, self._h_dis - h_pas
-        slack = self._bound.free(h_s - surplus + self._credit, self._under_way)
-        if slack > h_s:
-            slack = h_s
-        h_r = deficit = leak = paid = 0.0
+        h_r = deficit = leak = paid = slack = 0.0
+        if damped > 0.0 or h_s > ceiling:  # otherwise nothing is dissipated or leaked, and the slack is not needed
+            slack = self._bound.free(h_s - surplus + self._credit, self._under_way)
+            if slack > h_s:
+                slack = h_s
         if damped > 0.0 and slack > 0.0:
             h_r = damped if damped < slack else slack
             h_s -= h_r
@@ -252,9 +251,13 @@ class Guarded:
             surplus += deficit
         elif h_s > ceiling:
             paying = surplus if surplus > 0.0 else 0.0
-            leak = min(h_s - ceiling, paying + max(0.0, slack))
-            h_s = ceiling if leak == h_s - ceiling else h_s - leak
-            paid = min(leak, paying)
+            above, allowed = h_s - ceiling, paying + slack if slack > 0.0 else paying
+            if above <= allowed:
+                leak, h_s = above, ceiling
+            else:
+                leak = allowed
+                h_s -= leak
+            paid = leak if leak < paying else paying
             surplus -= paid
         self._h_s, self._h_dis = h_s, surplus
         self._kept_back += h_r + leak - paid
@@ -268,7 +271,9 @@ class Guarded:
         """
         energy = self._h_s - self._h_dis + self._credit
         if self._window is not None:
-            energy += min(0.0, self._kept_back - self._bound.unsure())
+            lacking = self._bound.unsure - self._kept_back
+            if lacking > 0.0:
+                energy -= lacking
         return energy
 
     def _render(
@@ -276,9 +281,9 @@ class Guarded:
     ) -> tuple[float, float, int]:
         """Sends the torque for the next free hold; returns (torque, damping rendered, certificate)."""
         velocity = displacement / self._sample_time
-        energy = self._certain()
-        ahead = self._environment.admissible(state + self._lead * travel, state)
-        lead = self._environment.effort(ahead) - spring
+        energy, environment, bound = self._certain(), self._environment, self._bound
+        ahead = environment.admissible(state + self._lead * travel, state)
+        lead = environment.effort(ahead) - spring
         spring, lead, damper, covered = self._efforts(spring, lead, velocity, energy, ceiling)
         rendered = damper / velocity if velocity else self._damping
         modulated = 0.0
@@ -290,8 +295,10 @@ class Guarded:
         size = abs(torque)
         certificate = _UNBOUNDED
         if size:
-            by_force, by_damping, by_speed = self._bound.largest(torque / size, energy, self._under_way)
-            largest = max(by_force, by_damping, by_speed)
+            by_force, by_damping, by_speed = bound.largest(torque / size, energy, self._under_way)
+            largest = by_force if by_force > by_damping else by_damping
+            if by_speed > largest:
+                largest = by_speed
             if size > largest:
                 share = largest / size
                 torque, damper, modulated, rendered = (
@@ -304,8 +311,8 @@ class Guarded:
             if not covered:
                 certificate = _BY_DAMPING if by_damping >= size else _BY_FORCE if by_force >= size else _BY_SPEED
             if self._quantum:
-                torque = math.trunc(torque / self._quantum) * self._quantum
-        self._send(torque, damper, modulated)
+                torque = int(torque / self._quantum) * self._quantum  # towards 0
+        self._in_flight.send(torque, damper, modulated)
         return torque, rendered, certificate
 
     def _efforts(
@@ -313,11 +320,14 @@ class Guarded:
     ) -> tuple[float, float, float, bool]:
         """Returns efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
         damper = self._damping * velocity
-        bound, size, room = self._bound, abs(spring), self._cap * abs(velocity)
+        bound, size, speed = self._bound, abs(spring), abs(velocity)
+        room = self._cap * speed
         permitted = 2.0 * self._calm_stiffness * energy
         if self._damped_stiffness:
             bound.keep(energy, ceiling + 0.5 * (spring + lead + damper) ** 2 / self._damped_stiffness)
-            permitted = max(permitted, 2.0 * self._damped_stiffness * (energy + bound.dissipated))
+            with_device = 2.0 * self._damped_stiffness * (energy + bound.dissipated)
+            if with_device > permitted:
+                permitted = with_device
         if self._path and energy > 0.0:
             permitted = max(permitted, (energy / self._path) ** 2)
         covered = permitted >= size * size
@@ -334,7 +344,7 @@ class Guarded:
             spring = held
         if abs(damper) > room:
             damper, covered = math.copysign(room, damper), False
-        room += (_LEAD_ROOM - 1.0) * self._cap * abs(velocity) - abs(damper)
+        room += self._lead_room * speed - abs(damper)
         if abs(lead) > room:
             lead = math.copysign(room, lead)
         return spring, lead, damper, covered

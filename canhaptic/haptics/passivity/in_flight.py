@@ -8,20 +8,15 @@ the paper's algorithm has a pole at -1.618 for a delay of one sample.
 
 from collections import deque
 from math import isfinite
-from typing import NamedTuple
+from typing import TypeAlias
 
 from canhaptic.errors import ControlError
 
+Command: TypeAlias = tuple[float, float, float]
+"""A torque and the efforts inside it [N or N*m], torque = -(spring + damper + modulated): (torque, effort d v of the
+model's damper, effort d_pas v of the modulated damper of eq. 19)."""
 
-class Command(NamedTuple):
-    """A torque and the efforts inside it [N or N*m]: torque = -(spring + damper + modulated)."""
-
-    torque: float
-    damper: float  # effort of the model's damper, d v
-    modulated: float  # effort of the modulated damper of eq. 19, d_pas v
-
-
-NO_TORQUE = Command(0.0, 0.0, 0.0)
+NO_TORQUE: Command = (0.0, 0.0, 0.0)
 
 
 class CommandsInFlight:
@@ -55,8 +50,8 @@ class CommandsInFlight:
             ControlError: The position or torque is not finite, or their difference is not. Everything is forgotten.
         """
         last = self._position
-        displacement = 0.0 if last is None else position - last
-        if not isfinite(displacement + torque_applied) or not isfinite(position):
+        displacement = position if last is None else position - last
+        if not isfinite(displacement + torque_applied):
             self.reset()
             raise ControlError(
                 f"controller: got position {position!r} and applied torque {torque_applied!r}, expected finite "
@@ -91,7 +86,7 @@ class CommandsInFlight:
         if self._position is None:
             return
         newest = self._queue[-1]
-        self._lost.append(self._queue.popleft().torque)
+        self._lost.append(self._queue.popleft()[0])
         self._queue.append(newest)
 
     def send(self, torque: float, damper: float, modulated: float) -> None:
@@ -106,9 +101,9 @@ class CommandsInFlight:
                 f"controller: computed torque {torque!r}, expected a finite number; torque is zero and the controller "
                 "is to be reset, check stiffness and damping against the size of the motion"
             )
-        self._queue.append(Command(torque, damper, modulated))
+        self._queue.append((torque, damper, modulated))
 
     @property
     def torques(self) -> tuple[float, ...]:
         """Torques of the commands sent whose hold has not ended, the one that acts next (or acts now) first."""
-        return tuple(command.torque for command in self._queue)
+        return tuple(torque for torque, _, _ in self._queue)

@@ -1,7 +1,8 @@
 """The certified bound of one axis: what is known of it and of the hand, applied to the torques under way."""
 
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from canhaptic.haptics.passivity.certificates import (
     WINDOW,
@@ -13,7 +14,8 @@ from canhaptic.haptics.passivity.certificates import (
 )
 
 
-class Declared(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Declared:
     """What a configuration declares of the axis and of the hand. None: that certificate is not used."""
 
     sample_time: float
@@ -25,10 +27,32 @@ class Declared(NamedTuple):
 
 
 class TorqueBound:
-    """Remembers the hold that ended and answers how much energy is committed and how large the next torque may be."""
+    """Remembers the hold that ended and answers how much energy is committed and how large the next torque may be.
+
+    Attributes:
+        dissipated: By the device for certain, and not forgotten [J].
+        unsure: How much less than booked may have come in so far [J]: encoder counts and lost samples.
+    """
+
+    __slots__ = (
+        "_blur",
+        "_count",
+        "_declared",
+        "_delay",
+        "_displacement",
+        "_history",
+        "_known_outward",
+        "_response",
+        "_simple",
+        "_torque",
+        "_unsure",
+        "dissipated",
+        "unsure",
+    )
 
     def __init__(self, declared: Declared, delay: int) -> None:
         self._declared = declared
+        self._response, self._count = declared.response, declared.encoder_count
         self._delay = delay
         self._simple = not (delay or declared.losses)
         self.reset()
@@ -36,20 +60,22 @@ class TorqueBound:
     def reset(self) -> None:
         """Forgets the last hold and the energy dissipated by the device."""
         self._displacement = self._torque = self._blur = self._unsure = 0.0
-        self.dissipated = 0.0
+        self.dissipated = self.unsure = 0.0
         self._history: deque[tuple[float, float]] = deque(maxlen=WINDOW)
+        self._known_outward: dict[float, float] = {}  # by sign; of a coarse encoder, where finding it is work
 
     def ended_hold(self, displacement: float, torque: float) -> None:
         """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
-        declared = self._declared
-        count = declared.encoder_count
+        declared, count = self._declared, self._count
         if declared.damping is not None:
             certain = abs(displacement) - count
             if certain > 0.0:
                 self.dissipated += declared.damping / declared.sample_time * certain * certain
         if count:
             self._unsure += 0.5 * count * abs(torque - self._torque)
+            self.unsure = self._unsure + 0.5 * count * abs(torque)
             self._history.appendleft((displacement, torque))
+            self._known_outward.clear()
         self._blur = 0.0
         self._displacement, self._torque = displacement, torque
 
@@ -65,8 +91,9 @@ class TorqueBound:
         declared, holds = self._declared, len(torques)
         last, candidates = torques[-1], torques if declared.losses < 2 else (self._torque, *torques)
         largest = max(abs(torque) for torque in candidates)
-        count = declared.encoder_count
+        count = self._count
         self._history.clear()
+        self._known_outward.clear()
         if declared.response is not None:
             response = declared.response
             step = (response.before + response.during) * largest + response.hand
@@ -78,12 +105,9 @@ class TorqueBound:
         else:
             excursion = abs(displacement) + count
         self._unsure += holds * count * largest
+        self.unsure = self._unsure + 0.5 * count * abs(last)
         self._displacement, self._torque = displacement / holds, last
         return (holds - 1) * max(abs(torque - last) for torque in candidates) * excursion
-
-    def unsure(self) -> float:
-        """Returns how much less than booked may have come in so far [J]: encoder counts and lost samples."""
-        return self._unsure + 0.5 * self._declared.encoder_count * abs(self._torque)
 
     def keep(self, energy: float, enough: float) -> None:
         """Forgets what the device dissipated beyond `enough` [J] together with `energy`.
@@ -93,21 +117,23 @@ class TorqueBound:
         if energy + self.dissipated > enough:
             self.dissipated = max(0.0, enough - energy)
 
-    def free(self, energy: float, under_way: tuple[float, ...]) -> float:
+    def free(self, energy: float, under_way: Sequence[float]) -> float:
         """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
-        declared = self._declared
         if self._simple:
             return energy + self.dissipated
+        declared = self._declared
         sequences = [under_way]
         if declared.losses:
             sequences = [(self._torque,) * (declared.losses + self._delay)]
             if under_way:
-                sequences.append(under_way + under_way[-1:] * declared.losses)
+                sequences.append((*under_way, *(under_way[-1],) * declared.losses))
         free = 0.0
-        if declared.response is not None:
+        if self._response is not None:
             worst = 0.0
             for sequence in sequences:
-                worst = max(worst, self._worst_out(1.0, sequence) + self._worst_out(-1.0, sequence))
+                given = self._worst_out(1.0, sequence) + self._worst_out(-1.0, sequence)
+                if given > worst:
+                    worst = given
             free = energy - worst
         if declared.speed is not None:
             path = declared.speed * declared.sample_time
@@ -115,7 +141,7 @@ class TorqueBound:
         if declared.damping:
             share = declared.sample_time / (4.0 * declared.damping)
             free = max(free, energy + self.dissipated - share * max(sum(f * f for f in s) for s in sequences))
-        return max(0.0, free)
+        return free if free > 0.0 else 0.0
 
     def _outward(self, sign: float) -> float:
         """Returns the largest displacement of the hold that ended, counted along `sign` [m or rad].
@@ -123,31 +149,43 @@ class TorqueBound:
         The displacement is known to one count. A mean over j holds is known to count / j, and the hand and the torques
         can have raised the last one above the mean only so far; the smallest of these bounds counts.
         """
-        declared = self._declared
-        count = declared.encoder_count
-        least: float = sign * self._displacement + count + self._blur
-        response = declared.response
-        if not count or response is None or len(self._history) < 2:
-            return least
-        total, raised, raises, later = count, 0.0, 0.0, 0.0
-        for holds, (displacement, torque) in enumerate(self._history, 1):
-            along, push = sign * displacement, max(0.0, sign * torque)
-            if holds > 1:
-                raised += response.before * push + response.during * later + response.hand
-                raised += (1.0 - response.retained) * max(0.0, count - along)
-                raises += raised
+        if not self._count or self._response is None or len(self._history) < 2:
+            return sign * self._displacement + self._count + self._blur
+        known = self._known_outward.get(sign)
+        if known is None:
+            known = self._known_outward[sign] = self._by_windows(sign, self._response)
+        return known
+
+    def _by_windows(self, sign: float, response: Reach) -> float:
+        """Returns the smallest of the bounds by the mean over the last 1, 2, 3, ... holds [m or rad]."""
+        count, before, during, hand = self._count, response.before, response.during, response.hand
+        lost, enough = 1.0 - response.retained, 2.0 * count
+        later = sign * self._torque if sign * self._torque > 0.0 else 0.0
+        total = least = sign * self._displacement + count
+        raised = raises = 0.0
+        holds, history = 1, iter(self._history)
+        next(history)  # the hold that ended, taken already
+        for displacement, torque in history:
+            holds += 1
+            along, push = sign * displacement, sign * torque
+            if push < 0.0:
+                push = 0.0
+            raised += before * push + during * later + hand
+            if along < count:
+                raised += lost * (count - along)
+            raises += raised
             total += along
             mean = (total + raises) / holds
             if mean < least:
                 least = mean
-            if raised * holds > 2.0 * count:
+            if raised * holds > enough:
                 break
             later = push
         return least
 
-    def _worst_out(self, sign: float, torques: tuple[float, ...]) -> float:
+    def _worst_out(self, sign: float, torques: Sequence[float]) -> float:
         """Returns the most energy [J] that the torques along `sign` may give out, >= 0."""
-        response = self._declared.response
+        response = self._response
         if response is None:
             return 0.0
         for torque in torques:
@@ -167,9 +205,9 @@ class TorqueBound:
             before = along
         return worst
 
-    def by_hand_force(self, sign: float, energy: float, under_way: tuple[float, ...]) -> float:
+    def by_hand_force(self, sign: float, energy: float, under_way: Sequence[float]) -> float:
         """Returns the largest torque along `sign` [N or N*m] for a hand within its declared force."""
-        response = self._declared.response
+        response = self._response
         if response is None:
             return 0.0
         displacement, before = self._outward(sign), sign * self._torque
@@ -201,28 +239,28 @@ class TorqueBound:
             bound = min(bound, hand_force_bound(energy, start, gain))
         return bound
 
-    def largest(self, sign: float, energy: float, under_way: tuple[float, ...]) -> tuple[float, float, float]:
+    def largest(self, sign: float, energy: float, under_way: Sequence[float]) -> tuple[float, float, float]:
         """Returns the bound of each certificate along `sign` [N or N*m]: hand force, device damping, hand speed.
 
         0 where a certificate is not declared. `energy` [J] is what may be taken out.
         """
         declared = self._declared
         by_force = by_damping = by_speed = 0.0
-        holds = declared.losses + 1
-        if declared.response is not None:
+        losses, held = declared.losses, self._torque
+        if self._response is not None:
             by_force = self.by_hand_force(sign, energy, under_way)
-            if declared.losses and under_way:
-                by_force = min(by_force, self.by_hand_force(sign, energy, (self._torque,) * self._delay))
+            if losses and under_way:
+                by_force = min(by_force, self.by_hand_force(sign, energy, (held,) * self._delay))
+        if losses:
+            under_way = tuple(max(abs(f), abs(held)) for f in under_way)
         if declared.damping:
-            worst = under_way
-            if declared.losses:
-                worst = tuple(max(abs(f), abs(self._torque)) for f in under_way)
-            squares = sum(f * f for f in worst)
+            squares = 0.0
+            for torque in under_way:
+                squares += torque * torque
             by_damping = device_damping_bound(
-                energy + self.dissipated, declared.damping, declared.sample_time, squares, holds
+                energy + self.dissipated, declared.damping, declared.sample_time, squares, losses + 1
             )
         if declared.speed is not None:
-            path = declared.speed * declared.sample_time
-            rest = energy - path * sum(max(abs(f), abs(self._torque) if declared.losses else 0.0) for f in under_way)
-            by_speed = hand_speed_bound(rest, declared.speed, declared.sample_time, holds)
+            rest = energy - declared.speed * declared.sample_time * sum(abs(torque) for torque in under_way)
+            by_speed = hand_speed_bound(rest, declared.speed, declared.sample_time, losses + 1)
         return by_force, by_damping, by_speed
