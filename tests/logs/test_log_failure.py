@@ -22,7 +22,7 @@ def full_disk() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("full_disk")
-@pytest.mark.parametrize("mode", ["stop", "continue"])
+@pytest.mark.parametrize("mode", ["stop", pytest.param("continue", marks=pytest.mark.slow)])
 def test_a_run_stops_or_goes_on_when_its_disk_is_full_with_one_message(
     mode: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
