@@ -37,7 +37,9 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix $(SOURCES)
 
 # make bench            every question;  make bench Q=cycle   one
+# The question `simulation` has peers; one that cannot be installed is a row "peer absent".
 bench: $(VENV)/.installed-dev
+	$(if $(filter-out simulation,$(Q)),,-$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench,fast]")
 	$(BIN)/python tools/bench/run.py $(Q)
 
 clean:

@@ -145,10 +145,11 @@ class Machine:
         """
         state, moved, mode = self.state, self._moved, self._modes[0]
         state[-2] = torque
-        this, spare = self._books
+        books = self._books
+        this = books[0]
         mode.works[0](state, this.rows)
         this.contract(this.vector, this.totals_after)
-        self._books = [spare, this]
+        books[0], books[1] = books[1], this
         mode.flows[0](state, moved)
         self.state, self._moved = moved, state
         self._counts[PRODUCTS] += 1

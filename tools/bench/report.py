@@ -3,7 +3,7 @@
 import json
 import os
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
@@ -27,6 +27,7 @@ class Row:
     ratio: float | None = None
     target: str = ""
     met: bool | None = None
+    note: str = ""  # why a target is missed, or what the peer does beside ours
 
 
 def machine() -> dict[str, str]:
@@ -60,7 +61,7 @@ def versions(packages: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def interleave(candidates: dict[str, Callable[[], None]], repeats: int) -> dict[str, list[float]]:
+def interleave(candidates: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
     """Returns wall times [s] of each candidate, run in turn A B C A B C, so that a drifting machine hits all alike."""
     times: dict[str, list[float]] = {name: [] for name in candidates}
     for _ in range(repeats):
@@ -83,6 +84,9 @@ def publish(question: str, rows: Sequence[Row], packages: Sequence[str]) -> None
         )
     console = Console(width=150)
     console.print(table)
+    for row in rows:
+        if row.note:
+            console.print(f"{row.row}, {row.peer}: {row.note}")
     console.print("  ".join(f"{key}: {value}" for key, value in {**machine(), **versions(packages)}.items()))
     RESULTS.mkdir(parents=True, exist_ok=True)
     document = {"machine": machine(), "versions": versions(packages), "rows": [asdict(row) for row in rows]}

@@ -1,0 +1,1 @@
+"""Scenes, peers and references of the benchmark of plants (`tools/bench/simulation.py`)."""
