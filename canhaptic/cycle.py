@@ -11,7 +11,7 @@ from typing import Protocol
 
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import CycleFailedError, LogWriteError, RigError
+from canhaptic.errors import CycleFailedError, EmergencyError, LogWriteError, RigError
 from canhaptic.haptics.balance import EnergyBalance, Ledger
 from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.signals import CycleTiming, Sample, Truth
@@ -87,6 +87,13 @@ class Cycle:
     def fail_log(self, reason: str) -> None:
         """Ends the run after the cycle under way, because a log of it can no longer be written; from any thread."""
         self._log = _FailedLog(reason)
+
+    def note_fault(self, error: Exception) -> None:
+        """Writes what ended the run into its log, with the SYNC that found it and the axis that it names first."""
+        if self._log is not None:
+            text, kind = str(error), "emcy" if isinstance(error, EmergencyError) else "fault"
+            names = [drive.axis.name for drive in self.rig.drives if text.startswith(f"{drive.axis.name}:")]
+            self._log.event(self.rig.sync_index, kind, names[0] if names else "", text)
 
     def _account(
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
@@ -181,6 +188,7 @@ def run(
         raise
     except Exception as error:
         rig.stop(ramp=False)
+        cycle.note_fault(error)
         if isinstance(error, RigError):
             error.records = error.records or tuple(rig.records)
             raise

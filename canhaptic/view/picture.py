@@ -15,12 +15,12 @@ from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.view.decimate import decimate
 from canhaptic.view.extent import contacts, rows_between
+from canhaptic.view.series import faults_of
 from canhaptic.view.si import si
 
 _BLUE, _VERMILION, _GREEN, _ORANGE, _GREY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#4D4D4D"
 _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
 _MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
-_FAULTS: Final = frozenset({"fault", "emcy", "stop"})
 _MAX_FAULTS_NAMED: Final = 4
 _STYLE: Final[Any] = {
     "font.size": 9.0,
@@ -117,12 +117,7 @@ class _PortPicture:
         self._contacts = contacts(self._column("branch"))
         if len(self._contacts) > _MAX_CONTACTS_SHADED:
             self._contacts = []
-        shown = range(int(log.timing["sync_index"][rows.start]), int(log.timing["sync_index"][rows.stop - 1]) + 1)
-        self._faults = [
-            event
-            for event in log.events
-            if event.kind in _FAULTS and event.port in {"", name} and event.sync_index in shown
-        ]
+        self._faults = faults_of(log, name, log.timing["sync_index"][rows])
 
     def draw(self, panels: Any) -> None:
         """Draws into four axes, top to bottom."""

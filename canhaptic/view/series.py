@@ -102,12 +102,19 @@ class PortSeries:
 
 
 def faults_of(log: EnergyLog, port: str, index: Array) -> list[Event]:
-    """Returns the events to mark that concern a port and lie within the SYNCs of `index`."""
+    """Returns the events to mark that concern a port and lie within the SYNCs of `index`.
+
+    The fault that ended a run came with a SYNC that has no row any more; it is moved to the last one that has.
+    """
     if not len(index):
         return []
     first, last = int(index[0]), int(index[-1])
+    is_end = last == int(log.timing.read("sync_index", log.rows - 1)[0])
     return [
-        event
+        event._replace(sync_index=min(event.sync_index, last))
         for event in log.events
-        if event.kind in FAULTS and event.port in {"", port} and first <= event.sync_index <= last
+        if event.kind in FAULTS
+        and event.port in {"", port}
+        and first <= event.sync_index
+        and (event.sync_index <= last or is_end)
     ]

@@ -96,3 +96,16 @@ def test_the_last_seconds_are_kept_only_after_a_bad_end(tmp_path: Path, capsys: 
 def test_a_series_of_files_and_the_last_seconds_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", DEMO, "--set", "log={bus: a.log, last: 1, file_size: 1000}"]) == 2
     assert "exclude each other" in capsys.readouterr().err
+
+
+def test_what_ended_a_run_is_in_its_log_and_in_its_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.h5"
+    words = ["run", DEMO, "--duration", "0.5", "--set", "axes.0.speed_limit=0.2", "--log", str(log), "--json"]
+    assert main(words) == 3
+    capsys.readouterr()
+    assert main(["inspect", str(log), "--json", "--svg", str(tmp_path / "run.svg")]) == 0
+    result = json.loads(capsys.readouterr().out)
+    (event,) = result["events"]
+    assert (event["kind"], event["port"], event["sync_index"]) == ("fault", "handle", result["cycles"])
+    assert "POSITION_JUMP" in event["text"]
+    assert "stroke: #d55e00" in (tmp_path / "run.svg").read_text()
