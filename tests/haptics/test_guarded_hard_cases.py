@@ -52,10 +52,12 @@ def test_at_100_hz_a_credit_buys_contact_from_a_slow_start_under_a_hand_force(de
     assert truth.least >= -0.02
 
 
-@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("delay", [pytest.param(0, marks=pytest.mark.slow), 1])
 @pytest.mark.parametrize("hand_force", [0.0, 5.0])
 @pytest.mark.parametrize("damping", [0.0, 5.0])
-@pytest.mark.parametrize(("rate", "count"), [(1000, 1e-4), (10000, 1e-4), (10000, 1e-5)])
+@pytest.mark.parametrize(
+    ("rate", "count"), [(1000, 1e-4), (10000, 1e-4), pytest.param(10000, 1e-5, marks=pytest.mark.slow)]
+)
 def test_a_coarse_encoder_costs_no_stiffness(rate, count, damping, hand_force, delay):
     """The velocity comes from a window, and the outward speed is bounded over the best of many windows."""
     controller = guarded(1000.0, damping, rate, delay, hand_force=hand_force, count=count, most=0.5)

@@ -295,7 +295,7 @@ class Guarded:
         size = abs(torque)
         certificate = _UNBOUNDED
         if size:
-            by_force, by_damping, by_speed = bound.largest(torque / size, energy, self._under_way)
+            by_force, by_damping, by_speed = bound.largest(1.0 if torque > 0.0 else -1.0, energy, self._under_way)
             largest = by_force if by_force > by_damping else by_damping
             if by_speed > largest:
                 largest = by_speed
