@@ -1,18 +1,17 @@
 """Does `guarded` stay passive? Every wall x rate x delay x user x encoder x loss, judged by the energy of the plant.
 
-Prints one line per rate and delay: runs, least true sum(h_i) within the declared hand force, least margin of (4) where
-no frame is lost, runs beyond -1 uJ. Exit status 1 when there is any.
+Per rate and delay: least true sum(h_i) within the declared hand force, least margin of (4) where no frame is lost and
+nothing is quantised, and runs beyond -1 uJ. Exit status 1 when there is any.
 """
 
-import argparse
 import importlib
 import itertools
-import json
-import platform
 import random
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+
+from tools.bench.report import Row, publish
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "haptics"))
 users = importlib.import_module("guarded_users")
@@ -47,29 +46,30 @@ def trial(case: Case) -> tuple[float, float]:
     return truth.least, truth.least_margin
 
 
+def rows_of(rate: int, delay: int, cases: list[Case], found: list[tuple[float, float]]) -> list[Row]:
+    """Returns the rows of one rate and delay."""
+    least = min(truth for truth, _ in found)
+    exact = [margin for (_, margin), case in zip(found, cases, strict=True) if not case[5] and not case[4][0]]
+    beyond = sum(not truth >= LIMIT for truth, _ in found)
+    where = f"{rate} Hz, delay {delay}, {len(found)} runs"
+    return [
+        Row(f"{where}: least true sum(h_i)", least, "J", target=f">= {LIMIT:g}", met=least >= LIMIT),
+        Row(f"{where}: runs below or diverged", beyond, "runs", target="0", met=beyond == 0),
+        Row(f"{where}: least margin of (4), ideal and without loss", min(exact), "J"),
+    ]
+
+
 def main() -> int:
-    """Runs the sweep and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=1, help="repeats of every case with another seed")
-    parser.add_argument("--json", type=Path, help="write the table here as well")
-    options = parser.parse_args()
-    print(f"{platform.machine()}, Python {platform.python_version()}; {len(WALLS)} walls, {len(users.USERS)} users")
-    bad, rows = 0, []
+    """Runs the sweep and publishes the table; returns 1 when a run lost energy."""
+    rows: list[Row] = []
     with ProcessPoolExecutor() as pool:
         for rate, delay in itertools.product(RATES, (0, 1)):
-            parts = itertools.product(WALLS, users.USERS, IDEAL_AND_COARSE, LOSSES, range(options.seeds))
-            cases: list[Case] = [(w, rate, delay, u, e, s, 1000 * r + n) for n, (w, u, e, s, r) in enumerate(parts)]
-            found = list(pool.map(trial, cases, chunksize=8))
-            beyond = sum(least < LIMIT for least, _ in found)
-            exact = [f[1] for f, case in zip(found, cases, strict=True) if not case[5] and not case[4][0]]
-            row = {"rate": rate, "delay": delay, "runs": len(found), "least": min(f[0] for f in found)}
-            row |= {"least_margin": min(exact), "beyond": beyond}
-            rows.append(row)
-            bad += beyond
-            print("  ".join(f"{name} {value}" for name, value in row.items()), flush=True)
-    if options.json:
-        options.json.write_text(json.dumps(rows, indent=1))
-    return 1 if bad else 0
+            parts = itertools.product(WALLS, users.USERS, IDEAL_AND_COARSE, LOSSES)
+            cases: list[Case] = [(w, rate, delay, u, e, s, n) for n, (w, u, e, s) in enumerate(parts)]
+            rows += rows_of(rate, delay, cases, list(pool.map(trial, cases, chunksize=8)))
+            print(rows[-3].row, rows[-3].value, flush=True)
+    publish("passivity_sweep", rows, ["canhaptic", "numpy"])
+    return 0 if all(row.met is not False for row in rows) else 1
 
 
 if __name__ == "__main__":
