@@ -16,7 +16,7 @@ import numpy as np
 from canhaptic.sim import stepper
 from canhaptic.sim.assembly import Scene
 from canhaptic.sim.compiler import Mode
-from canhaptic.sim.machine import Machine, reset_matrix
+from canhaptic.sim.machine import Machine, matrix_of, reset_matrix
 from canhaptic.sim.propagator import LEVELS, Array
 from canhaptic.sim.stepper import COUNTS, NONE, Tables
 
@@ -176,18 +176,12 @@ def flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> Tabl
         for j, leaving in enumerate(mode.exits):
             target[i, j], loss[i, j], jumps[i, j] = targets[i][j], leaving.work, bool(leaving.resets)
             resets[i, j] = reset_matrix(leaving, size).T
-    flows = np.array([[_matrix(flow).T for flow in mode.flows] for mode in modes])
-    forms = np.array([[_columns(_matrix(work), size, works) for work in mode.works] for mode in modes])
+    flows = np.array([[matrix_of(flow).T for flow in mode.flows] for mode in modes])
+    forms = np.array([[_columns(matrix_of(work), size, works) for work in mode.works] for mode in modes])
     return Tables(
         flows, forms, np.array([mode.base for mode in modes]), guards, np.array([len(mode.exits) for mode in modes]),
         target, jumps, resets, loss, np.array([mode.storage for mode in modes]),
     )  # fmt: skip
-
-
-def _matrix(product: Any) -> Array:
-    """Returns the matrix of a bound product."""
-    matrix: Array = product.__self__
-    return matrix
 
 
 def _columns(stacked: Array, size: int, works: int) -> Array:

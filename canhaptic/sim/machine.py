@@ -48,6 +48,8 @@ class Machine:
         self._counts: Any = self._new_counts()
         self._values: Any = [None, None]
         self._first = self._mode_of(first_key(scene))
+        first = self._modes[self._first]
+        self._whole = np.concatenate([matrix_of(first.flows[0]), matrix_of(first.works[0])]).dot
         self.reset()
 
     def _new_books(self) -> list[Any]:
@@ -141,16 +143,18 @@ class Machine:
     def period(self, torque: float) -> float:
         """Takes one whole sample time in one step, for scenes without guards; returns the position after it.
 
-        The same as `run_free`, written flat: this is the whole plant of most scenes, at every SYNC.
+        The same as `run_free`, written flat and with motion and work in one product: this is the whole plant of most
+        scenes, at every SYNC.
         """
-        state, moved, mode = self.state, self._moved, self._modes[0]
-        state[-2] = torque
-        books = self._books
+        state, books = self.state, self._books
         this = books[0]
-        mode.works[0](state, this.rows)
+        moved: Array = this.moved
+        if state is moved:
+            state = state.copy()
+        state[-2] = torque
+        self._whole(state, this.both)
         this.contract(this.vector, this.totals_after)
         books[0], books[1] = books[1], this
-        mode.flows[0](state, moved)
         self.state, self._moved = moved, state
         self._counts[PRODUCTS] += 1
         return moved.item(0)
@@ -231,6 +235,12 @@ class Machine:
         )  # fmt: skip
         for table, entry in zip(self._tables, row, strict=True):
             table.append(entry)
+
+
+def matrix_of(product: Any) -> Array:
+    """Returns the matrix of a bound product."""
+    matrix: Array = product.__self__
+    return matrix
 
 
 def reset_matrix(leaving: Exit, size: int) -> Array:

@@ -59,6 +59,8 @@ class Books(NamedTuple):
     same memory y is followed by the totals, and the second product, [Q y, unit row] . [y, totals], is y'Qy + total.
     """
 
+    moved: Array  # state after the step when one product gives it together with the rows, shape (n,)
+    both: Array  # that state and the rows, one behind the other in memory
     rows: Array  # all but the totals, shape (works * (n + works) + n,)
     contract: Any  # [y, totals] -> totals after the step
     vector: Array  # [y, totals], shape (n + works,)
@@ -69,12 +71,12 @@ class Books(NamedTuple):
 def two_books(size: int, works: int) -> list[Books]:
     """Returns the two buffers for a state of `size` and a number of works."""
     length = works * (size + works)
-    this, other = np.zeros(length + size + works), np.zeros(length + size + works)
+    this, other = np.zeros(length + 2 * size + works), np.zeros(length + 2 * size + works)
 
     def books(buffer: Array, after: Array) -> Books:
-        contract = buffer[:length].reshape(works, size + works).dot
-        vector = buffer[length:]
-        return Books(buffer[: length + size], contract, vector, vector[size:], after[length + size :])
+        both, vector = buffer[: length + 2 * size], buffer[size + length :]
+        contract = buffer[size : size + length].reshape(works, size + works).dot
+        return Books(both[:size], both, both[size:], contract, vector, vector[size:], after[length + 2 * size :])
 
     return [books(this, other), books(other, this)]
 

@@ -17,8 +17,10 @@ from canhaptic.sim.plant import Plant, PlantParameters
 from canhaptic.sim.stability_map import Loops, decay_per_hold, loop_matrices
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from tools.bench.plants import precision
+from tools.bench.plants.effects import effect_rows
 from tools.bench.plants.foil import Foil
-from tools.bench.plants.peers import PEERS, mujoco_rollout, mujoco_stick, peers
+from tools.bench.plants.imports import import_rows
+from tools.bench.plants.peers import PEERS, mujoco_rollout, mujoco_stick, peers, state_space
 from tools.bench.plants.scenes import (
     KINETIC,
     PERIOD,
@@ -300,8 +302,6 @@ def _error(got: Array, expected: Array) -> float:
 
 def _extended(scene: Scene) -> Array:
     """Returns the positions of the easy scene from the series of its flow in 80-bit numbers, independent of ours."""
-    from tools.bench.plants.peers import state_space
-
     a, b = (part.astype(np.longdouble) for part in state_space(scene))
     rates = np.zeros((5, 5), dtype=np.longdouble)
     rates[:4, :4], rates[:4, 4:] = a, b
@@ -321,6 +321,7 @@ def _extended(scene: Scene) -> Array:
 def main() -> None:
     """Measures every figure and publishes table, JSON and picture."""
     rows = [*easy_rows(), *compiled_rows(), *stiff_rows(), *stick_rows(), *sweep_rows(), *map_rows()]
+    rows += [*effect_rows(), *import_rows()]
     publish("simulation", rows, ["canhaptic", "numpy", "numba", "scipy", "mujoco", "drake", "control", "motulator"])
     if "--no-picture" not in sys.argv:
         precision.draw(precision.points())
