@@ -29,7 +29,9 @@ test: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q -n $(JOBS) -m "not slow"
 
-test-all: test
+# Tests that need Debian's `chromium` or `tshark` skip, visibly, where those are absent.
+test-all: test $(VENV)/.installed-report,export
+	$(BIN)/python tools/record.py --check
 	$(BIN)/pytest -q -n $(JOBS) -m slow
 
 format: $(VENV)/.installed-dev
