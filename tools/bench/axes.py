@@ -1,0 +1,102 @@
+"""What does each further axis cost? 1, 2, 3, 6 and 12 axes on one bus, the full stack flat out, in one thread.
+
+All run at the rate that twelve axes leave on 1 Mbit/s, so that the work of one axis is the same in every row; in
+lock-step the rate does not pace anything. Without logs: they are another process's work for the most part.
+"""
+
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import yaml
+
+from canhaptic.scene.build import build
+from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.models import Scene
+from tools.bench.report import Row, interleave, publish
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
+PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "axes.png"
+AXES = (1, 2, 3, 6, 12)
+RATE = 250  # [Hz]
+CYCLES = 2_000
+REPEATS = 5
+TARGET_OF_THREE = 5_000.0  # [cycles/s]
+NEAR_LINEAR = 1.25  # largest cost of an added axis over that of the second
+
+
+def scene_of(axes: int) -> Scene:
+    """Returns the demo with so many axes, all alike."""
+    document: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    [first] = document["axes"]
+    document["axes"] = [{**first, "name": f"axis{n}", "node_id": n} for n in range(1, axes + 1)]
+    document["bus"]["rate"] = RATE
+    drive = document["simulation"]["drive"]
+    drive["objects"] = {f"{index:#06x}": value for index, value in drive["objects"].items()}
+    return scene_from_text(yaml.safe_dump(document), str(CONFIG))
+
+
+def cost(axes: int) -> float:
+    """Returns the time of one cycle [s]."""
+    with build(scene_of(axes), "free") as experiment:
+        experiment.rig.start()
+        step = experiment.cycle.step
+        start = perf_counter()
+        for _ in range(CYCLES):
+            step()
+        elapsed = perf_counter() - start
+        experiment.rig.stop()
+    return elapsed / CYCLES
+
+
+def draw(costs: dict[int, float]) -> None:
+    """Draws the time of a cycle over the number of axes, beside the line through the first two."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.0, 3.2), layout="constrained")
+    plot = figure.subplots()
+    axes = list(costs)
+    added = costs[2] - costs[1]
+    plot.plot(axes, [1e6 * value for value in costs.values()], "o-", label="measured")
+    plot.plot(axes, [1e6 * (costs[1] + (n - 1) * added) for n in axes], "--", label="as the second axis")
+    plot.set(xlabel="axes on one bus", ylabel="time of one cycle [us]", xlim=(0, max(axes) + 1), ylim=(0, None))
+    plot.legend()
+    PICTURE.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(PICTURE, dpi=120, metadata={"Software": None})
+
+
+def main() -> None:
+    """Measures, draws and publishes."""
+    measured: dict[int, list[float]] = {axes: [] for axes in AXES}
+
+    def measure(axes: int) -> None:
+        measured[axes].append(cost(axes))
+
+    interleave({str(axes): partial(measure, axes) for axes in AXES}, REPEATS)
+    costs = {axes: min(values) for axes, values in measured.items()}
+    draw(costs)
+    added = {axes: (costs[axes] - costs[1]) / (axes - 1) for axes in AXES[1:]}
+    rows = []
+    for axes in AXES:
+        rate = 1.0 / costs[axes]
+        target, met = (f">= {TARGET_OF_THREE:g}", rate >= TARGET_OF_THREE) if axes == 3 else ("", None)
+        rows.append(Row(f"{axes} axes, best of {REPEATS}", rate, "cycles/s", target=target, met=met))
+    rows += [
+        Row(
+            f"each added axis, of {axes}",
+            1e6 * cost_added,
+            "us",
+            "the second axis",
+            1e6 * added[2],
+            cost_added / added[2],
+            target=f"<= {NEAR_LINEAR:g} times",
+            met=cost_added <= NEAR_LINEAR * added[2],
+        )
+        for axes, cost_added in added.items()
+    ]
+    publish("axes", rows, ["canhaptic", "python-can", "numpy"])
+
+
+if __name__ == "__main__":
+    main()
