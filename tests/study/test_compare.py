@@ -23,7 +23,9 @@ from canhaptic.study.loop import LoopRun
 from canhaptic.study.reference import Reference
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-HARD = sorted((REPOSITORY / "configs" / "hard").glob("*.yaml"))
+HARD = sorted(  # those called sim_* are hard for the plant, not for the wall
+    path for path in (REPOSITORY / "configs" / "hard").glob("*.yaml") if not path.stem.startswith("sim_")
+)
 SCENE = f"""\
 # User S of `reference_loop`, an encoder and a torque fine enough not to matter.
 duration: 1.5 s
