@@ -22,6 +22,7 @@ import canopen
 from canhaptic.dictionary import read_dictionary
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
+from canhaptic.sim.state_machine import DriveState
 from tools.bench.report import Row, interleave, publish
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
@@ -58,6 +59,12 @@ class Flat:
         self.clock = self.experiment.clock
         self.link = self.experiment.rig.links[0]
         self.bus: can.BusABC = self.link._bus  # noqa: SLF001 - the peers take over the connection that the rig brought up
+
+    def check(self) -> None:
+        """Makes sure that the loop did its job: the drive still enabled, and the wall took energy from the user."""
+        [drive] = self.far_side.drives
+        if drive.state is not DriveState.OPERATION_ENABLED or not drive.truth().energy.motor < -0.01:
+            raise SystemExit(f"the loop did not render the wall: {drive.state.name}, {drive.truth()}")
 
     def advance(self) -> None:
         """Moves virtual time on by one sample time."""
@@ -162,6 +169,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             flat = Flat(Path(folder))
             rates["canhaptic"].append(timed(lambda: canhaptic_loop(flat)))
+            flat.check()
             flat.experiment.rig.stop()
             flat.experiment.close()
 
@@ -169,12 +177,14 @@ def main() -> None:
         flat = Flat(None)
         loop = CanopenLoop(flat)
         rates["canopen"].append(timed(loop))
+        flat.check()
         loop.close()
         flat.experiment.close()
 
     def bare() -> None:
         flat = Flat(None)
         rates["bare frames"].append(timed(lambda: bare_loop(flat)))
+        flat.check()
         flat.experiment.close()
 
     interleave({"canhaptic": product, "canopen": by_hand, "bare frames": bare}, REPEATS)
