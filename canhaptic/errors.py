@@ -21,6 +21,7 @@
        |- LinkError (TimeoutError)           3   lost frames, lost heartbeat, bus-off
        |  |- TpdoLostError                   3   too many SYNCs in a row without an answer
        |  |- HeartbeatLostError              3   a drive fell silent
+       |  |- CommandLostError                3   a drive does not act on its RPDO
        |  `- BusFailedError                  3   a frame could not be sent, or none be read
        `- ControlError                       3   the controller raised or produced a non-finite torque
           |- TorqueNotFiniteError            3   the controller's torque is no number
@@ -168,6 +169,10 @@ class TpdoLostError(LinkError):
 
 class HeartbeatLostError(LinkError):
     """A drive's heartbeat stopped."""
+
+
+class CommandLostError(LinkError):
+    """A drive holds an old torque although others were sent."""
 
 
 class BusFailedError(LinkError):

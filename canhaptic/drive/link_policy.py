@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 from canhaptic.errors import (
     BusFailedError,
+    CommandLostError,
     CycleFailedError,
     DriveStateFaultError,
     EmergencyError,
@@ -33,6 +34,7 @@ class StopReason(IntEnum):
     TPDO_LOST = 10
     HEARTBEAT_LOST = 11
     SEND_FAILED = 12
+    COMMAND_LOST = 13
     EMERGENCY = 20
     DRIVE_FAULT = 21
     STATE_LEFT = 22
@@ -74,6 +76,11 @@ STOP_TABLE: Final[dict[StopReason, StopRule]] = {
         "a frame could not be sent, or none be read",
         BusFailedError,
         "check the cable, the bit rate and the length of the interface's queue",
+    ),
+    StopReason.COMMAND_LOST: StopRule(
+        "the drive holds an old torque, its RPDOs are lost",
+        CommandLostError,
+        "check the cable, the COB-ID of the RPDO and what else loads the bus",
     ),
     StopReason.EMERGENCY: StopRule(
         "the drive sent an EMCY", EmergencyError, "look the code up in the drive's manual and remove its cause"

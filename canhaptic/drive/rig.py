@@ -197,6 +197,7 @@ class Rig:
     def _describe(self, drive: ServoDrive, reason: StopReason) -> str:
         details = {
             StopReason.TPDO_LOST: f"{drive.policy.missed} SYNCs in a row, limit {self.bus.stop_cycles}",
+            StopReason.COMMAND_LOST: f"{self.bus.stop_cycles} SYNCs in a row",
             StopReason.HEARTBEAT_LOST: f"silent for more than {self.bus.drive_silence_ns / 1e6:g} ms",
             StopReason.EMERGENCY: str(drive.emergency),
             StopReason.POSITION_JUMP: f"limit {drive.axis.speed_limit} {drive.axis.unit}/s",

@@ -23,6 +23,7 @@ _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, o
 _IN_ORDER: Final = (0, 1, 2)
 _NMT_STATE: Final = 0x7F  # bit 7 of a heartbeat is reserved
 _OPERATIONAL: Final = int(od.NmtState.OPERATIONAL)
+_LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
 
 
 class Emergency(NamedTuple):
@@ -82,6 +83,7 @@ class ServoDrive:
         self._statistics = link.statistics
         self._clock = link.clock
         self._is_synchronous = bus.rpdo == "synchronous"
+        self._reads_demand = self.map.read_back == "demand"
         self._rpdo_cob_id = self.map.rpdo.cob_id
         self._pack = self._packer(self.map.rpdo)
         self._silence = bus.drive_silence_ns
@@ -106,6 +108,8 @@ class ServoDrive:
         self._commanded = 0  # per mille: sent last
         self._acting = 0  # per mille: believed to act now, with a synchronous RPDO
         self._reported = 0  # per mille: of the TPDO before
+        self._held_before = 0  # per mille: read back for the hold before
+        self._unheeded = 0  # holds in a row in which an old torque stood although another was sent
         self._held = 0.0  # torque when the first TPDO went missing [N*m or N]
         self._step = 0.0  # mean displacement per sample time since the last TPDO [rad or m]
         self._periods = 0  # sample times since the last TPDO
@@ -165,12 +169,17 @@ class ServoDrive:
 
     def _applied_per_mille(self, reported: int) -> int:
         """Returns the torque of the hold that ended: read back, or believed where nothing is read back."""
+        believed = self._acting if self._is_synchronous else self._commanded
+        self._acting = self._commanded
         if self.map.read_back == "none":
-            held = self._acting if self._is_synchronous else self._commanded
-            self._acting = self._commanded
-            return held
+            return believed
         if self.axis.demand_reported == "after":
             reported, self._reported = self._reported, reported
+        if reported == believed or reported != self._held_before or self._values[0] & _LIMITED:
+            self._unheeded = 0
+        elif self._reads_demand:  # a torque that is measured may differ for ever
+            self._unheeded += 1
+        self._held_before = reported
         return reported
 
     def fault(self, now: int) -> StopReason:
@@ -187,6 +196,8 @@ class ServoDrive:
             return StopReason.POSITION_JUMP
         if self.policy.missed >= self.bus.stop_cycles:
             return StopReason.TPDO_LOST
+        if self._unheeded >= self.bus.stop_cycles:
+            return StopReason.COMMAND_LOST
         return StopReason.NONE
 
     def _state_fault(self) -> StopReason:

@@ -9,7 +9,7 @@ import pytest
 from drive_bench import Bench, axis
 
 from canhaptic.drive.link_policy import StopReason
-from canhaptic.errors import DriveFaultError, LinkError
+from canhaptic.errors import CommandLostError, DriveFaultError, LinkError
 from canhaptic.sim.state_machine import DriveState
 
 MakeBench = Callable[..., Bench]
@@ -290,3 +290,29 @@ def test_a_lost_tpdo_never_raises_a_torque_above_what_is_asked_now(bench: MakeBe
         b.rig.sync()
         b.rig.write_torques([torque])
     assert b.torques_sent()[-4:] == [200, 200, 100, 0]
+
+
+def test_a_drive_that_never_hears_its_rpdo_stops_the_rig_before_its_old_torque_does_harm(bench: MakeBench) -> None:
+    b = started(bench, bus={"stop_cycles": 8})
+    b.run(5, torque=4.0)
+    b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 and message.data[2] else message
+    with pytest.raises(CommandLostError, match=r"old torque.*8 SYNCs in a row.*COMMAND_LOST"):
+        b.run(12, torque=1.0)
+    assert b.drives[0].torque == 0.0
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_a_torque_that_the_drive_itself_limits_is_no_lost_command(bench: MakeBench) -> None:
+    b = started(bench, bus={"stop_cycles": 8}, drive_values={"torque_limit": 3.0})
+    samples = b.run(40, torque=6.0)
+    assert samples[-1].torque_applied == pytest.approx(3.0)
+
+
+def test_a_few_lost_rpdos_are_no_lost_command(bench: MakeBench) -> None:
+    b = started(bench, bus={"stop_cycles": 8})
+    b.run(5, torque=4.0)
+    sent = itertools.count()
+    b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 and next(sent) % 6 else message
+    for cycle in range(60):
+        b.run(1, torque=4.0 + 0.01 * (cycle % 7))
+    assert b.rig.is_running

@@ -4,6 +4,7 @@ from types import ModuleType
 
 from canhaptic.errors import (
     BusFailedError,
+    CommandLostError,
     CycleFailedError,
     DriveStateFaultError,
     EmergencyError,
@@ -21,6 +22,7 @@ REASONS = {  # the numbers are in logs that exist
     "TPDO_LOST": 10,
     "HEARTBEAT_LOST": 11,
     "SEND_FAILED": 12,
+    "COMMAND_LOST": 13,
     "EMERGENCY": 20,
     "DRIVE_FAULT": 21,
     "STATE_LEFT": 22,
@@ -33,6 +35,7 @@ RAISED = {
     "TPDO_LOST": TpdoLostError,
     "HEARTBEAT_LOST": HeartbeatLostError,
     "SEND_FAILED": BusFailedError,
+    "COMMAND_LOST": CommandLostError,
     "EMERGENCY": EmergencyError,
     "DRIVE_FAULT": DriveStateFaultError,
     "STATE_LEFT": StateLeftError,
