@@ -1,0 +1,231 @@
+"""Which faults does a run survive, and what is left of the torque and of the account where it does not?
+
+The demo, in contact, in lock-step; each fault begins 0.5 s after the first SYNC. Columns: why the rig stopped, what the
+drive ended in, the sample times from the fault until its torque was zero for good, the least energy that the wall had
+truly taken in (below zero it has given some out), the most by which the account ever exceeded the energy that truly
+came in, beside the bound of what the encoder can hide (half a count times the variation of the torque), and the records
+that the exception carries. `-`: the run went on to its end. Met: torque never beyond its limit and zero at the end,
+drive disabled, and both energies within the bound.
+"""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from rich.console import Console
+from rich.table import Table
+
+from canhaptic.cycle import Cycle, run
+from canhaptic.errors import RigError
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.drive_node import SimulatedDrive
+from canhaptic.sim.state_machine import DriveState
+from tools.bench.cycle import CONFIG
+from tools.bench.report import RESULTS, machine, versions
+
+BEGIN, CYCLES = 500, 1_500
+PERIOD = 1_000_000  # [ns]
+LIMIT = 20.0  # [N]
+COUNT = 1e-6  # [m]
+SCENE = (
+    "environment.position=0",
+    "environment.side=above",  # the hand is in the wall for the first second
+    "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N, lost_frames: 4}",
+)
+FROM_BEGIN = "during: [{begin: 0.5 s, duration: 1000 s}]"
+ON_THE_BUS = {
+    "1 % of frames lost": f"drop: 0.01, {FROM_BEGIN}",
+    "10 % of frames lost, three in a row": f"drop: 0.1, drop_burst: 3, {FROM_BEGIN}",
+    "5 % of frames twice": f"duplicate: 0.05, {FROM_BEGIN}",
+    "2 % of TPDOs and RPDOs overtaken": f"reorder: 0.02, ids: [0x181, 0x201], {FROM_BEGIN}",
+    "2 % of TPDOs cut short": f"truncate: 0.02, ids: [0x181], {FROM_BEGIN}",
+    "jitter of 0.3 ms": f"jitter: 0.3 ms, {FROM_BEGIN}",
+    "2000 foreign frames a second": f"foreign_rate: 2000, {FROM_BEGIN}",
+    "every TPDO lost": f"drop: 1, ids: [0x181], {FROM_BEGIN}",
+    "every RPDO lost": f"drop: 1, ids: [0x201], {FROM_BEGIN}",
+    "every SYNC lost": f"drop: 1, ids: [0x080], {FROM_BEGIN}",
+    "the drive's heartbeat lost": f"drop: 1, ids: [0x701], {FROM_BEGIN}",
+    "the master's heartbeat lost": f"drop: 1, ids: [0x77E], {FROM_BEGIN}",
+    "bus frozen for 10 ms": "freeze: [{begin: 0.5 s, duration: 10 ms}]",
+    "bus frozen for 200 ms": "freeze: [{begin: 0.5 s, duration: 200 ms}]",
+    "host stalled for 50 ms": "stall: [{begin: 0.5 s, duration: 50 ms}]",
+    "host stalled for 500 ms": "stall: [{begin: 0.5 s, duration: 500 ms}]",
+    "bus-off for 50 ms": "bus_off: [{begin: 0.5 s, duration: 50 ms}]",
+    "bus-off for good": "bus_off: [{begin: 0.5 s, duration: 1000 s}]",
+}
+
+
+def _fault(experiment: Experiment) -> None:
+    _drive(experiment).inject_fault(0x2310)
+
+
+def _command(*data: int) -> Callable[[Experiment], None]:
+    def send(experiment: Experiment) -> None:
+        experiment.rig.links[0].send(0x000, bytes(data))
+
+    return send
+
+
+def _switch_off(experiment: Experiment) -> None:
+    experiment.rig.links[0].send(0x601, bytes([0x2B, 0x40, 0x60, 0x00, 0x06, 0, 0, 0]))
+
+
+def _break_controller(experiment: Experiment) -> None:
+    [controller] = experiment.cycle.controllers
+    experiment.cycle.controllers = (_NotANumber(controller),)  # type: ignore[assignment]
+
+
+class _NotANumber:
+    def __init__(self, inner: object) -> None:
+        self._step = inner.step  # type: ignore[attr-defined]
+
+    def step(self, position: float, torque_applied: float) -> object:
+        """Returns a balance whose torque is no number."""
+        return self._step(position, torque_applied)._replace(torque=math.nan)
+
+
+AT_THE_DRIVE = {
+    "the drive faults (over-current)": _fault,
+    "another master: NMT stop": _command(0x02, 1),
+    "another master: NMT reset node": _command(0x81, 1),
+    "another master: shutdown by SDO": _switch_off,
+    "the controller's torque is not a number": _break_controller,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One fault; energies in [J]."""
+
+    row: str
+    ended: str  # reason of the stop
+    drive: str  # state of the drive at the end
+    cycles_to_zero: int | None  # None: the run went on
+    least: float
+    overbelieved: float
+    bound: float
+    records: int
+    met: bool
+
+
+class Watch:
+    """Looks at every cycle: when the torque fell to zero, whether it was within its limit, what the account says."""
+
+    def __init__(self, experiment: Experiment, trigger: Callable[[Experiment], None] | None) -> None:
+        self._experiment, self._trigger = experiment, trigger
+        self._last = self.variation = self.overbelieved = 0.0
+        self.within_limit = True
+        self._drive = _drive(experiment)
+        self._first_sync: int | None = None
+        self._zero_since: int | None = None
+        self._triggered: int | None = None
+        link = experiment.rig.links[0]
+        link._recorder = self.hear  # noqa: SLF001 - the only one who sees every frame, those of the stop too
+
+    def hear(self, timestamp: int, can_id: int, _data: bytes | bytearray, _is_rx: bool) -> None:
+        """Called for every frame of the master: notes since when the torque is zero."""
+        if can_id == 0x080 and self._first_sync is None:
+            self._first_sync = timestamp
+        if self._drive.torque:
+            self._zero_since = None
+        elif self._zero_since is None:
+            self._zero_since = timestamp
+
+    def cycles_to_zero(self) -> int:
+        """Returns the sample times from the fault until the torque was zero; where nothing was heard, at most."""
+        assert self._first_sync is not None
+        zero_since = self._experiment.clock.now() if self._zero_since is None else self._zero_since
+        fault = self._first_sync + BEGIN * PERIOD if self._triggered is None else self._triggered
+        return -(-(zero_since - fault) // PERIOD)
+
+    def look(self, cycles: int) -> None:
+        """Called once per cycle."""
+        cycle, drive = self._experiment.cycle, self._drive
+        self.within_limit &= abs(drive.torque) <= LIMIT
+        self.variation += abs(drive.torque - self._last)
+        self._last = drive.torque
+        self.overbelieved = max(self.overbelieved, self._excess(cycle))
+        if cycles == BEGIN and self._trigger is not None:
+            self._triggered = self._experiment.clock.now()
+            self._trigger(self._experiment)
+
+    @staticmethod
+    def _excess(cycle: Cycle) -> float:
+        """Returns how much more the account says than came in; only where a position has just closed it."""
+        if cycle.judge is None or not cycle.rig.records[-1].samples[0].fresh:
+            return 0.0
+        return cycle.ledgers[0].interaction - cycle.judge.interaction[0]
+
+
+def _drive(experiment: Experiment) -> SimulatedDrive:
+    assert experiment.far_side is not None
+    [drive] = experiment.far_side.drives
+    return drive
+
+
+def outcome(name: str, effects: str | None, trigger: Callable[[Experiment], None] | None) -> Outcome:
+    """Runs the demo into one fault."""
+    overrides = [*SCENE, *([f"simulation.bus={{{effects}}}"] if effects else [])]
+    with build(load_scene(CONFIG, overrides), "free") as experiment:
+        watch, records, zero = Watch(experiment, trigger), 0, None
+        rig = experiment.rig
+        try:
+            run(experiment.cycle, CYCLES, progress=watch.look)
+        except RigError as error:
+            records = len(error.records)
+            zero = watch.cycles_to_zero()
+        drive = _drive(experiment)
+        judge = experiment.cycle.judge
+        assert judge is not None
+        least, bound = judge.least[0], 0.5 * COUNT * watch.variation
+        met = (
+            watch.within_limit
+            and drive.torque == 0.0
+            and drive.state is not DriveState.OPERATION_ENABLED
+            and watch.overbelieved <= bound
+            and least >= -bound
+            and (zero is None or records > 0)
+        )
+        state = drive.state.name.replace("_", " ")
+        return Outcome(name, rig.stop_reason.name, state, zero, least, watch.overbelieved, bound, records, met)
+
+
+def publish_outcomes(outcomes: list[Outcome]) -> None:
+    """Prints the table and writes docs/results/faults.json."""
+    table = Table(title="faults")
+    for heading in (
+        "fault",
+        "ended by",
+        "drive",
+        "cycles to zero",
+        "least taken in",
+        "over-believed",
+        "bound",
+        "records",
+        "met",
+    ):
+        table.add_column(heading)
+    for one in outcomes:
+        zero = "-" if one.cycles_to_zero is None else str(one.cycles_to_zero)
+        energies = (f"{one.least:.2g} J", f"{one.overbelieved:.2g} J", f"{one.bound:.2g} J")
+        table.add_row(
+            one.row, one.ended, one.drive, zero, *energies, str(one.records or "-"), "yes" if one.met else "MISSED"
+        )
+    Console(width=160).print(table)
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    packages = versions(["canhaptic", "python-can"])
+    document = {"machine": machine(), "versions": packages, "rows": [asdict(one) for one in outcomes]}
+    (RESULTS / "faults.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def main() -> None:
+    """Runs into every fault and publishes the table."""
+    outcomes = [outcome(name, effects, None) for name, effects in ON_THE_BUS.items()]
+    outcomes += [outcome(name, None, trigger) for name, trigger in AT_THE_DRIVE.items()]
+    publish_outcomes(outcomes)
+
+
+if __name__ == "__main__":
+    main()
