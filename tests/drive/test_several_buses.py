@@ -9,23 +9,29 @@ from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive
-from canhaptic.errors import LinkError
+from canhaptic.errors import BusBudgetError, LinkError
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.state_machine import DriveState
 
 
-class TwoBuses:
-    """Four axes that do not fit one bus at 1 kHz, two and two; the same node IDs on both."""
+class Buses:
+    """Axes side by side, the same node IDs on every bus; by default four that do not fit one bus at 1 kHz, two and two.
 
-    def __init__(self) -> None:
-        parameters = BusParameters(rate=1000.0)
-        axes = [axis(node_id, name=f"{side}{node_id}") for side in "ab" for node_id in (5, 6)]
-        channels = [private_channel(), private_channel()]
+    Args:
+        count: Of buses.
+        per_bus: Axes on each.
+        rate: Of SYNC [Hz].
+    """
+
+    def __init__(self, count: int = 2, per_bus: int = 2, rate: float = 1000.0) -> None:
+        parameters = BusParameters(rate=rate)
+        axes = [axis(node, name=f"{side}{node}") for side in "abc"[:count] for node in range(5, 5 + per_bus)]
+        channels = [private_channel() for _ in range(count)]
         self.buses: list[can.BusABC] = []
         self.simulated = [
             SimulatedDrive(
-                self.connect(channels[number // 2]),
+                self.connect(channels[number // per_bus]),
                 a.node_id,
                 dictionary(a),
                 FreeMass(),
@@ -36,7 +42,9 @@ class TwoBuses:
         ]
         self.clock = VirtualClock(self.simulated)
         self.links = [Link(self.connect(channel), self.clock) for channel in channels]
-        drives = [ServoDrive(self.links[number // 2], a, dictionary(a), parameters) for number, a in enumerate(axes)]
+        drives = [
+            ServoDrive(self.links[number // per_bus], a, dictionary(a), parameters) for number, a in enumerate(axes)
+        ]
         self.rig = Rig(self.links, drives, parameters)
 
     def connect(self, channel: str) -> can.BusABC:
@@ -49,7 +57,7 @@ class TwoBuses:
 
 
 def test_two_buses_share_one_sync_index_and_stop_together() -> None:
-    two = TwoBuses()
+    two = Buses()
     two.rig.start()
     for _ in range(10):
         samples = two.rig.sync()
@@ -63,7 +71,7 @@ def test_two_buses_share_one_sync_index_and_stop_together() -> None:
 
 
 def test_one_bus_that_dies_stops_the_drives_of_the_other() -> None:
-    two = TwoBuses()
+    two = Buses()
     two.rig.start()
     for _ in range(5):
         two.rig.sync()
@@ -78,3 +86,35 @@ def test_one_bus_that_dies_stops_the_drives_of_the_other() -> None:
     assert [drive.state for drive in two.simulated[:2]] == [DriveState.SWITCH_ON_DISABLED] * 2
     assert [drive.torque for drive in two.simulated[:2]] == [0.0, 0.0]
     two.close()
+
+
+@pytest.mark.parametrize(
+    ("count", "per_bus", "rate"),
+    [(1, 1, 1000.0), (1, 2, 1000.0), (1, 3, 500.0), (1, 6, 400.0), (2, 3, 500.0), (3, 2, 1000.0)],
+)
+def test_each_axis_pairs_its_own_torque_and_displacement_by_one_sync_index(
+    count: int, per_bus: int, rate: float
+) -> None:
+    rig_of = Buses(count, per_bus, rate)
+    rig_of.rig.start()
+    axes = count * per_bus
+    torques = [0.5 * (number + 1) for number in range(axes)]
+    work, last = [0.0] * axes, rig_of.rig.sync()
+    for cycle in range(1, 30):
+        rig_of.rig.write_torques([torque * (-1) ** (cycle // 5) for torque in torques])
+        samples = rig_of.rig.sync()
+        assert [sample.sync_index for sample in samples] == [cycle] * axes
+        for number, (sample, before) in enumerate(zip(samples, last, strict=True)):
+            work[number] += sample.torque_applied * (sample.position - before.position)
+        last = samples
+    for number, drive in enumerate(rig_of.simulated):
+        kinetic = 0.5 * drive.servo.motor.velocity**2  # of a free mass of 1 kg
+        assert work[number] == pytest.approx(kinetic, abs=30 * torques[-1] * 1e-5)  # one count in each cycle
+    rig_of.rig.stop()
+    assert {drive.state for drive in rig_of.simulated} == {DriveState.SWITCH_ON_DISABLED}
+    rig_of.close()
+
+
+def test_six_axes_do_not_fit_one_bus_at_1_khz() -> None:
+    with pytest.raises(BusBudgetError, match=r"2180 us of 1000 us.*rate: 400"):
+        Buses(1, 6)
