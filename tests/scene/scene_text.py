@@ -2,6 +2,13 @@
 
 from pathlib import Path
 
+import pytest
+
+from canhaptic.errors import SceneError
+from canhaptic.scene.load import load_scene
+
+Replacement = tuple[str, str]
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHIPPED_EDS = REPOSITORY / "eds" / "cia402_servo.eds"
 
@@ -46,3 +53,11 @@ def scene_file(folder: Path, *replacements: tuple[str, str]) -> Path:
     path = folder / "scene.yaml"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def faults(folder: Path, *replacements: Replacement, overrides: tuple[str, ...] = ()) -> list[str]:
+    """Returns the faults with the folder cut off: `scene.yaml:line:column: ...`."""
+    path = scene_file(folder, *replacements)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, overrides)
+    return [line.replace(f"{folder}/", "") for line in caught.value.faults]
