@@ -172,7 +172,8 @@ class RigUnderStress(RuleBasedStateMachine):
         if self.rig.records[-1].samples[0].fresh:
             believed, true = self.cycle.ledgers[0].interaction, self.work_before - self.mass.work
             assert believed <= true + ROUNDING, "more was booked than came in"
-            assert believed >= -ROUNDING, "more was given out than came in"
+            # after a lost sample the booked energy is a worst case and may fall below what came in; the true one not
+            assert true >= -ROUNDING, "more was given out than came in"
 
     @precondition(lambda self: not self.is_running)
     @rule(milliseconds=st.integers(1, 200))
