@@ -40,7 +40,7 @@ format: $(VENV)/.installed-dev
 
 # make bench            every question;  make bench Q=cycle   one
 # The question `simulation` has peers; one that cannot be installed is a row "peer absent".
-bench: $(VENV)/.installed-dev
+bench: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 	$(if $(filter-out simulation,$(Q)),,-$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench,fast]")
 	$(BIN)/python tools/bench/run.py $(Q)
 
