@@ -5,9 +5,9 @@ import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
+from canhaptic.cli.arguments import add_json, add_scene, check_picture, scene_of, seconds
 from canhaptic.cli.output import failure, write_failure, write_json, write_note
 from canhaptic.cli.progress import RunProgress
 from canhaptic.cli.stop_signal import StopSignal
@@ -17,8 +17,6 @@ from canhaptic.errors import CanHapticError, InputError
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.method import method_line
-
-_PICTURES: Final = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +40,7 @@ def execute(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         energy_log = arguments.log or scene.log.energy
         if arguments.png is not None:
-            _check_picture(arguments.png)
+            check_picture(arguments.png)
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         stop = stack.enter_context(StopSignal())
@@ -107,13 +105,6 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
         result["bus_effects"] = experiment.faulty_bus.totals()
     result["logs"] = {"dropped": sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log)}
     return result
-
-
-def _check_picture(path: Path) -> None:
-    if path.suffix not in _PICTURES:
-        raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
 
 
 def _draw(log: Path, path: Path) -> None:
