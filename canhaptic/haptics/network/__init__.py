@@ -1,0 +1,66 @@
+"""Port-Hamiltonian networks on several motor axes: the tables that name them, and the controller of a group of axes."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from canhaptic.errors import ParameterError
+from canhaptic.haptics.kinematics.protocol import Kinematics
+from canhaptic.haptics.network.protocol import GroupController, NetworkEnvironment
+from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.parameters import Parameters
+from canhaptic.tables import load
+
+_HERE: Final = "canhaptic.haptics.network"
+
+NETWORKS: Final[dict[str, str]] = {
+    "plane": f"{_HERE}.plane:Plane",
+    "box": f"{_HERE}.box:Box",
+    "sphere": f"{_HERE}.sphere:Sphere",
+    "tube": f"{_HERE}.tube:Tube",
+    "anisotropic_spring": f"{_HERE}.anisotropic_spring:AnisotropicSpring",
+    "moving_wall": f"{_HERE}.moving_wall:MovingWall",
+    "virtual_mass": f"{_HERE}.virtual_mass:VirtualMass",
+    "mass_on_spring": f"{_HERE}.virtual_mass:MassOnSpring",
+    "coupled_handles": f"{_HERE}.coupled_handles:CoupledHandles",
+    "guided_path": f"{_HERE}.guided_path:GuidedPath",
+    "general": f"{_HERE}.general:General",
+}
+"""Name in a scene -> "module:Class"; the class is the parameter model of the section (`NetworkEnvironment`)."""
+
+GROUP_ALGORITHMS: Final[dict[str, str]] = {
+    "guarded": f"{_HERE}.guarded_group:GuardedGroup",
+    "step_scaling": f"{_HERE}.scaled_group:ScaledGroup",
+}
+"""Name in a scene -> "module:Class". Every class has `parameters_type`, as those of `passivity.ALGORITHMS`."""
+
+
+def build_group_controller(
+    environment: NetworkEnvironment,
+    kinematics: Kinematics,
+    algorithm_name: str,
+    parameters: Parameters | None,
+    loops: Sequence[LoopProperties],
+) -> GroupController:
+    """Returns a controller of a group of axes, at rest and without stored energy.
+
+    Args:
+        environment: What is rendered; a class of `NETWORKS`, or anything with `build`.
+        kinematics: Between the motor axes and its task space.
+        algorithm_name: A name of `GROUP_ALGORITHMS`.
+        parameters: The algorithm's own `parameters_type`; None for its defaults.
+        loops: What is known of the loop of each motor axis; sample time and delay are the same for all.
+
+    Raises:
+        ParameterError: Unknown name, parameters of another algorithm, dimensions that do not fit together, loops that
+            differ in sample time or delay, or a value that the algorithm cannot do without.
+    """
+    algorithm = load(GROUP_ALGORITHMS, algorithm_name, "group algorithm")
+    if parameters is None:
+        parameters = algorithm.parameters_type()
+    if not isinstance(parameters, algorithm.parameters_type):
+        raise ParameterError(
+            f"group algorithm {algorithm_name!r}: got parameters {type(parameters).__name__}, "
+            f"expected {algorithm.parameters_type.__name__}"
+        )
+    controller: GroupController = algorithm(environment, kinematics, parameters, tuple(loops))
+    return controller
