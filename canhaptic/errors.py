@@ -4,6 +4,7 @@
     |- InputError (ValueError)               2   bad input, found before any torque
     |  |- ParameterError                     2   a value outside its physical range
     |  |- SceneError                         2   a scene file; lists every fault at once
+    |  |  `- SceneConflictError              2   parts that are right on their own and do not go together
     |  |- DictionaryError                    2   an EDS or DCF file
     |  |- BusBudgetError                     2   the frames of one cycle do not fit the bus
     |  `- LogFormatError                     2   an energy log or bus log that cannot be read
@@ -63,6 +64,10 @@ class SceneError(InputError):
     def __init__(self, faults: Sequence[str]) -> None:
         self.faults = tuple(faults)
         super().__init__("\n".join(self.faults))
+
+
+class SceneConflictError(SceneError):
+    """A scene whose values are right on their own and do not go together: a rate that its bus cannot carry."""
 
 
 class DictionaryError(InputError):

@@ -41,7 +41,7 @@ class Faults:
         )
         self._lines.setdefault(line, (mark.line, mark.column))
 
-    def raise_if_any(self) -> None:
+    def raise_if_any(self, kind: type[SceneError] = SceneError) -> None:
         """Raises SceneError with every fault noted so far, in the order of the file; overrides come first."""
         if self._lines:
-            raise SceneError(sorted(self._lines, key=lambda line: self._lines[line]))
+            raise kind(sorted(self._lines, key=lambda line: self._lines[line]))

@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from canhaptic.drive.parameters import BusParameters
-from canhaptic.errors import SceneError
+from canhaptic.errors import SceneConflictError, SceneError
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.scene.axes import SIMULATION_PARTS, read_axis
+from canhaptic.scene.buses import BusSections, bus_of_axis, check_every_bus_has_an_axis, read_buses
 from canhaptic.scene.checks import cross_check
 from canhaptic.scene.document import MarkedList, MarkedMapping, mark_plain, parse_yaml
 from canhaptic.scene.faults import Faults, Mark
@@ -101,7 +101,7 @@ def _read(document: Any, source: str, text: str, overrides: Sequence[str], fault
     if scene is None:
         raise SceneError([f"{source}: incomplete"])
     cross_check(scene, sections, faults)
-    faults.raise_if_any()
+    faults.raise_if_any(SceneConflictError)
     return scene
 
 
@@ -113,14 +113,15 @@ def _sections(
     log = read_section(LogParameters, log_section, faults) if log_section is not None else LogParameters()
     simulation = _simulation(sections, faults)
     bus_effects = _bus_effects(sections, faults)
-    bus_section = _section(sections, "bus", faults, needed=True)
-    bus = read_section(BusParameters, bus_section, faults) if bus_section is not None else None
+    buses = read_buses(sections, faults)
     accuracy = _accuracy(sections, faults)
-    axes = _axes(sections, bus, simulation.seed if simulation else 0, faults)
-    if run is None or log is None or bus is None or accuracy is None or not axes:
+    axes = _axes(sections, buses, simulation.seed if simulation else 0, faults)
+    if run is None or log is None or buses is None or accuracy is None or not axes:
         return None
     axes = tuple(_solved(axis, accuracy, simulation is not None and simulation.compiled) for axis in axes)
-    return Scene(source, text, overrides, bus, axes, log, run, simulation, bus_effects)
+    return Scene(
+        source, text, overrides, buses.first, axes, log, run, simulation, bus_effects, buses.name, buses.further
+    )
 
 
 def _only(sections: MarkedMapping, model: type[RunParameters]) -> MarkedMapping:
@@ -128,10 +129,10 @@ def _only(sections: MarkedMapping, model: type[RunParameters]) -> MarkedMapping:
     return sections.without(*(key for key in sections if key not in model.model_fields))
 
 
-def _section(sections: MarkedMapping, name: str, faults: Faults, needed: bool = False) -> MarkedMapping | None:
-    """Returns a section; None when it is absent (a fault if it is needed) or no mapping (a fault)."""
+def _section(sections: MarkedMapping, name: str, faults: Faults) -> MarkedMapping | None:
+    """Returns a section; None when it is absent or no mapping (a fault)."""
     value = sections.get(name)
-    if value is None and not needed:
+    if value is None:
         return None
     return read_mapping(value, sections.value_at(name), faults, "keys and values")
 
@@ -177,18 +178,23 @@ def _bus_effects(sections: MarkedMapping, faults: Faults) -> "BusEffects | None"
     return None if section is None else read_section(BusEffects, section, faults)
 
 
-def _axes(sections: MarkedMapping, bus: BusParameters | None, seed: int, faults: Faults) -> tuple[AxisScene, ...]:
+def _axes(sections: MarkedMapping, buses: BusSections | None, seed: int, faults: Faults) -> tuple[AxisScene, ...]:
     at = sections.value_at("axes")
     entries = read_list(sections.get("axes"), at, faults, "axes, each with name, node_id, eds, ...")
     if entries is None:
         return ()
     if not entries:
         faults.add(at, "got an empty list, expected at least one axis")
-    axes = []
+    axes: list[AxisScene | None] = []
+    used: list[str] = []
     for index, (entry, entry_at) in enumerate(entries.items_at()):
         section = read_mapping(entry, entry_at, faults, "name, node_id, eds, ...")
         if section is not None:
-            axes.append(read_axis(section, sections, bus, seed + index, faults))
+            used.append("" if buses is None else bus_of_axis(section, buses.names, faults))
+            axis = read_axis(section, sections, buses and buses.first, seed + index, faults)
+            axes.append(axis and replace(axis, bus=used[-1]))
+    if buses is not None and entries:
+        check_every_bus_has_an_axis(buses.names, used, sections, faults)
     _check_axis_names(sections, entries, faults)
     return tuple(axis for axis in axes if axis is not None)
 
