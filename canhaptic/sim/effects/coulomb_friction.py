@@ -17,19 +17,21 @@ from canhaptic.sim.assembly import MOTOR, Guard, Rows, Scene
 
 
 class StickSlip:
-    """The part: dry friction on the motor's body with a level for sliding and one for breaking away.
+    """The part: dry friction on a body, the motor's by default, with a level for sliding and one for breaking away.
 
     Args:
         name: Of the part and of the work it books.
         kinetic: Friction while sliding [N or N*m].
         static: Force at which it breaks away [N or N*m].
         velocity: At the start, for the first mode.
+        body: Index of the body.
     """
 
     has_guards = True
 
-    def __init__(self, name: str, kinetic: float, static: float, velocity: float) -> None:
+    def __init__(self, name: str, kinetic: float, static: float, velocity: float, body: int = MOTOR) -> None:
         self.name = name
+        self._body = body
         self._kinetic, self._static = kinetic, static
         first = "stuck" if velocity == 0.0 else "forward" if velocity > 0.0 else "backward"
         self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
@@ -38,21 +40,21 @@ class StickSlip:
         """Adds the friction of a sliding mode."""
         if mode != "stuck":
             friction = rows.row(one=self._kinetic if mode == "forward" else -self._kinetic)
-            rows.forces[MOTOR] -= friction
-            rows.add_power(self.name, friction, rows.velocity(MOTOR))
+            rows.forces[self._body] -= friction
+            rows.add_power(self.name, friction, rows.velocity(self._body))
 
     def constrain(self, rows: Rows, mode: str) -> None:
         """Holds the body when it is stuck."""
         if mode == "stuck":
-            rows.hold_still(MOTOR)
+            rows.hold_still(self._body)
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
         """Returns breakaway when stuck, sticking when the velocity reverses."""
-        velocity = rows.velocity(MOTOR)
+        velocity = rows.velocity(self._body)
         if mode == "stuck":
-            force, static = rows.forces[MOTOR], rows.row(one=self._static)
+            force, static = rows.forces[self._body], rows.row(one=self._static)
             return Guard(static - force, "forward"), Guard(static + force, "backward")
-        stop = ((rows.index[rows.scene.bodies[MOTOR].velocity], np.zeros(rows.size)),)
+        stop = ((rows.index[rows.scene.bodies[self._body].velocity], np.zeros(rows.size)),)
         return (Guard(velocity if mode == "forward" else -velocity, "stuck", stop),)
 
 
