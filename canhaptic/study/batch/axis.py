@@ -1,0 +1,83 @@
+"""One axis between its encoder and its torque, with a meter: what happens at every SYNC, for one axis and floats.
+
+The order and the rounding are those of `canhaptic.sim.direct_rig.DirectRig` and `canhaptic.study.loop.render`. The
+batch form is made from this source.
+"""
+
+from canhaptic.haptics.balance import EnergyBalance
+from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.haptics.passivity.protocol import Controller
+from canhaptic.study.batch.meter import Meter
+
+
+class SampledAxis:
+    """Encoder, controller, limit, quantum and delay of one axis.
+
+    Args:
+        controller: At rest.
+        environment: That it renders.
+        delay: Whole holds between computing a torque and its hold, 0 or 1.
+        counts_per_unit: Of the encoder; None for an ideal one.
+        torque_quantum: Step of the command; None for an ideal one [N or N*m].
+        torque_limit: Of the drive; None for none [N or N*m].
+        furthest: Distance from the origin that counts as divergence [m or rad].
+
+    Attributes:
+        meter: The figures so far.
+        held: Torque to hold until the next SYNC [N or N*m].
+        out: Whether the axis diverged; its figures are then no longer to be trusted.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        environment: Environment,
+        *,
+        delay: int,
+        counts_per_unit: float | None,
+        torque_quantum: float | None,
+        torque_limit: float | None,
+        furthest: float,
+    ) -> None:
+        self._controller = controller
+        self._delay, self._furthest = delay, furthest
+        self._counts_per_unit, self._torque_quantum, self._torque_limit = counts_per_unit, torque_quantum, torque_limit
+        self.meter = Meter(environment)
+        self.held = self._waiting = self._interaction = self._true_before = 0.0
+        self.out = False
+
+    def sync(self, true_position: float) -> None:
+        """Takes a SYNC of a plant on which nothing but the torque held acts on the motor's side of the port."""
+        self._interaction -= self.held * (true_position - self._true_before)
+        self._true_before = true_position
+        self.sync_with(true_position, true_position, self._interaction)
+
+    def sync_with(self, encoder_position: float, true_position: float, interaction: float) -> None:
+        """Takes a SYNC.
+
+        Args:
+            encoder_position: Before its counts [m or rad].
+            true_position: [m or rad].
+            interaction: True energy that came in since the start [J].
+        """
+        position, held = self._measured(encoder_position), self.held
+        balance = self._controller.step(position, held)
+        self.meter.take(position, true_position, held, interaction, balance)
+        self.out = not -self._furthest < true_position < self._furthest
+        command = self._command(balance)
+        if self._delay:
+            self.held, self._waiting = self._waiting, command
+        else:
+            self.held = command
+
+    def _measured(self, position: float) -> float:
+        counts_per_unit = self._counts_per_unit
+        if counts_per_unit is None:
+            return position
+        return round(position * counts_per_unit) * (1.0 / counts_per_unit)
+
+    def _command(self, balance: EnergyBalance) -> float:
+        torque, limit, quantum = balance.torque, self._torque_limit, self._torque_quantum
+        if limit is not None and abs(torque) > limit:
+            torque = limit if torque > 0.0 else -limit
+        return torque if quantum is None else round(torque / quantum) * quantum
