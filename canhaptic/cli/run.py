@@ -101,8 +101,9 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
         **durations,
         **{f"realtime_{name}": answer for name, answer in experiment.rig.realtime.report.items()},
     }
-    if experiment.faulty_bus is not None:
-        result["bus_effects"] = experiment.faulty_bus.totals()
+    totals = {name: bus.totals() for name, bus in experiment.faulty_buses.items()}
+    if totals:
+        result["bus_effects"] = totals.get("", totals)  # the only bus may have no name
     result["logs"] = {"dropped": sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log)}
     return result
 

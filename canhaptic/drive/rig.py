@@ -264,11 +264,11 @@ class Rig:
 
 
 def _budget(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
-    """Returns the budget of one bus after checking that its node IDs differ."""
+    """Returns the budget of one bus, which has a bit rate of its own, after checking that its node IDs differ."""
     names = {bus.master_id: "the master's heartbeat (bus.master_id)"}
     for drive in drives:
         node_id, name = drive.axis.node_id, drive.axis.name
         if node_id in names:
             raise InputError(f"{name}: node_id {node_id} is that of {names[node_id]} on the same bus; give it its own")
         names[node_id] = name
-    return require_budget(bus, [drive.map for drive in drives])
+    return require_budget(drives[0].bus if drives else bus, [drive.map for drive in drives])

@@ -1,7 +1,7 @@
 """The bus log as the link sees it: every frame sent or received goes into a ring, a writer process formats it."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -9,6 +9,7 @@ from canhaptic.errors import LogWriteError, ParameterError
 from canhaptic.logs.bus_sink import CONVERTIBLE, FRAME_RING, aside_files
 from canhaptic.logs.writer_process import WriterProcess
 
+_MOST_BUSES: Final = 256  # one byte in each record
 _WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
 
 
@@ -20,7 +21,7 @@ class BusLogWriter:
     Args:
         path: The file; an existing one is replaced. With the suffix .blf, .trc or .asc the run is recorded as candump
             text beside it (PATH.log), which survives a kill, and converted on closing.
-        channel: Name of the bus, as it shall stand in every line.
+        channel: Name of the bus, as it shall stand in every line; one for each bus where there are several.
         pace: "real" or "free".
         file_size: Bytes after which the file is put aside as NAME.00001.log, ...; 0 for one file without limit.
         files: How many files are kept in all when `file_size` is given.
@@ -36,7 +37,7 @@ class BusLogWriter:
     def __init__(
         self,
         path: str | Path,
-        channel: str,
+        channel: str | Sequence[str],
         *,
         pace: Literal["real", "free"] = "real",
         file_size: int = 0,
@@ -44,8 +45,12 @@ class BusLogWriter:
         last: float = 0.0,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        if not channel or any(letter.isspace() for letter in channel):
-            raise ParameterError(f"channel {channel!r}: expected a name without spaces, it stands in every line")
+        channels = [channel] if isinstance(channel, str) else list(channel)
+        for name in channels:
+            if not name or any(letter.isspace() for letter in name):
+                raise ParameterError(f"channel {name!r}: expected a name without spaces, it stands in every line")
+        if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
+            raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, each another")
         if file_size < 0 or files < 2:
             raise ParameterError(f"bus log of {files} files of {file_size} bytes: expected at least 2 files, size >= 0")
         self.path = Path(path).absolute()
@@ -60,7 +65,7 @@ class BusLogWriter:
             "kind": "bus",
             "pace": pace,
             "path": f"{self.path}.log" if convert else str(self.path),
-            "channel": channel,
+            "channels": channels,
             "file_size": file_size,
             "files": files,
             "convert_to": str(self.path) if convert else "",
@@ -70,6 +75,7 @@ class BusLogWriter:
         self._push = self._process.rings[0].push
         self._free = pace == "free"
         self._goes_on = on_failure is not None
+        self._channels = len(channels)
         self._closed = False
         self.dropped = 0
         """Frames lost so far because the ring was full."""
@@ -90,9 +96,29 @@ class BusLogWriter:
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
-        frame = (timestamp_ns, can_id, len(data), is_rx, data)
-        if self._push(frame):
-            return
+        frame = (timestamp_ns, can_id, len(data), is_rx, 0, data)
+        if not self._push(frame):
+            self._insist(frame)
+
+    def on(self, bus: int) -> Callable[[int, int, bytes, bool], None]:
+        """Returns what takes the frames of one bus, by its place among the channels; the log itself takes the first's.
+
+        Raises:
+            ParameterError: There is no such bus.
+        """
+        if not 0 <= bus < self._channels:
+            raise ParameterError(f"bus {bus}: the log has {self._channels}, counted from 0")
+        push, insist = self._push, self._insist
+
+        def take(timestamp_ns: int, can_id: int, data: bytes, is_rx: bool) -> None:
+            frame = (timestamp_ns, can_id, len(data), is_rx, bus, data)
+            if not push(frame):
+                insist(frame)
+
+        return take
+
+    def _insist(self, frame: tuple[int, int, int, bool, int, bytes]) -> None:
+        """Waits for room at free pace, counts the frame as dropped otherwise."""
         if not self._free:
             self.dropped += 1
             return

@@ -2,17 +2,18 @@
 
     (0000000000.001000) can0 181#3712A0860100E803 R
 
-R is a frame received by the master, T one that it sent.
+The second word names the bus. R is a frame received by the master, T one that it sent.
 """
 
 import os
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from canhaptic.logs.ring import RingShape, SharedArea
 
-FRAME_RING: Final = RingShape("=qIBB2x8s", 65_536)  # timestamp [ns], identifier, length, is_rx, data
+FRAME_RING: Final = RingShape("=qIBBBx8s", 65_536)  # timestamp [ns], identifier, length, is_rx, bus, data
 _RECORD: Final = struct.Struct(FRAME_RING.record)
 CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})
 _BLOCK: Final = 4096  # frames formatted at a time
@@ -24,7 +25,7 @@ class BusSink:
 
     Args:
         path: The file being written.
-        channel: Name of the bus in every line.
+        channels: Name of each bus as it stands in the lines of its frames.
         area: Shared memory with one ring of frames.
         file_size: Bytes after which the file is put aside as NAME.00001.log, NAME.00002.log, ...; 0 for no limit.
         files: How many files are kept in all, the one being written included; the oldest is deleted.
@@ -34,7 +35,7 @@ class BusSink:
     def __init__(
         self,
         path: Path,
-        channel: str,
+        channels: Sequence[str],
         area: SharedArea,
         *,
         file_size: int = 0,
@@ -42,7 +43,7 @@ class BusSink:
         convert_to: Path | None = None,
     ) -> None:
         self._path = path
-        self._channel = channel
+        self._channels = tuple(channels)
         self._area = area
         (self._frames,) = area.rings
         self._file_size = file_size
@@ -73,7 +74,7 @@ class BusSink:
         """Writes all frames up to `heads[0]`."""
         while self._next < heads[0]:
             count = min(_BLOCK, heads[0] - self._next)
-            self._write(format_frames(self._frames.read(self._next, count), self._channel))
+            self._write(format_frames(self._frames.read(self._next, count), self._channels))
             self._next += count
             self._frames.release(self._next)
             if self._file_size and self._size >= self._file_size:
@@ -107,14 +108,14 @@ class BusSink:
             self._path.unlink()
 
 
-def format_frames(frames: bytes, channel: str) -> bytes:
+def format_frames(frames: bytes, channels: Sequence[str]) -> bytes:
     """Returns the candump lines of packed records."""
     lines = []
-    for timestamp, identifier, length, is_rx, data in _RECORD.iter_unpack(frames):
+    for timestamp, identifier, length, is_rx, bus, data in _RECORD.iter_unpack(frames):
         name = f"{identifier:03X}" if identifier <= _LAST_STANDARD_ID else f"{identifier:08X}"
         seconds, rest = divmod(timestamp, 1_000_000_000)
         payload = data[:length].hex().upper()
-        lines.append(f"({seconds:010d}.{rest // 1000:06d}) {channel} {name}#{payload} {'R' if is_rx else 'T'}\n")
+        lines.append(f"({seconds:010d}.{rest // 1000:06d}) {channels[bus]} {name}#{payload} {'R' if is_rx else 'T'}\n")
     return "".join(lines).encode()
 
 

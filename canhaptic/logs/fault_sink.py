@@ -3,6 +3,7 @@
 import os
 import struct
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -20,14 +21,14 @@ class FaultSink:
 
     Args:
         path: The file to write after a bad end.
-        channel: Name of the bus in every line.
+        channels: Name of each bus as it stands in the lines of its frames.
         area: Shared memory with one ring of frames.
         last_ns: How much of the run to keep [ns].
     """
 
-    def __init__(self, path: Path, channel: str, area: SharedArea, last_ns: int) -> None:
+    def __init__(self, path: Path, channels: Sequence[str], area: SharedArea, last_ns: int) -> None:
         self._path = path
-        self._channel = channel
+        self._channels = tuple(channels)
         (self._frames,) = area.rings
         self._last_ns = last_ns
         self._blocks: deque[bytes] = deque()
@@ -61,7 +62,7 @@ class FaultSink:
         frames = b"".join(self._blocks)
         starts = range(0, len(frames), _SIZE)
         first = next(start for start in starts if _TIMESTAMP.unpack_from(frames, start)[0] >= oldest)
-        self._path.write_bytes(format_frames(frames[first:], self._channel))
+        self._path.write_bytes(format_frames(frames[first:], self._channels))
 
 
 def _last_time(block: bytes) -> int:

@@ -45,12 +45,12 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, Sink]:
     if job["last_ns"]:
         from canhaptic.logs.fault_sink import FaultSink
 
-        return area, FaultSink(Path(job["path"]), job["channel"], area, job["last_ns"])
+        return area, FaultSink(Path(job["path"]), job["channels"], area, job["last_ns"])
     from canhaptic.logs.bus_sink import BusSink
 
     target = Path(job["convert_to"]) if job["convert_to"] else None
     return area, BusSink(
-        Path(job["path"]), job["channel"], area, file_size=job["file_size"], files=job["files"], convert_to=target
+        Path(job["path"]), job["channels"], area, file_size=job["file_size"], files=job["files"], convert_to=target
     )
 
 

@@ -9,6 +9,7 @@ from canhaptic.haptics.environments import ENVIRONMENTS
 from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.parameters import Motion, Parameters
+from canhaptic.scene.buses import BUS_KEY
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.eds_path import find_dictionary
 from canhaptic.scene.faults import Faults
@@ -44,8 +45,8 @@ def read_axis(
         faults: Receives one line per fault.
     """
     motion = _motion(section)
-    own = find_dictionary(section.without(*OWN_SECTIONS), faults)
-    parameters = read_section(AxisParameters, own, faults, motion, also=OWN_SECTIONS)
+    own = find_dictionary(section.without(*OWN_SECTIONS, BUS_KEY), faults)
+    parameters = read_section(AxisParameters, own, faults, motion, also=(*OWN_SECTIONS, BUS_KEY))
     environment = _environment(overlay(shared, section, "environment", "type", faults), faults, motion)
     passivity_section = overlay(shared, section, "passivity", "algorithm", faults)
     passivity = _passivity(passivity_section, faults, motion)

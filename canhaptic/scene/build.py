@@ -6,7 +6,7 @@
 Nothing is sent before `run`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -17,15 +17,17 @@ import can
 from canhaptic.cycle import Cycle
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.link import Link, Recorder
+from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.haptics.passivity.protocol import Controller
-from canhaptic.scene.bus import echoes, open_bus, private_channel, with_effects
+from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.scene.bus import echoes, open_bus, private_channel, suffers, with_effects
 from canhaptic.scene.log_writers import open_bus_log, open_energy_log
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_axis_controller, build_servo_drive, build_simulated_drive
 from canhaptic.signals import FarSide, Truth
-from canhaptic.sim.drive_group import DriveGroup
+from canhaptic.sim.drive_group import DriveGroup, DriveGroups, Drives
 from canhaptic.sim.plant import Plant
 
 if TYPE_CHECKING:
@@ -41,7 +43,7 @@ class Experiment:
         scene: What it was built from.
         pace: "free" (lock-step with simulated drives, as fast as the machine allows) or "real".
         far_side: The simulated drives inside this process; None with real ones.
-        faulty_bus: The master's connection where the scene names effects on its bus; None for an ideal bus.
+        faulty_buses: The master's connections to the buses on which the scene names effects, by name of the bus.
         cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
         energy_log: Where every cycle is written; None for nowhere.
         bus_log: Where every frame is written; None for nowhere.
@@ -52,20 +54,24 @@ class Experiment:
         self.pace = pace
         self._log_failure = ""
         with ExitStack() as stack:
-            channel = _channel(scene)
-            self.far_side = _build_far_side(scene, channel, stack) if scene.simulated else None
-            bus = _open_bus(scene, channel, stack)
-            self.faulty_bus = _build_faulty_bus(scene, bus, stack) if scene.simulated and scene.bus_effects else None
-            self.clock = _build_clock(scene, pace, self.far_side, self.faulty_bus)
+            channels = [_channel(bus.parameters) for bus in scene.buses]
+            groups = _build_groups(scene, channels, stack) if scene.simulated else []
+            self.far_side = _far_side(scene, groups)
+            buses = [_open_bus(b.parameters, channel, stack) for b, channel in zip(scene.buses, channels, strict=True)]
+            faulty = {n: _build_faulty_bus(scene, n, buses[n], stack) for n in _suffering(scene)}
+            self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
+            self.clock = _build_clock(scene, pace, groups, faulty)
             self.energy_log = open_energy_log(scene, energy_log, pace, self._lose_log) if energy_log else None
             if self.energy_log is not None:
                 stack.callback(self.energy_log.close, "failed")
             self.bus_log = open_bus_log(scene, bus_log, pace, self._lose_log) if bus_log else None
             if self.bus_log is not None:
                 stack.callback(self.bus_log.close)
-            recorder = cast(Recorder | None, self.bus_log)
-            link = Link(self.faulty_bus or bus, self.clock, recorder, echoes=echoes(scene.bus))
-            self.rig = _build_rig(scene, link)
+            links = [
+                Link(faulty.get(n, bus), self.clock, _recorder(self.bus_log, n), echoes=echoes(of.parameters))
+                for n, (of, bus) in enumerate(zip(scene.buses, buses, strict=True))
+            ]
+            self.rig = _build_rig(scene, links)
             self.cycle = Cycle(self.rig, build_controllers(scene), self.energy_log, _truths(self.far_side))
             if self._log_failure:  # before there was a cycle to stop
                 self.cycle.fail_log(self._log_failure)
@@ -77,6 +83,11 @@ class Experiment:
             self._log_failure = reason
             if hasattr(self, "cycle"):
                 self.cycle.fail_log(reason)
+
+    @property
+    def faulty_bus(self) -> "FaultyBus | None":
+        """The master's connection to the first bus on which the scene names effects; None where all are ideal."""
+        return next(iter(self.faulty_buses.values()), None)
 
     @property
     def plants(self) -> list[Plant]:
@@ -140,13 +151,18 @@ def build_controllers(scene: Scene) -> list[Controller]:
     return [build_axis_controller(axis) for axis in scene.axes]
 
 
-def build_drive_group(scene: Scene, bus: can.BusABC) -> DriveGroup:
+def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> DriveGroup:
     """Returns the simulated drives of a scene on one connection to the bus.
+
+    Args:
+        scene: Has a `simulation`.
+        bus: The connection.
+        name: Of that bus; None for the only one.
 
     Raises:
         InputError: The scene has no `simulation`.
     """
-    simulated = [(axis, axis.simulation) for axis in scene.axes]
+    simulated = [(axis, axis.simulation) for axis in scene.axes if name in (None, axis.bus)]
     drives = [
         build_simulated_drive(axis, simulation, bus, scene.bus.sample_time_ns)
         for axis, simulation in simulated
@@ -161,45 +177,63 @@ def _path(asked: str | Path | None, of_scene: Path | None) -> Path | None:
     return Path(asked) if asked is not None else of_scene
 
 
-def _channel(scene: Scene) -> str | int | None:
-    if scene.bus.channel is None and scene.bus.interface == "virtual":
+def _channel(bus: BusParameters) -> str | int | None:
+    if bus.channel is None and bus.interface == "virtual":
         return private_channel()
-    return scene.bus.channel
+    return bus.channel
 
 
-def _open_bus(scene: Scene, channel: str | int | None, stack: ExitStack) -> can.BusABC:
-    bus = open_bus(scene.bus, channel)
+def _open_bus(parameters: BusParameters, channel: str | int | None, stack: ExitStack) -> can.BusABC:
+    bus = open_bus(parameters, channel)
     stack.callback(bus.shutdown)
     return bus
 
 
-def _build_far_side(scene: Scene, channel: str | int | None, stack: ExitStack) -> DriveGroup:
-    return build_drive_group(scene, _open_bus(scene, channel, stack))
+def _build_groups(scene: Scene, channels: Sequence[str | int | None], stack: ExitStack) -> list[DriveGroup]:
+    return [
+        build_drive_group(scene, _open_bus(bus.parameters, channel, stack), bus.name)
+        for bus, channel in zip(scene.buses, channels, strict=True)
+    ]
 
 
-def _build_faulty_bus(scene: Scene, bus: can.BusABC, stack: ExitStack) -> "FaultyBus":
-    faulty_bus = with_effects(bus, scene, "master")
+def _far_side(scene: Scene, groups: Sequence[DriveGroup]) -> Drives | None:
+    """Returns all simulated drives in the order of the axes; None with real ones."""
+    if len(groups) < 2:
+        return groups[0] if groups else None
+    drives = {bus.name: iter(group.drives) for bus, group in zip(scene.buses, groups, strict=True)}
+    return DriveGroups(groups, [next(drives[axis.bus]) for axis in scene.axes])
+
+
+def _suffering(scene: Scene) -> list[int]:
+    """Returns which buses have effects of their own, by their place."""
+    return [n for n, bus in enumerate(scene.buses) if scene.simulated and suffers(scene, bus.name)]
+
+
+def _build_faulty_bus(scene: Scene, index: int, bus: can.BusABC, stack: ExitStack) -> "FaultyBus":
+    faulty_bus = with_effects(bus, scene, "master", index)
     stack.callback(faulty_bus.shutdown)
     return faulty_bus
 
 
-def _build_clock(scene: Scene, pace: Pace, far_side: FarSide | None, faulty_bus: "FaultyBus | None") -> Clock:
+def _build_clock(scene: Scene, pace: Pace, groups: Sequence[DriveGroup], faulty: "Mapping[int, FaultyBus]") -> Clock:
     """Returns the clock, which drives the simulated drives, and the faults between them and the master if any."""
-    if far_side is not None and faulty_bus is not None:
-        far_side = faulty_bus.around(far_side)
-    far_sides = [] if far_side is None else [far_side]
+    far_sides: list[FarSide] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
     clock: Clock = VirtualClock(far_sides) if pace == "free" else WallClock(far_sides, scene.bus.spin_margin)
-    if faulty_bus is not None:
+    for faulty_bus in faulty.values():
         faulty_bus.use(clock)
     return clock
 
 
-def _build_rig(scene: Scene, link: Link) -> Rig:
-    drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
-    return Rig(link, drives, scene.bus)
+def _recorder(bus_log: BusLogWriter | None, index: int) -> Recorder | None:
+    return cast(Recorder | None, bus_log if bus_log is None or index == 0 else bus_log.on(index))
 
 
-def _truths(far_side: DriveGroup | None) -> Callable[[], Sequence[Truth]] | None:
+def _build_rig(scene: Scene, links: Sequence[Link]) -> Rig:
+    by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
+    return Rig(links, [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes], scene.bus)
+
+
+def _truths(far_side: Drives | None) -> Callable[[], Sequence[Truth]] | None:
     if far_side is None:
         return None
     readers = [drive.truth for drive in far_side.drives]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from canhaptic.sim.faulty_bus import FaultyBus
 
 _ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that give back what was sent, whatever they are told
+_SEEDS_APART: Final = 1_000_003  # from one bus to the next
 _PRIVATE: Final = itertools.count()
 
 
@@ -51,16 +52,24 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
         ) from error
 
 
-def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]) -> "FaultyBus":
-    """Returns a connection with the effects that a scene names on its bus.
+def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus":
+    """Returns a connection with the effects that a scene names on its buses.
 
     Args:
         bus: The connection as it was opened.
         scene: Has `bus_effects`.
         side: Whose connection it is.
+        index: Of the bus among those of the scene.
     """
     from canhaptic.sim.faulty_bus import FaultyBus
 
     if scene.bus_effects is None or scene.simulation is None:
         raise InputError(f"{scene.source}: names no effect on its bus (simulation.bus)")
-    return FaultyBus(bus, scene.bus_effects, bitrate=scene.bus.bitrate, seed=scene.simulation.seed, side=side)
+    bitrate, seed = scene.buses[index].parameters.bitrate, scene.simulation.seed + _SEEDS_APART * index
+    return FaultyBus(bus, scene.bus_effects, bitrate=bitrate, seed=seed, side=side)
+
+
+def suffers(scene: Scene, name: str) -> bool:
+    """Returns whether a scene names effects on the bus of this name."""
+    effects = scene.bus_effects
+    return effects is not None and (effects.buses is None or name in effects.buses)

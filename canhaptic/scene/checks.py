@@ -5,9 +5,11 @@ from collections import Counter
 from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.bus_budget import require_budget
 from canhaptic.drive.fitness import Verdict, check_dictionary
+from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.pdo_map import AxisMap, choose_map
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
+from canhaptic.scene.buses import bus_section
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.models import AxisScene, Scene
@@ -18,12 +20,15 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
     """Notes what is wrong between the sections of a scene whose sections are right on their own."""
     _check_unique(scene, sections["axes"], faults)
     _check_somebody_answers(scene, sections, faults)
-    maps = []
+    _check_effects(scene, sections, faults)
+    maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         _check_loop(axis, _own_or_shared(entry, sections, "passivity"), scene, faults)
-        maps.append(_check_parts(axis, entry, sections, scene, faults))
-    if None not in maps:
-        _check_budget(scene, [m for m in maps if m is not None], sections["bus"], faults)
+        maps[axis.bus].append(_check_parts(axis, entry, sections, scene, faults))
+    for index, bus in enumerate(scene.buses):
+        on_bus = maps[bus.name]
+        if None not in on_bus:
+            _check_budget(bus.parameters, [m for m in on_bus if m is not None], bus_section(sections, index), faults)
 
 
 def _own_or_shared(entry: MarkedMapping, sections: MarkedMapping, name: str) -> MarkedMapping:
@@ -33,12 +38,13 @@ def _own_or_shared(entry: MarkedMapping, sections: MarkedMapping, name: str) -> 
 
 
 def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Faults) -> None:
+    """Notes names used twice in the rig, and node IDs used twice on one bus."""
     for key in ("name", "node_id"):
-        values = [getattr(axis.parameters, key) for axis in scene.axes]
+        values = [(getattr(a.parameters, key), a.bus if key == "node_id" else "") for a in scene.axes]
         for value, count in Counter(values).items():
             places = [entry.value_at(key) for entry, seen in zip(entries, values, strict=True) if seen == value]
             for place in places[1:count]:
-                faults.add(place, f"got {value!r}, which is the {key} of another axis already ({places[0].where})")
+                faults.add(place, f"got {value[0]!r}, which is the {key} of another axis already ({places[0].where})")
     for axis, entry in zip(scene.axes, entries, strict=True):
         if axis.parameters.node_id == scene.bus.master_id:
             at = entry.value_at("node_id")
@@ -46,13 +52,24 @@ def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Faults) ->
 
 
 def _check_somebody_answers(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
-    if scene.bus.interface == "virtual" and scene.simulation is None and scene.bus.channel is None:
-        at: Mark = sections["bus"].value_at("interface")
+    for index, (_, bus) in enumerate(scene.buses):
+        if bus.interface != "virtual" or scene.simulation is not None or bus.channel is not None:
+            continue
+        at: Mark = bus_section(sections, index).value_at("interface")
         faults.add(
             at,
             "interface 'virtual' reaches no drive outside this process, and the scene has no `simulation`; "
             "add one, or name the interface and channel of the real bus (interface: socketcan, channel: can0)",
         )
+
+
+def _check_effects(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+    names = [bus.name for bus in scene.buses]
+    unknown = [name for name in (scene.bus_effects and scene.bus_effects.buses) or () if name not in names]
+    if unknown:
+        known = ", ".join(name for name in names if name) or "none, the scene's bus has no name"
+        at = sections["simulation"]["bus"].value_at("buses")
+        faults.add(at, f"got {', '.join(map(repr, unknown))}, which names no bus of the scene; expected: {known}")
 
 
 def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults: Faults) -> None:
@@ -73,11 +90,11 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
         )
 
 
-def _check_budget(scene: Scene, maps: list[AxisMap], bus: MarkedMapping, faults: Faults) -> None:
+def _check_budget(bus: BusParameters, maps: list[AxisMap], section: MarkedMapping, faults: Faults) -> None:
     try:
-        require_budget(scene.bus, maps)
+        require_budget(bus, maps)
     except BusBudgetError as error:
-        faults.add(bus.value_at("rate"), str(error))
+        faults.add(section.value_at("rate"), str(error))
 
 
 def _check_parts(

@@ -42,12 +42,24 @@ def open_bus_log(
     Raises:
         LogWriteError: The file cannot be made.
     """
-    channel = scene.bus.channel
-    name = _PRIVATE_NAME if channel is None else "".join(str(channel).split())
     log = scene.log
     return BusLogWriter(
-        path, name, pace=pace, file_size=log.file_size, files=log.files, last=log.last, on_failure=on_failure
+        path,
+        log_channels(scene),
+        pace=pace,
+        file_size=log.file_size,
+        files=log.files,
+        last=log.last,
+        on_failure=on_failure,
     )
+
+
+def log_channels(scene: Scene) -> list[str]:
+    """Returns what stands in the bus log for each bus: the channel of the only one, the names of several."""
+    if scene.further_buses:
+        return [bus.name for bus in scene.buses]
+    channel = scene.bus.channel
+    return [_PRIVATE_NAME if channel is None else "".join(str(channel).split())]
 
 
 def run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:
@@ -66,6 +78,8 @@ def run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Att
         "rate": scene.bus.rate,
         "rpdo": scene.bus.rpdo,
     }
+    if scene.bus_name:
+        attributes["buses"] = json.dumps([bus.name for bus in scene.buses])
     for axis in scene.axes:
         attributes |= _axis_attributes(axis)
     return attributes
@@ -74,6 +88,7 @@ def run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Att
 def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
     name = axis.parameters.name
     attributes: dict[str, Attribute] = {
+        **({f"{name}.bus": axis.bus} if axis.bus else {}),
         f"{name}.eds": str(axis.parameters.eds),
         f"{name}.eds_hash": axis.dictionary_hash(),
         f"{name}.environment": axis.environment.name,

@@ -9,6 +9,7 @@ from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters, quantity
+from canhaptic.scene.buses import FurtherBus, NamedBus
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
@@ -62,6 +63,7 @@ class AxisScene:
     passivity: Typed
     loop: LoopProperties
     simulation: AxisSimulation | None
+    bus: str = ""  # name of the one it is on
 
     def dictionary_hash(self) -> str:
         """Returns the SHA-256 of the drive's EDS or DCF."""
@@ -81,6 +83,18 @@ class Scene:
     run: RunParameters
     simulation: SimulationParameters | None
     bus_effects: "BusEffects | None" = None  # what the simulated bus does to its frames
+    bus_name: str = ""  # of the first bus, or of the only one
+    further_buses: tuple[FurtherBus, ...] = ()
+
+    @property
+    def buses(self) -> tuple[NamedBus, ...]:
+        """All buses of the rig; rate, link policy and the rest are those of the first."""
+        further = (NamedBus(bus.name, bus.beside(self.bus)) for bus in self.further_buses)
+        return (NamedBus(self.bus_name, self.bus), *further)
+
+    def axes_on(self, bus: str) -> tuple[AxisScene, ...]:
+        """Returns the axes on one bus, by its name."""
+        return tuple(axis for axis in self.axes if axis.bus == bus)
 
     @property
     def simulated(self) -> bool:
@@ -90,12 +104,18 @@ class Scene:
     def resolved(self) -> dict[str, Any]:
         """Returns the configuration in effect, defaults and overrides included, as plain values."""
         return {
-            "bus": _plain(self.bus),
-            "axes": {axis.parameters.name: _axis(axis) for axis in self.axes},
+            "bus": self._buses(),
+            "axes": {axis.parameters.name: {**_axis(axis), **_bus_of(axis)} for axis in self.axes},
             "log": _plain(self.log),
             "run": _plain(self.run),
             "simulation": self.simulation and {**_plain(self.simulation), **self._bus_effects()},
         }
+
+    def _buses(self) -> dict[str, Any] | list[dict[str, Any]]:
+        first = _plain(self.bus)
+        if not self.bus_name:
+            return first
+        return [{"name": self.bus_name, **first}, *(_plain(bus) for bus in self.further_buses)]
 
     def _bus_effects(self) -> dict[str, Any]:
         return {} if self.bus_effects is None else {"bus": _plain(self.bus_effects)}
@@ -119,6 +139,10 @@ def _plain(parameters: Parameters) -> dict[str, Any]:
 
 def _typed(selector: str, typed: Typed) -> dict[str, Any]:
     return {selector: typed.name, **_plain(typed.parameters)}
+
+
+def _bus_of(axis: AxisScene) -> dict[str, str]:
+    return {"bus": axis.bus} if axis.bus else {}
 
 
 def _axis(axis: AxisScene) -> dict[str, Any]:

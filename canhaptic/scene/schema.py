@@ -13,6 +13,7 @@ from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS, OWN_SECTIONS, SCALING_KEYS, SIMULATION_PARTS
+from canhaptic.scene.buses import BUS_KEY, BusTitle, FurtherBus
 from canhaptic.scene.models import RunParameters, SimulationParameters
 from canhaptic.sim.bus_effects import BusEffects
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
@@ -28,7 +29,7 @@ def scene_schema() -> Schema:
     """Returns the schema (JSON Schema 2020-12) of a scene file."""
     definitions: Schema = {}
     sections = {
-        "bus": _of(BusParameters, definitions),
+        "bus": _bus(definitions),
         "axes": {"type": "array", "minItems": 1, "items": _axis(definitions)},
         "environment": _environment(definitions),
         "passivity": _passivity(definitions),
@@ -46,6 +47,18 @@ def scene_schema() -> Schema:
         "additionalProperties": False,
         "$defs": definitions,
     }
+
+
+def _bus(definitions: Schema) -> Schema:
+    """Returns the schema of one bus, or of a list whose first entry has what holds for all."""
+    one, title = _of(BusParameters, definitions), _of(BusTitle, definitions)
+    first = {
+        **one,
+        "properties": {**title["properties"], **one["properties"]},
+        "required": [*title["required"], *one.get("required", [])],
+    }
+    several = {"type": "array", "minItems": 1, "prefixItems": [first], "items": _of(FurtherBus, definitions)}
+    return {"anyOf": [one, several]}
 
 
 def _of(model: type[Parameters], definitions: Schema) -> Schema:
@@ -96,7 +109,8 @@ def _axis(definitions: Schema) -> Schema:
         "environment": {"anyOf": [_without_required(s) for s in _environment(definitions)["oneOf"]]},
         "passivity": {"anyOf": [_without_required(s) for s in _passivity(definitions)["oneOf"]]},
     }
-    return {**schema, "properties": {**schema["properties"], **{name: own[name] for name in OWN_SECTIONS}}}
+    sections = {name: own[name] for name in OWN_SECTIONS}
+    return {**schema, "properties": {**schema["properties"], BUS_KEY: {"type": "string"}, **sections}}
 
 
 def _simulation(definitions: Schema) -> Schema:

@@ -80,14 +80,16 @@ class BusEffects(Parameters):
     """When nothing can be sent and what arrives is lost."""
     bring_up: bool = False
     """Whether frames before the first SYNC suffer too."""
+    buses: tuple[str, ...] | None = None
+    """Names of the buses that suffer, each from faults of its own; None: all."""
 
     @model_validator(mode="after")
     def _check(self) -> "BusEffects":
         if not any(getattr(self, name) for name in _EFFECTS):
             raise ValueError(f"names no effect, expected one of: {', '.join(_EFFECTS)}; leave it out for an ideal bus")
-        for name in ("ids", "foreign_ids"):
+        for name, what in (("ids", "COB-ID"), ("foreign_ids", "COB-ID"), ("buses", "name")):
             if getattr(self, name) == ():
-                raise ValueError(f"{name} is empty, expected at least one COB-ID; leave it out for the usual ones")
+                raise ValueError(f"{name} is empty, expected at least one {what}; leave it out for the usual ones")
         most = 1.0 if self.drop_burst is None else self.drop_burst / (1.0 + self.drop_burst)
         if self.drop > most:
             raise ValueError(

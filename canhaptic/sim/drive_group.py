@@ -1,11 +1,24 @@
-"""Several simulated drives on one connection to the bus: each frame is received, and copied, once."""
+"""Several simulated drives on one connection to the bus: each frame is received, and copied, once. Several buses."""
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import can
 
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.timers import NEVER
+
+
+class Drives(Protocol):
+    """Simulated drives of a rig, on one bus or several (a `FarSide`)."""
+
+    drives: tuple[SimulatedDrive, ...]
+
+    def process(self, now: int) -> None:
+        """Lets all of them live up to `now` [ns]."""
+
+    def next_due(self) -> int:
+        """Returns when the next of them is due [ns]."""
 
 
 class DriveGroup:
@@ -34,3 +47,25 @@ class DriveGroup:
     def next_due(self) -> int:
         """Returns when the next timer of any drive is due [ns]."""
         return min((drive.next_due() for drive in self.drives), default=NEVER)
+
+
+class DriveGroups:
+    """The drives of several buses (a `FarSide`).
+
+    Args:
+        groups: One per bus.
+        drives: All of them, in the order of the axes.
+    """
+
+    def __init__(self, groups: Sequence[DriveGroup], drives: Sequence[SimulatedDrive]) -> None:
+        self._groups = tuple(groups)
+        self.drives = tuple(drives)
+
+    def process(self, now: int) -> None:
+        """Handles every frame waiting on each bus and every timer due up to `now` [ns]."""
+        for group in self._groups:
+            group.process(now)
+
+    def next_due(self) -> int:
+        """Returns when the next timer of any drive is due [ns]."""
+        return min((group.next_due() for group in self._groups), default=NEVER)

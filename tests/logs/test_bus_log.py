@@ -148,14 +148,14 @@ def test_a_writer_killed_between_write_and_release_is_continued_behind_its_last_
     descriptor = allocate(size_of([FRAME_RING]))
     area = SharedArea(descriptor, [FRAME_RING])
     for k in range(10):
-        area.rings[0].push((k * 1000, 0x181, 1, True, bytes([k])))
-    killed = BusSink(tmp_path / "a.log", "can0", area)
+        area.rings[0].push((k * 1000, 0x181, 1, True, 0, bytes([k])))
+    killed = BusSink(tmp_path / "a.log", ["can0"], area)
     killed.open(restart=False)
     killed.drain([7], final=False)
     area.rings[0].release(2)  # killed before it could say how far it was, in the middle of the next line
     with (tmp_path / "a.log").open("ab") as file:
         file.write(b"(0000000000.000007) can0 18")
-    second = BusSink(tmp_path / "a.log", "can0", area)
+    second = BusSink(tmp_path / "a.log", ["can0"], area)
     second.open(restart=True)
     second.drain([10], final=True)
     second.finish("complete")

@@ -137,7 +137,8 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         (("duration: 1 s", "durations: 1 s"), "scene.yaml:1:1: durations: unknown key; did you mean 'duration'?"),
         (("duration: 1 s", "log: {enrgy: x.h5}"), "scene.yaml:1:7: log.enrgy: unknown key; did you mean 'energy'?"),
         (("duration: 1 s", "log: x.h5"), "scene.yaml:1:6: log: got 'x.h5', expected a mapping of keys and values"),
-        (("bus: {", "bus: [] #"), "scene.yaml:2:6: bus: got a list, expected a mapping of keys and values"),
+        (("bus: {", "bus: [] #"), "scene.yaml:2:6: bus: got an empty list, expected at least one bus"),
+        (("bus: {", "bus: 5 #"), "scene.yaml:2:6: bus: got 5, expected a mapping of keys and values, or a list of"),
         (
             ("{algorithm: direct}", "direct"),
             "scene.yaml:15:12: passivity: got 'direct', expected a mapping of algorithm",

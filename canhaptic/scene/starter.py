@@ -1,0 +1,260 @@
+"""The text of a configuration to start from, made from the dictionary of a drive.
+
+It is a whole scene: every key that a dictionary can give is given, every other has a cautious value and says so.
+"""
+
+import json
+import math
+from pathlib import Path
+from string import Template
+from typing import Final
+
+from canopen import ObjectDictionary
+
+from canhaptic import object_dictionary as od
+from canhaptic.drive.pdo_map import is_writable
+from canhaptic.drive.survey import Survey, Suitability
+from canhaptic.errors import DictionaryError
+
+TO_SET: Final = "TO SET"
+"""Marks every value that the user has to replace."""
+_CAUTIOUS: Final = 0.05  # part of the rated torque that the first configuration allows
+_GUESSED_RATED_TORQUE: Final = 1.0  # [N*m]
+_GUESSED_COUNTS: Final = 4096.0  # per revolution
+_FASTEST: Final = 1000.0  # [Hz]
+_ROUND_RATES: Final = (1000, 800, 500, 400, 250, 200, 125, 100, 50, 40, 20, 10)
+
+_TEXT: Final = Template("""\
+# $title
+#
+# Written by `canhaptic new` from $eds.
+# Every line marked $to_set holds a guess: put the value of your rig there before any torque.
+#
+#     canhaptic check $scene      what would be done, and whether the drive is fit for it
+#     canhaptic run $scene $hint
+#
+# Plain numbers are SI. A text may carry a unit (1 kHz, 0.5 N*m, 50 us), which is checked for dimension.
+
+duration: 10 s
+
+bus:
+$bus
+  bitrate: $bitrate bit/s$bitrate_note
+  rate: $rate Hz$rate_note
+  rpdo: synchronous         # the torque acts at the next SYNC: exact energy, one sample late
+
+axes:
+  - name: axis1
+    node_id: 1              # $to_set: as set in the drive
+    eds: $eds_quoted
+$identity    unit: rad               # m for a linear axis; the units below then are N, N/m, ...
+    counts_per_unit: $counts   # $to_set: counts of 0x6064 per radian of the axis, gear included$counts_note
+    direction: 1            # -1 if the positive direction of the drive is not that of the axis
+$rated$transmission    torque_limit: $limit N*m     # $to_set: the largest torque that may ever reach the hand$limit_note
+$read_back$watchdog
+# A spring and a damper, solid below `position`. Soft, for the first contact.
+environment:
+  type: spring_damper_wall
+  stiffness: $stiffness N*m/rad
+  damping: $damping N*m*s/rad
+  position: -0.05 rad
+
+# The energy balance with a proof. It rests on what moves with the encoder at least.
+passivity:
+  algorithm: guarded
+  moving_mass: $inertia kg*m^2   # $to_set: an under-estimate is safe, an over-estimate is not
+  hand_force: 0 N*m         # largest torque with which the hand pulls along the rendered torque
+$simulation""")
+
+_SIMULATION: Final = Template("""
+# What stands behind the simulated drive. Remove this section and name the real interface under `bus`.
+simulation:
+  drive:
+    rated_torque: $rated N*m
+$objects  plant:
+    mass: $mass kg*m^2
+    damping: $damping N*m*s/rad
+  user:                     # a hand that follows a slow sine and meets the wall on the way
+    stiffness: $stiffness N*m/rad
+    damping: $hand_damping N*m*s/rad
+    motion: {type: sinusoid, amplitude: 0.15 rad, frequency: 0.5 Hz}
+""")
+
+
+def starter_scene(found: Survey, dictionary: ObjectDictionary, *, simulate: bool, drive: str | None = None) -> str:
+    """Returns the text of a scene file for one drive, which `load_scene` accepts.
+
+    Args:
+        found: The survey of its dictionary.
+        dictionary: The same dictionary.
+        simulate: Adds a simulated drive, motor and hand on a virtual bus, so that it runs at once.
+        drive: Name of the drive profile to use; None for none.
+
+    Raises:
+        DictionaryError: The drive cannot serve; lists every reason.
+    """
+    if found.suitability is Suitability.UNFIT:
+        reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
+        raise DictionaryError(f"{found.path} is not fit for cyclic torque: {reasons}")
+    stated = _stated_torque(dictionary, found, drive)
+    rated = stated or _GUESSED_RATED_TORQUE
+    limit = _round(_CAUTIOUS * rated)
+    rate = _rate(found)
+    fits_full = rate >= _FASTEST
+    return _TEXT.substitute(
+        to_set=TO_SET,
+        title=_plain(f"{found.vendor} {found.product}".strip() or "A CiA 402 drive"),
+        eds=_plain(str(found.path)),
+        eds_quoted=json.dumps(str(found.path), ensure_ascii=False),
+        scene="THIS_FILE",
+        hint="  (simulated: no hardware is needed)" if simulate else "--log run.h5 --bus-log run.log",
+        bus=_bus(simulate),
+        bitrate=found.bitrate,
+        bitrate_note="" if found.bitrates else f"    # {TO_SET}: the dictionary lists none; as set in the drive",
+        rate=f"{rate:g}",
+        rate_note="" if fits_full else "             # the fastest that fits the bus at this bit rate",
+        identity=_identity(found, drive),
+        counts=f"{_counts(dictionary):.10g}",
+        counts_note=_counts_note(dictionary),
+        rated=_rated_lines(dictionary, stated),
+        transmission="    transmission: 1         # gear ratio, where 0x6076 is the torque of the motor\n"
+        if od.RATED_TORQUE in dictionary
+        else "",
+        limit=f"{limit:g}",
+        limit_note=_limit_note(dictionary),
+        read_back=_read_back_lines(found),
+        watchdog=_watchdog_lines(dictionary),
+        **_scaled(limit),
+        simulation=_simulation(dictionary, rated, limit) if simulate else "",
+    )
+
+
+def _plain(text: str) -> str:
+    """Returns a text for a comment: one line, printable."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def _bus(simulate: bool) -> str:
+    if simulate:
+        return "  interface: virtual        # everything inside this process; on the rig: socketcan, pcan, kvaser, ..."
+    lines = (
+        f"  interface: socketcan      # {TO_SET}: any python-can interface, see configs/interfaces",
+        f"  channel: can0             # {TO_SET}",
+    )
+    return "\n".join(lines)
+
+
+def _rate(found: Survey) -> float:
+    """Returns the highest round rate [Hz] up to 1 kHz at which one axis fits the bus."""
+    if not found.loads:
+        return _FASTEST
+    worst = max(load.worst_cycle for load in found.loads)
+    return float(next((rate for rate in _ROUND_RATES if rate * worst <= 1.0), _ROUND_RATES[-1]))
+
+
+def _identity(found: Survey, drive: str | None) -> str:
+    lines = []
+    if drive is not None:
+        lines.append(f"    drive: {drive}            # profile in configs/drives: what is known of this make")
+    if found.vendor_id:
+        lines.append(f"    vendor_id: {found.vendor_id:#x}         # 0x1018:01; the start refuses any other make")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _value(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int | None:
+    variable = dictionary.get_variable(index, subindex)
+    values = () if variable is None else (variable.value, variable.default)
+    return next((value for value in values if isinstance(value, int)), None)
+
+
+def _counts(dictionary: ObjectDictionary) -> float:
+    """Returns counts per radian: increments per revolution (0x608F) times gear (0x6091), or a guess."""
+    increments = _value(dictionary, od.ENCODER_RESOLUTION, 1) or _GUESSED_COUNTS
+    revolutions = _value(dictionary, od.ENCODER_RESOLUTION, 2) or 1
+    gear = (_value(dictionary, od.GEAR_RATIO, 1) or 1) / (_value(dictionary, od.GEAR_RATIO, 2) or 1)
+    return float(f"{increments / revolutions * gear / (2.0 * math.pi):.8g}")
+
+
+def _counts_note(dictionary: ObjectDictionary) -> str:
+    increments = _value(dictionary, od.ENCODER_RESOLUTION, 1)
+    if increments:
+        return f"\n                            # here from 0x608F = {increments} and the gear of 0x6091"
+    return f"\n                            # here {_GUESSED_COUNTS:g} counts per revolution, which is a guess"
+
+
+def _stated_torque(dictionary: ObjectDictionary, found: Survey, drive: str | None) -> float | None:
+    """Returns the rated torque that the dictionary states [N*m]; None when it has none or a value of zero."""
+    counts = _value(dictionary, od.RATED_TORQUE)
+    return counts * _resolution_of(drive) if counts else None
+
+
+def _resolution_of(drive: str | None) -> float:
+    return 1e-6 if drive == "epos4" else 1e-3
+
+
+def _rated_lines(dictionary: ObjectDictionary, stated: float | None) -> str:
+    if od.RATED_TORQUE not in dictionary:
+        return (
+            f"    rated_torque: {_GUESSED_RATED_TORQUE:g} N*m     # {TO_SET}: torque of the axis at 1000 per mille of "
+            "0x6071; the drive has no 0x6076\n"
+        )
+    seen = f"{stated:g} N*m here" if stated else "no value here"
+    return (
+        f"    # rated_torque: 1 N*m   # torque of the axis at 1000 per mille. Left out: read from 0x6076 ({seen}).\n"
+        "                            # Given: compared with 0x6076 at the start, and needed when that is 0\n"
+    )
+
+
+def _limit_note(dictionary: ObjectDictionary) -> str:
+    if is_writable(dictionary, od.MAX_TORQUE, 0):
+        return "\n                            # also written to 0x6072"
+    return "\n                            # no writable 0x6072: limit the current in the drive as well"
+
+
+def _read_back_lines(found: Survey) -> str:
+    read_back = "none" if found.axis_map is None else found.axis_map.read_back
+    notes = {
+        "demand": "demand            # 0x6074: the energy of every hold is exact",
+        "actual": "actual            # 0x6077, measured: the energy has an error; 0x6074 cannot be mapped",
+        "none": "none              # no torque can be mapped: the energy is that of the torque sent",
+    }
+    lines = f"    read_back: {notes[read_back]}\n"
+    if read_back != "none":
+        lines += f"    demand_reported: before # {TO_SET}: before or after the update at SYNC\n"
+    return lines
+
+
+def _watchdog_lines(dictionary: ObjectDictionary) -> str:
+    if dictionary.get_variable(od.CONSUMER_HEARTBEAT_TIME, 1) is not None:
+        return ""
+    return "    watchdog: false         # the drive has no 0x1016: a killed master leaves the torque on\n"
+
+
+def _scaled(limit: float) -> dict[str, str]:
+    """Returns environment and mass such that the torque limit is met a little beyond 0.1 rad of penetration."""
+    return {
+        "stiffness": f"{5.0 * limit:.3g}",
+        "damping": f"{0.05 * limit:.3g}",
+        "inertia": f"{0.005 * limit:.3g}",
+    }
+
+
+def _simulation(dictionary: ObjectDictionary, rated: float, limit: float) -> str:
+    objects = {}
+    if not (_value(dictionary, od.SUPPORTED_DRIVE_MODES) or 0) & od.CYCLIC_SYNC_TORQUE_BIT:
+        objects["0x6502"] = "0x200"
+    if _value(dictionary, od.DEVICE_TYPE) is None:
+        objects["0x1000"] = "0x00020192"
+    lines = "".join(f"      {key}: {value}          # the dictionary gives none\n" for key, value in objects.items())
+    return _SIMULATION.substitute(
+        rated=f"{rated:g}",
+        objects=f"    objects:\n{lines}" if objects else "",
+        mass=f"{0.0125 * limit:.3g}",
+        damping=f"{0.005 * limit:.3g}",
+        stiffness=f"{3.0 * limit:.3g}",
+        hand_damping=f"{0.25 * limit:.3g}",
+    )
