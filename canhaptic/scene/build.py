@@ -143,7 +143,7 @@ def build(
             "`simulation`); real drives run at pace 'real'"
         )
     chosen: Pace = pace or ("free" if scene.simulated else "real")
-    return Experiment(scene, chosen, _path(energy_log, scene.log.energy), _path(bus_log, scene.log.bus))
+    return Experiment(_with_accuracy(scene), chosen, _path(energy_log, scene.log.energy), _path(bus_log, scene.log.bus))
 
 
 def build_controllers(scene: Scene) -> list[Controller]:
@@ -162,7 +162,7 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     Raises:
         InputError: The scene has no `simulation`.
     """
-    simulated = [(axis, axis.simulation) for axis in scene.axes if name in (None, axis.bus)]
+    simulated = [(axis, axis.simulation) for axis in _with_accuracy(scene).axes if name in (None, axis.bus)]
     drives = [
         build_simulated_drive(axis, simulation, bus, scene.bus.sample_time_ns)
         for axis, simulation in simulated
@@ -171,6 +171,15 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     if not drives:
         raise InputError(f"{scene.source}: has no `simulation`, so there is no drive to simulate; add one")
     return DriveGroup(bus, drives)
+
+
+def _with_accuracy(scene: Scene) -> Scene:
+    """Returns the scene with its automatic accuracy chosen; where there is none, nothing is imported."""
+    if scene.accuracy_tolerance is None:
+        return scene
+    from canhaptic.scene.accuracy_choice import with_chosen_accuracy
+
+    return with_chosen_accuracy(scene)
 
 
 def _path(asked: str | Path | None, of_scene: Path | None) -> Path | None:

@@ -15,7 +15,7 @@ from canhaptic.scene.buses import BusSections, bus_of_axis, check_every_bus_has_
 from canhaptic.scene.checks import cross_check
 from canhaptic.scene.document import MarkedList, MarkedMapping, mark_plain, parse_yaml
 from canhaptic.scene.faults import Faults, Mark
-from canhaptic.scene.models import AxisScene, RunParameters, Scene, SimulationParameters
+from canhaptic.scene.models import AutoAccuracy, AxisScene, RunParameters, Scene, SimulationParameters
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.section import read_list, read_mapping, read_section, refuse_unknown_keys
 from canhaptic.sim.plant import AccuracyParameters
@@ -118,10 +118,13 @@ def _sections(
     axes = _axes(sections, buses, simulation.seed if simulation else 0, faults)
     if run is None or log is None or buses is None or accuracy is None or not axes:
         return None
-    axes = tuple(_solved(axis, accuracy, simulation is not None and simulation.compiled) for axis in axes)
+    tolerance = accuracy.auto if isinstance(accuracy, AutoAccuracy) else None
+    solved = AccuracyParameters() if isinstance(accuracy, AutoAccuracy) else accuracy
+    axes = tuple(_solved(axis, solved, simulation is not None and simulation.compiled) for axis in axes)
     return Scene(
-        source, text, overrides, buses.first, axes, log, run, simulation, bus_effects, buses.name, buses.further
-    )
+        source, text, overrides, buses.first, axes, log, run, simulation, bus_effects, buses.name, buses.further,
+        tolerance,
+    )  # fmt: skip
 
 
 def _only(sections: MarkedMapping, model: type[RunParameters]) -> MarkedMapping:
@@ -145,19 +148,17 @@ def _simulation(sections: MarkedMapping, faults: Faults) -> SimulationParameters
     return read_section(SimulationParameters, section.without(*names), faults, also=names)
 
 
-def _accuracy(sections: MarkedMapping, faults: Faults) -> AccuracyParameters | None:
+def _accuracy(sections: MarkedMapping, faults: Faults) -> AccuracyParameters | AutoAccuracy | None:
     """Returns what simulated plants spend on accuracy; the defaults where the scene does not say."""
     if sections.get("accuracy") == "auto":
-        names = ", ".join(AccuracyParameters.model_fields)
-        faults.add(
-            sections.value_at("accuracy"),
-            f"got 'auto', which no run can choose beforehand; give any of {names}, or leave it out",
-        )
+        faults.add(sections.value_at("accuracy"), "got 'auto' without a tolerance; write it as {auto: 1 um}")
         return None
     section = _section(sections, "accuracy", faults)
+    if section is not None and "auto" in section:
+        return read_section(AutoAccuracy, section, faults)
     if section is None:
         return AccuracyParameters() if sections.get("accuracy") is None else None
-    return read_section(AccuracyParameters, section, faults)
+    return read_section(AccuracyParameters, section, faults, also=AutoAccuracy.model_fields)
 
 
 def _solved(axis: AxisScene, accuracy: AccuracyParameters, compiled: bool) -> AxisScene:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -23,6 +24,13 @@ class RunParameters(Parameters):
 
     duration: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
     """How long a run lasts; None: until it is stopped."""
+
+
+class AutoAccuracy(Parameters):
+    """`accuracy` of a scene that leaves the choice to the build."""
+
+    auto: Annotated[float, quantity("m", "rad", gt=0.0, le=1.0)]
+    """Largest error of the position that the simulated plant may make."""
 
 
 class SimulationParameters(Parameters):
@@ -85,6 +93,8 @@ class Scene:
     bus_effects: "BusEffects | None" = None  # what the simulated bus does to its frames
     bus_name: str = ""  # of the first bus, or of the only one
     further_buses: tuple[FurtherBus, ...] = ()
+    accuracy_tolerance: float | None = None  # of `accuracy: {auto: ...}` [m or rad]; None where accuracy is given
+    accuracy_choices: Mapping[str, Any] = field(default_factory=dict)  # axis -> what was chosen for it, and why
 
     @property
     def buses(self) -> tuple[NamedBus, ...]:
@@ -109,6 +119,7 @@ class Scene:
             "log": _plain(self.log),
             "run": _plain(self.run),
             "simulation": self.simulation and {**_plain(self.simulation), **self._bus_effects()},
+            **self._accuracy(),
         }
 
     def _buses(self) -> dict[str, Any] | list[dict[str, Any]]:
@@ -117,18 +128,28 @@ class Scene:
             return first
         return [{"name": self.bus_name, **first}, *(_plain(bus) for bus in self.further_buses)]
 
+    def _accuracy(self) -> dict[str, Any]:
+        if self.accuracy_tolerance is None:
+            return {}
+        return {"accuracy": {"auto": self.accuracy_tolerance, "chosen": dict(self.accuracy_choices)}}
+
     def _bus_effects(self) -> dict[str, Any]:
         return {} if self.bus_effects is None else {"bus": _plain(self.bus_effects)}
 
     def config_hash(self) -> str:
         """Returns the SHA-256 of the configuration in effect, dictionaries by content.
 
-        Comments, the order of keys, log paths and the folder of the dictionaries do not change it.
+        Comments, the order of keys, log paths and the folder of the dictionaries do not change it, nor does it matter
+        whether an automatic accuracy was chosen yet: it follows from the rest.
         """
         resolved = self.resolved()
         del resolved["log"]
         for axis in self.axes:
             resolved["axes"][axis.parameters.name]["eds"] = axis.dictionary_hash()
+            if self.accuracy_tolerance is not None and axis.simulation is not None:
+                del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
+        if self.accuracy_tolerance is not None:
+            del resolved["accuracy"]["chosen"]
         canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 

@@ -14,7 +14,7 @@ from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS, OWN_SECTIONS, SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.scene.buses import BUS_KEY, BusTitle, FurtherBus
-from canhaptic.scene.models import RunParameters, SimulationParameters
+from canhaptic.scene.models import AutoAccuracy, RunParameters, SimulationParameters
 from canhaptic.sim.bus_effects import BusEffects
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import EFFECTS
@@ -34,7 +34,7 @@ def scene_schema() -> Schema:
         "environment": _environment(definitions),
         "passivity": _passivity(definitions),
         "simulation": _simulation(definitions),
-        "accuracy": _or_null(_of(AccuracyParameters, definitions)),
+        "accuracy": {"anyOf": [_of(AccuracyParameters, definitions), _of(AutoAccuracy, definitions), {"type": "null"}]},
         "log": _or_null(_of(LogParameters, definitions)),
         **_of(RunParameters, definitions)["properties"],
     }

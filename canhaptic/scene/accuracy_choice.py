@@ -1,0 +1,201 @@
+"""`accuracy: auto`: the cheapest accuracy of a simulated plant that keeps its position within a tolerance.
+
+The scene's own controller is run once on a finely solved plant; under the torques of that run every setting of the
+ladder is held against the textbook plant by event-located DOP853 (`canhaptic.sim.textbook`). The fewest products win,
+which are the same on every machine; no time is measured.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, cast
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.haptics.balance import AT_REST, EnergyBalance
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.scene.parts import build_axis_controller, build_plant
+from canhaptic.sim.direct_rig import DirectRig
+from canhaptic.sim.effects import Effect
+from canhaptic.sim.plant import AccuracyParameters, Plant
+from canhaptic.sim.textbook.located import reference
+from canhaptic.sim.textbook.model import Model
+from canhaptic.sim.textbook.motion import Motion, MotionError, difference
+
+HOLDS: Final = 1000
+"""Holds that settings are compared over; a scene that lasts shorter is compared over all of it."""
+_BITS: Final = (4, 8, 12, 16, 20, 24)
+_FEW_BITS: Final = (8, 16, 24)
+"""Where substeps are to be chosen too."""
+_SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
+_FINE: Final = AccuracyParameters(substeps=16)
+"""Of the run that the torques are taken from."""
+_PER_MILLE: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One rung of the ladder and what it gave."""
+
+    accuracy: AccuracyParameters
+    error: MotionError
+    products: int
+    events: int
+
+
+@dataclass(frozen=True, slots=True)
+class AccuracyChoice:
+    """What `accuracy: auto` chose for one axis, and on what grounds."""
+
+    tolerance: float  # [m or rad]
+    holds: int
+    setting: Setting
+
+    def as_plain(self) -> dict[str, Any]:
+        """Returns the choice as the resolved configuration and the log keep it."""
+        error = self.setting.error
+        return {
+            "tolerance": self.tolerance,
+            "holds": self.holds,
+            "position_error": error.position,
+            "force_error": error.force,
+            "energy_error": error.energy,
+            "products_per_period": self.setting.products / self.holds,
+        }
+
+
+def with_chosen_accuracy(scene: Scene) -> Scene:
+    """Returns the scene with the accuracy of every simulated plant chosen; the scene itself where it is not `auto`.
+
+    Raises:
+        InputError: scipy is missing, or no setting keeps the tolerance.
+    """
+    if scene.accuracy_tolerance is None or scene.accuracy_choices or scene.simulation is None:
+        return scene
+    axes, choices = [], {}
+    for axis in scene.axes:
+        choice, simulation = choose(axis, scene), simulation_of(axis)
+        axes.append(replace(axis, simulation=replace(simulation, accuracy=choice.setting.accuracy)))
+        choices[axis.parameters.name] = choice.as_plain()
+    return replace(scene, axes=tuple(axes), accuracy_choices=choices)
+
+
+def choose(axis: AxisScene, scene: Scene) -> AccuracyChoice:
+    """Returns the cheapest accuracy of one axis that keeps the tolerance of its scene.
+
+    Raises:
+        InputError: scipy is missing, or no setting keeps the tolerance.
+    """
+    tolerance = scene.accuracy_tolerance
+    assert tolerance is not None
+    torques = torque_history(axis, scene, holds_of(scene))
+    simulation, period = simulation_of(axis), scene.bus.sample_time_ns
+    exact = reference(textbook_model(simulation), torques, period)
+    tried = [tried_setting(simulation, period, accuracy, torques, exact) for accuracy in ladder(simulation, period)]
+    chosen = cheapest(tried, tolerance)
+    if chosen is None:
+        best = min(tried, key=lambda setting: setting.error.position)
+        raise InputError(
+            f"{scene.source}: accuracy: auto of axis {axis.parameters.name} with tolerance {tolerance:g}: the finest "
+            f"setting errs by {best.error.position:.2g} in position; allow at least that, or a higher rate"
+        )
+    return AccuracyChoice(tolerance, len(torques), chosen)
+
+
+def cheapest(tried: Sequence[Setting], tolerance: float) -> Setting | None:
+    """Returns the setting with the fewest products whose position keeps the tolerance; of equals the more exact."""
+    good = [setting for setting in tried if setting.error.is_finite and setting.error.position <= tolerance]
+    return min(good, key=lambda setting: (setting.products, setting.error.position), default=None)
+
+
+def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
+    """Returns every setting that makes a difference to this plant, coarse to fine."""
+    plant = build_plant(simulation, sample_time_ns)
+    most = simulation.accuracy.max_events
+    bits: Sequence[int] = (24,)
+    if any(part.has_guards for part in plant.scene.parts):
+        bits = _BITS if plant.is_exact else _FEW_BITS
+    substeps = (1,) if plant.is_exact else _SUBSTEPS
+    return [AccuracyParameters(event_bits=b, substeps=s, max_events=most) for s in substeps for b in bits]
+
+
+def tried_setting(
+    simulation: AxisSimulation,
+    sample_time_ns: int,
+    accuracy: AccuracyParameters,
+    torques: Sequence[float],
+    exact: Motion,
+) -> Setting:
+    """Returns what one setting errs by and costs under the torques."""
+    plant = build_plant(replace(simulation, accuracy=accuracy, compiled=False), sample_time_ns)
+    motion = observed(plant, torques)
+    error = difference(motion, exact, simulation.plant.mass, sample_time_ns * 1e-9)
+    return Setting(accuracy, error, plant.products, plant.events)
+
+
+def observed(plant: Plant, torques: Sequence[float]) -> Motion:
+    """Returns the motion of a plant under the torques, from its start."""
+    plant.begin(0)
+    period, table = plant.sample_time_ns, np.empty((len(torques), 4))
+    for k, torque in enumerate(torques):
+        plant.advance_to((k + 1) * period, torque)
+        energy = plant.energy()
+        table[k] = plant.position, plant.velocity, energy.motor, energy.user
+    return Motion(*table.T)
+
+
+def torque_history(axis: AxisScene, scene: Scene, holds: int) -> list[float]:
+    """Returns the torque of each hold [N or N*m] of the scene's own controller on a finely solved plant, without a bus.
+
+    Args:
+        axis: A simulated axis.
+        scene: Its scene, for rate, delay and quantisation.
+        holds: How many.
+    """
+    simulation, period = simulation_of(axis), scene.bus.sample_time_ns
+    plant = build_plant(replace(simulation, accuracy=_FINE, compiled=False), period)
+    controller, limit = build_axis_controller(axis), axis.parameters.torque_limit
+    rated = axis.parameters.rated_torque
+
+    def step(position: float, held: float) -> EnergyBalance:
+        balance = controller.step(position, held)
+        if abs(balance.torque) > limit:
+            return AT_REST._replace(torque=limit if balance.torque > 0.0 else -limit)
+        return balance
+
+    rig = DirectRig(
+        plant, step, period, 1 if scene.bus.rpdo == "synchronous" else 0, axis.parameters.counts_per_unit,
+        None if rated is None else rated * _PER_MILLE,
+    )  # fmt: skip
+    held: list[float] = rig.run(holds + 1).torque_applied[1:].tolist()
+    return held
+
+
+def holds_of(scene: Scene, duration: float | None = None) -> int:
+    """Returns how many holds a scene is compared over."""
+    if duration is not None:
+        return max(2, round(duration / scene.bus.sample_time))
+    whole = HOLDS if scene.run.duration is None else round(scene.run.duration / scene.bus.sample_time)
+    return max(2, min(HOLDS, whole))
+
+
+def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = lambda _name: False) -> Model:
+    """Returns the plant of an axis as textbook equations.
+
+    Args:
+        simulation: Of the axis.
+        without: Whether an effect of this name is left out.
+    """
+    effects = [cast(Effect, effect.parameters) for effect in simulation.effects if not without(effect.name)]
+    return Model(simulation.plant, simulation.user, effects)
+
+
+def simulation_of(axis: AxisScene) -> AxisSimulation:
+    """Returns the simulation of an axis.
+
+    Raises:
+        InputError: It has none.
+    """
+    if axis.simulation is None:
+        raise InputError(f"{axis.parameters.name}: is not simulated, expected a plant and a user; add `simulation`")
+    return axis.simulation
