@@ -8,8 +8,11 @@ of whoever saved a DCF. This reader returns the same types and differs in:
 - an entry that is empty or unreadable counts as not given: no value, no limit, not mappable;
 - a mapping object (0x1600-0x17FF, 0x1A00-0x1BFF) declared ARRAY is read as RECORD, so that each entry is its own;
 - a DCF saved for another node ID: its values of objects relative to $NODEID are dropped, the defaults remain;
-- limits that contradict each other are dropped, since a dictionary that allows nothing states nothing; so is a limit
-  of the consumer heartbeat time (0x1016) that leaves no room for the node ID in its upper half.
+- a number without prefix that has letters is hexadecimal (`FF`, `1F4`), as is one with an `h` behind (`80h`);
+- limits that contradict each other, or a value of the same object, are dropped, since a dictionary that allows nothing
+  states nothing; so is a limit of the consumer heartbeat time (0x1016) that leaves no room for the node ID;
+- a value that its own type cannot hold counts as not given;
+- a record or array without subindex 0 gets one without value, writable if its first member is.
 
 What cannot be read at all raises `DictionaryError` with file and section.
 """
@@ -25,6 +28,9 @@ from canhaptic.object_dictionary import CONSUMER_HEARTBEAT_TIME
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
 _DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = 2, 7, 8, 9  # object types (CiA 301, table 42)
+_BARE_HEXADECIMAL: Final = re.compile(
+    r"(?=.*[a-f])\d[0-9a-f]*|(?=.*[a-f])(?:[0-9a-f]{2}|[0-9a-f]{4}|[0-9a-f]{8}|[0-9a-f]{16})|\d[0-9a-f]*h"
+)
 _OBJECT_TYPES: Final = frozenset({_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD})
 _LARGEST_STANDARD_TYPE: Final = datatypes.UNSIGNED64
 _MAPPING_OBJECTS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
@@ -114,9 +120,15 @@ def _text(path: Path) -> str:
 
 
 def _integer(text: str) -> int | None:
-    """Returns the number of a decimal, 0x or octal (leading 0) text as CiA 306 writes it; None if unreadable."""
+    """Returns the number of a text as CiA 306 writes it (decimal, 0x, octal with leading 0) or as vendors do.
+
+    None if unreadable. Letters without prefix count only where they begin with a digit or fill 1, 2, 4 or 8 bytes, so
+    that a word is no number.
+    """
     text = text.replace(" ", "").lower()
     octal = re.fullmatch(r"0+([0-7]+)", text)
+    if _BARE_HEXADECIMAL.fullmatch(text):
+        return int(text.removesuffix("h"), 16)
     try:
         return int(octal.group(1), 8) if octal else int(text, 0)
     except ValueError:
@@ -208,6 +220,17 @@ def _read_subindices(source: _Source, dictionary: ObjectDictionary) -> None:
             if name in holder.names and holder.names[name].subindex != subindex:
                 name = f"{name} ({subindex})"  # canopen finds members by name first: a name must be one member
             holder.add_member(_read_variable(source, section, index, subindex, name))
+    _add_counts(dictionary)
+
+
+def _add_counts(dictionary: ObjectDictionary) -> None:
+    """Adds subindex 0 to the records and arrays that lack it; what it holds only the drive knows."""
+    for holder in dictionary.values():
+        if not isinstance(holder, ODVariable) and holder.subindices and 0 not in holder.subindices:
+            first = holder.subindices[min(holder.subindices)]
+            number = ODVariable("NrOfObjects", holder.index, 0)
+            number.data_type, number.access_type = datatypes.UNSIGNED8, "rw" if first.writable else "ro"
+            holder.add_member(number)
 
 
 def _read_variable(source: _Source, section: str, index: int, subindex: int, name: str) -> ODVariable:
@@ -220,15 +243,26 @@ def _read_variable(source: _Source, section: str, index: int, subindex: int, nam
     variable.pdo_mappable = bool(_integer(entries.get("pdomapping", "")))
     low = _value(source, variable, entries.get("lowlimit", ""))
     high = _value(source, variable, entries.get("highlimit", ""))
-    if variable.data_type in datatypes.NUMBER_TYPES and (low is None or high is None or low <= high):
-        excludes_nodes = index == CONSUMER_HEARTBEAT_TIME and subindex > 0 and high is not None and high <= 0xFFFF
-        variable.min, variable.max = low, None if excludes_nodes else high
     default_text, value_text = entries.get("defaultvalue", ""), entries.get("parametervalue", "")
     variable.relative = "$NODEID" in default_text.upper()
     variable.default = _value(source, variable, default_text)
     if source.is_for_node or not variable.relative or "$NODEID" in value_text.upper():
         variable.value = _value(source, variable, value_text)
+    _set_limits(variable, low, high)
     return variable
+
+
+def _set_limits(variable: ODVariable, low: Any, high: Any) -> None:
+    """Sets the limits of a number; those that contradict each other or what the object holds are left out."""
+    if variable.data_type not in datatypes.NUMBER_TYPES or (low is not None and high is not None and low > high):
+        return
+    held = [value for value in (variable.default, variable.value) if value is not None]
+    is_consumer = variable.index == CONSUMER_HEARTBEAT_TIME and variable.subindex > 0
+    excludes_nodes = is_consumer and high is not None and high <= 0xFFFF
+    if low is not None and all(value >= low for value in held):
+        variable.min = low
+    if high is not None and not excludes_nodes and all(value <= high for value in held):
+        variable.max = high
 
 
 def _data_type(source: _Source, section: str) -> int:
@@ -261,10 +295,19 @@ def _value(source: _Source, variable: ODVariable, text: str) -> Any:
     except ValueError:
         return None
     number = _number(text, source.node_id)
-    if number is not None and data_type in datatypes.SIGNED_TYPES:
-        bits = len(variable)
-        number = number - (1 << bits) if (1 << (bits - 1)) <= number < (1 << bits) else number
-    return number
+    return None if number is None else _held_by(variable, number)
+
+
+def _held_by(variable: ODVariable, number: int) -> int | None:
+    """Returns the number as the variable's type holds the same bits; None when it has no room for it."""
+    if variable.data_type not in (*datatypes.INTEGER_TYPES, datatypes.BOOLEAN):
+        return None
+    bits = 1 if variable.data_type == datatypes.BOOLEAN else len(variable)
+    if not -(1 << (bits - 1)) <= number < (1 << bits):
+        return None
+    number &= (1 << bits) - 1
+    is_negative = variable.data_type in datatypes.SIGNED_TYPES and number >> (bits - 1)
+    return number - (1 << bits) if is_negative else number
 
 
 def _number(text: str, node_id: int) -> int | None:

@@ -17,6 +17,8 @@ from canhaptic.errors import CanHapticError
 COMMANDS: Final = {
     "run": "run a scene: bring the drives up, render, print the energy account",
     "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
+    "check-eds": "say whether the drive of an EDS or DCF can serve, and what its configuration must bring",
+    "new": "write a commented configuration to start from, for the drive of an EDS or DCF",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "compare": "compare every passivity algorithm on one scene with the continuous environment",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
@@ -50,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for known, text in COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
         if known == name:  # only what is used is imported
-            command = cast(Command, importlib.import_module(f"canhaptic.cli.{known}"))
+            command = cast(Command, importlib.import_module(f"canhaptic.cli.{known.replace('-', '_')}"))
             command.add_arguments(subparser)
     parsed = parser.parse_args(words)
     return _execute(cast(Command, command), parsed)

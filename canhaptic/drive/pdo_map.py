@@ -14,7 +14,7 @@ from canopen.objectdictionary import datatypes
 
 from canhaptic import object_dictionary as od
 from canhaptic.drive.parameters import AxisParameters
-from canhaptic.drive.pdo_codec import MappedObject, decode_entry
+from canhaptic.drive.pdo_codec import MappedObject, codec, decode_entry
 from canhaptic.errors import DictionaryError
 
 _PDO_COUNT: Final = 512
@@ -28,6 +28,9 @@ POSITION: Final = MappedObject(od.POSITION_ACTUAL, 0, 32, signed=True)
 TORQUE_DEMAND: Final = MappedObject(od.TORQUE_DEMAND, 0, 16, signed=True)
 TORQUE_ACTUAL: Final = MappedObject(od.TORQUE_ACTUAL, 0, 16, signed=True)
 _SIGNED: Final = frozenset(o.index for o in (TARGET_TORQUE, POSITION, TORQUE_DEMAND, TORQUE_ACTUAL))
+_WANTED: Final = frozenset(
+    o.entry for o in (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION, TORQUE_DEMAND, TORQUE_ACTUAL)
+)
 _RPDO_OBJECTS: Final = (CONTROLWORD, TARGET_TORQUE)
 
 ReadBack = Literal["demand", "actual", "none"]
@@ -75,7 +78,7 @@ class AxisMap:
 
 
 @dataclass(frozen=True, slots=True)
-class _Candidate:
+class PdoCapability:
     """A PDO that the dictionary has."""
 
     kind: Literal["RPDO", "TPDO"]
@@ -110,6 +113,11 @@ def pdo_numbers(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> 
     """Returns the numbers of all PDOs whose communication parameters the dictionary lists."""
     first = od.RPDO_COMMUNICATION if kind == "RPDO" else od.TPDO_COMMUNICATION
     return [index - first + 1 for index in sorted(dictionary) if first <= index < first + _PDO_COUNT]
+
+
+def pdo_capabilities(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[PdoCapability]:
+    """Returns every PDO whose mapping can be written or is stated whole, in order."""
+    return list(_candidates(dictionary, kind))
 
 
 def is_writable(dictionary: ObjectDictionary, index: int, subindex: int) -> bool:
@@ -153,24 +161,35 @@ def _mapped(dictionary: ObjectDictionary, entry: int) -> MappedObject:
 # --- the PDOs that a dictionary has -------------------------------------------------------------------------------
 
 
-def _candidates(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> Iterator[_Candidate]:
+def _candidates(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> Iterator[PdoCapability]:
     first = od.RPDO_MAPPING if kind == "RPDO" else od.TPDO_MAPPING
     for number in pdo_numbers(dictionary, kind):
         members = getattr(dictionary.get(first + number - 1), "subindices", {})
         subindices = sorted(members)
         if not subindices:
             continue
-        room = len(subindices) - 1
+        room = next(n for n in range(len(members) + 1) if n + 1 not in members)  # a gap ends what can be written
         if is_writable(dictionary, first + number - 1, 0) and is_writable(dictionary, first + number - 1, 1):
-            yield _Candidate(kind, number, None, room)
+            yield PdoCapability(kind, number, None, room)
             continue
         count = members[0].default if 0 in members else None
         values = [members[s].default for s in subindices if 0 < s <= (count or 0)]
         if values and len(values) == count and all(isinstance(v, int) and v for v in values):
-            yield _Candidate(kind, number, tuple(_mapped(dictionary, v) for v in values), room)
+            entries = tuple(_mapped(dictionary, v) for v in values)
+            if _is_decodable(entries):
+                yield PdoCapability(kind, number, entries, room)
 
 
-def _choose_rpdo(dictionary: ObjectDictionary, axis: AxisParameters) -> _Candidate:
+def _is_decodable(entries: Sequence[MappedObject]) -> bool:
+    """Whether the bytes of a fixed map can be told apart: a single BOOLEAN shifts all that follows it by a bit."""
+    try:
+        codec(entries, [entry.index for entry in entries if entry.entry in _WANTED])
+    except DictionaryError:
+        return False
+    return True
+
+
+def _choose_rpdo(dictionary: ObjectDictionary, axis: AxisParameters) -> PdoCapability:
     candidates = [c for c in _candidates(dictionary, "RPDO") if axis.rpdo_number in (None, c.number)]
     needed = {entry.entry for entry in _RPDO_OBJECTS}
     for candidate in candidates:
@@ -187,7 +206,7 @@ def _choose_rpdo(dictionary: ObjectDictionary, axis: AxisParameters) -> _Candida
 
 def _choose_tpdos(
     dictionary: ObjectDictionary, axis: AxisParameters, wanted: Sequence[MappedObject]
-) -> list[tuple[_Candidate, Sequence[MappedObject]]]:
+) -> list[tuple[PdoCapability, Sequence[MappedObject]]]:
     candidates = [c for c in _candidates(dictionary, "TPDO") if c.number in (axis.tpdo_numbers or (c.number,))]
     for candidate in candidates:
         if candidate.fixed is None and candidate.room >= len(wanted):
@@ -211,7 +230,7 @@ def _choose_tpdos(
 def _plan(
     dictionary: ObjectDictionary,
     axis: AxisParameters,
-    candidate: _Candidate,
+    candidate: PdoCapability,
     entries: tuple[MappedObject, ...],
     taken: set[int],
 ) -> PdoPlan:

@@ -5,7 +5,7 @@ It is a whole scene: every key that a dictionary can give is given, every other 
 
 import json
 import math
-from pathlib import Path
+import re
 from string import Template
 from typing import Final
 
@@ -13,14 +13,18 @@ from canopen import ObjectDictionary
 
 from canhaptic import object_dictionary as od
 from canhaptic.drive.pdo_map import is_writable
-from canhaptic.drive.survey import Survey, Suitability
+from canhaptic.drive.survey import Suitability, Survey
 from canhaptic.errors import DictionaryError
 
 TO_SET: Final = "TO SET"
 """Marks every value that the user has to replace."""
 _CAUTIOUS: Final = 0.05  # part of the rated torque that the first configuration allows
 _GUESSED_RATED_TORQUE: Final = 1.0  # [N*m]
-_GUESSED_COUNTS: Final = 4096.0  # per revolution
+_GUESSED_COUNTS: Final = 65536  # per revolution
+_FEWEST_COUNTS: Final = 64  # per revolution; a dictionary that states fewer states the default of an unset object
+_COMMENT_COLUMN: Final = 30
+_TRAILING_COMMENT: Final = re.compile(r"^( *[^#\s][^#\n]*?) +# ", re.MULTILINE)
+_EDS_TOKEN: Final = "@EDS@"  # put in last: nothing else may touch a path
 _FASTEST: Final = 1000.0  # [Hz]
 _ROUND_RATES: Final = (1000, 800, 500, 400, 250, 200, 125, 100, 50, 40, 20, 10)
 
@@ -30,8 +34,8 @@ _TEXT: Final = Template("""\
 # Written by `canhaptic new` from $eds.
 # Every line marked $to_set holds a guess: put the value of your rig there before any torque.
 #
-#     canhaptic check $scene      what would be done, and whether the drive is fit for it
-#     canhaptic run $scene $hint
+#     canhaptic check rig.yaml    what would be done, and whether the drive is fit for it
+#     canhaptic run rig.yaml$hint
 #
 # Plain numbers are SI. A text may carry a unit (1 kHz, 0.5 N*m, 50 us), which is checked for dimension.
 
@@ -50,7 +54,7 @@ axes:
 $identity    unit: rad               # m for a linear axis; the units below then are N, N/m, ...
     counts_per_unit: $counts   # $to_set: counts of 0x6064 per radian of the axis, gear included$counts_note
     direction: 1            # -1 if the positive direction of the drive is not that of the axis
-$rated$transmission    torque_limit: $limit N*m     # $to_set: the largest torque that may ever reach the hand$limit_note
+$rated$transmission    torque_limit: $limit N*m # $to_set: the largest torque that may ever reach the hand$limit_note
 $read_back$watchdog
 # A spring and a damper, solid below `position`. Soft, for the first contact.
 environment:
@@ -101,13 +105,12 @@ def starter_scene(found: Survey, dictionary: ObjectDictionary, *, simulate: bool
     limit = _round(_CAUTIOUS * rated)
     rate = _rate(found)
     fits_full = rate >= _FASTEST
-    return _TEXT.substitute(
+    text = _TEXT.substitute(
         to_set=TO_SET,
         title=_plain(f"{found.vendor} {found.product}".strip() or "A CiA 402 drive"),
         eds=_plain(str(found.path)),
-        eds_quoted=json.dumps(str(found.path), ensure_ascii=False),
-        scene="THIS_FILE",
-        hint="  (simulated: no hardware is needed)" if simulate else "--log run.h5 --bus-log run.log",
+        eds_quoted=_EDS_TOKEN,
+        hint="      needs no hardware: drive, motor and hand are simulated" if simulate else "",
         bus=_bus(simulate),
         bitrate=found.bitrate,
         bitrate_note="" if found.bitrates else f"    # {TO_SET}: the dictionary lists none; as set in the drive",
@@ -127,6 +130,12 @@ def starter_scene(found: Survey, dictionary: ObjectDictionary, *, simulate: bool
         **_scaled(limit),
         simulation=_simulation(dictionary, rated, limit) if simulate else "",
     )
+    return _aligned(text).replace(_EDS_TOKEN, json.dumps(str(found.path), ensure_ascii=False))
+
+
+def _aligned(text: str) -> str:
+    """Returns the text with the comments behind values one below the other."""
+    return _TRAILING_COMMENT.sub(lambda found: f"{found.group(1):<{_COMMENT_COLUMN - 2}}  # ", text)
 
 
 def _plain(text: str) -> str:
@@ -173,17 +182,24 @@ def _value(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int |
 
 def _counts(dictionary: ObjectDictionary) -> float:
     """Returns counts per radian: increments per revolution (0x608F) times gear (0x6091), or a guess."""
-    increments = _value(dictionary, od.ENCODER_RESOLUTION, 1) or _GUESSED_COUNTS
     revolutions = _value(dictionary, od.ENCODER_RESOLUTION, 2) or 1
     gear = (_value(dictionary, od.GEAR_RATIO, 1) or 1) / (_value(dictionary, od.GEAR_RATIO, 2) or 1)
-    return float(f"{increments / revolutions * gear / (2.0 * math.pi):.8g}")
+    stated = _stated_counts(dictionary)
+    counts = _GUESSED_COUNTS if stated is None else stated / revolutions * gear
+    return float(f"{counts / (2.0 * math.pi):.8g}")
+
+
+def _stated_counts(dictionary: ObjectDictionary) -> int | None:
+    """Returns the increments of 0x608F; None where they are not stated, or are the 1 of an object that nobody set."""
+    increments = _value(dictionary, od.ENCODER_RESOLUTION, 1)
+    return increments if increments is not None and increments >= _FEWEST_COUNTS else None
 
 
 def _counts_note(dictionary: ObjectDictionary) -> str:
-    increments = _value(dictionary, od.ENCODER_RESOLUTION, 1)
+    increments = _stated_counts(dictionary)
     if increments:
-        return f"\n                            # here from 0x608F = {increments} and the gear of 0x6091"
-    return f"\n                            # here {_GUESSED_COUNTS:g} counts per revolution, which is a guess"
+        return f"\n                              # here from 0x608F = {increments} and the gear of 0x6091"
+    return f"\n                              # here {_GUESSED_COUNTS:g} counts per revolution, a guess"
 
 
 def _stated_torque(dictionary: ObjectDictionary, found: Survey, drive: str | None) -> float | None:
@@ -204,15 +220,15 @@ def _rated_lines(dictionary: ObjectDictionary, stated: float | None) -> str:
         )
     seen = f"{stated:g} N*m here" if stated else "no value here"
     return (
-        f"    # rated_torque: 1 N*m   # torque of the axis at 1000 per mille. Left out: read from 0x6076 ({seen}).\n"
-        "                            # Given: compared with 0x6076 at the start, and needed when that is 0\n"
+        f"    # rated_torque: 1 N*m       # of the axis at 1000 per mille. Left out: read from 0x6076 ({seen}).\n"
+        "                              # Given: compared with 0x6076 at the start, and needed when that is 0\n"
     )
 
 
 def _limit_note(dictionary: ObjectDictionary) -> str:
     if is_writable(dictionary, od.MAX_TORQUE, 0):
-        return "\n                            # also written to 0x6072"
-    return "\n                            # no writable 0x6072: limit the current in the drive as well"
+        return "\n                              # also written to 0x6072"
+    return "\n                              # no writable 0x6072: limit the current in the drive as well"
 
 
 def _read_back_lines(found: Survey) -> str:

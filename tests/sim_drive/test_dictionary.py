@@ -51,7 +51,17 @@ def test_undefined_windows_bytes_do_not_stop_the_reader(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [("0x10", 16), ("16", 16), ("020", 16), ("0", 0), ("00", 0), ("-1", -1), ("0XfF", 255), ("", None), ("abc", None)],
+    [
+        ("0x10", 16),
+        ("16", 16),
+        ("020", 16),
+        ("0", 0),
+        ("00", 0),
+        ("-1", 0xFFFF),
+        ("0XfF", 255),
+        ("", None),
+        ("abc", None),
+    ],
 )
 def test_numbers_are_read_as_cia_306_writes_them(tmp_path: Path, text: str, expected: int | None) -> None:
     assert variable(tmp_path, f"DefaultValue={text}").default == expected

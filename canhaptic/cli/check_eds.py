@@ -1,0 +1,143 @@
+"""`canhaptic check-eds FILE`: whether the drive of an EDS or DCF can serve, and what its configuration must bring."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.table import Table
+
+from canhaptic.cli.arguments import add_json
+from canhaptic.cli.output import write_json
+from canhaptic.cli.tables import plain_table
+from canhaptic.dictionary import read_dictionary
+from canhaptic.drive.pdo_map import AxisMap, PdoPlan
+from canhaptic.drive.survey import Suitability, Survey, SurveyRow, survey, unconfigured_axis
+from canhaptic.view.energy_table import make_console
+
+_COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", Suitability.UNFIT: "red"}
+_WORDS: Final = {"fit": "[green]ok[/]", "unknown": "[yellow]condition[/]", "refused": "[red]unfit[/]"}
+_UNFIT: Final = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `check-eds`."""
+    parser.add_argument("file", metavar="FILE", type=Path, help="object dictionary of the drive (EDS or DCF)")
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Prints the verdict with its reasons; returns 1 when the drive cannot serve."""
+    found = survey_of(arguments.file)
+    if arguments.json:
+        write_json(_as_json(found))
+    else:
+        _print(make_console(), found)
+    return _UNFIT if found.suitability is Suitability.UNFIT else 0
+
+
+def survey_of(path: Path) -> Survey:
+    """Returns what a dictionary says of its drive.
+
+    Raises:
+        DictionaryError: It cannot be read.
+    """
+    axis = unconfigured_axis(path)
+    return survey(read_dictionary(path, axis.node_id), axis)
+
+
+def _as_json(found: Survey) -> dict[str, Any]:
+    return {
+        "status": "ok",
+        "file": str(found.path),
+        "verdict": found.suitability.value,
+        "reasons": [f"{row.item}: {row.text}" for row in found.reasons],
+        "conditions": [f"{row.item}: {row.text}" for row in found.conditions],
+        "device": {
+            "vendor": found.vendor,
+            "product": found.product,
+            "vendor_id": found.vendor_id,
+            "product_code": found.product_code,
+            "bitrates": list(found.bitrates),
+        },
+        "objects": [{**row._asdict(), "verdict": row.verdict.value} for row in found.rows],
+        "configure": {key.key: key.reason for key in found.manual},
+        "map": None if found.axis_map is None else _map_as_json(found.axis_map),
+        "bus": {"bitrate": found.bitrate, "rates": [load._asdict() for load in found.loads]},
+    }
+
+
+def _map_as_json(axis_map: AxisMap) -> dict[str, Any]:
+    def pdo(plan: PdoPlan) -> dict[str, Any]:
+        return {
+            "name": plan.name,
+            "cob_id": f"{plan.cob_id:#05x}",
+            "written": plan.is_written,
+            "bytes": plan.length,
+            "entries": [str(entry) for entry in plan.entries],
+        }
+
+    return {"rpdo": pdo(axis_map.rpdo), "tpdos": [pdo(t) for t in axis_map.tpdos], "read_back": axis_map.read_back}
+
+
+# --- the tables ---------------------------------------------------------------------------------------------------
+
+
+def _print(console: Console, found: Survey) -> None:
+    name = " ".join(part for part in (found.vendor, found.product) if part) or "a drive without a name"
+    console.print(f"{found.path}: {name}", markup=False, style="bold")
+    console.print()
+    console.print(_object_table(found))
+    if found.axis_map is not None:
+        console.print(_map_table(found.axis_map))
+        console.print(_load_table(found))
+    if not found.reasons:
+        console.print(_manual_table(found))
+    console.print(f"[bold {_COLOURS[found.suitability]}]{found.suitability.value}[/]")
+    for row in found.reasons or found.conditions:
+        console.print(f"  {row.item}: {row.text}", markup=False, soft_wrap=False)
+
+
+def _object_table(found: Survey) -> Table:
+    table = plain_table("what the dictionary states", "", "object", "", "stated", "meaning")
+    group = ""
+    for row in found.rows:
+        if row.group != group:
+            table.add_section()
+        stated = row.stated.replace("[", r"\[")
+        table.add_row(row.group if row.group != group else "", row.item, _WORDS[row.verdict.value], stated, _text(row))
+        group = row.group
+    return table
+
+
+def _text(row: SurveyRow) -> str:
+    if row.item == "map":
+        return "see below" if row.verdict.value == "fit" else row.text.replace("[", r"\[")
+    return row.text.replace("[", r"\[")
+
+
+def _map_table(axis_map: AxisMap) -> Table:
+    table = plain_table("map that would be used (node 1)", "PDO", "COB-ID", "bytes", "mapping", "objects")
+    for plan in (axis_map.rpdo, *axis_map.tpdos):
+        how = "written" if plan.is_written else "fixed"
+        entries = ", ".join(str(entry) for entry in plan.entries)
+        table.add_row(plan.name, f"{plan.cob_id:#05x}", str(plan.length), how, entries)
+    return table
+
+
+def _load_table(found: Survey) -> Table:
+    title = f"bus at {found.bitrate / 1000:g} kbit/s, one axis"
+    table = plain_table(title, "rate", "periodic load", "worst cycle", "of", "", "axes that fit")
+    for load in found.loads:
+        fits = "[green]fits[/]" if load.fits else "[red]does not fit[/]"
+        cells = (f"{load.rate:g} Hz", f"{100 * load.periodic_load:.1f} %", f"{load.worst_cycle * 1e6:.0f} us")
+        axes = "16 or more" if load.axes >= 16 else str(load.axes)
+        table.add_row(*cells, f"{1e6 / load.rate:.0f} us", fits, axes)
+    return table
+
+
+def _manual_table(found: Survey) -> Table:
+    table = plain_table("to be configured by hand, under axes", "key", "why")
+    for key in found.manual:
+        table.add_row(key.key, key.reason)
+    return table

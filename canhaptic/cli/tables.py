@@ -1,0 +1,12 @@
+"""The look of the tables that commands print."""
+
+from rich import box
+from rich.table import Table
+
+
+def plain_table(title: str, *columns: str) -> Table:
+    """Returns an empty table with a title above and a line under its heads."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table

@@ -1,0 +1,375 @@
+"""What one object dictionary says about a drive before there is a configuration: can it serve, and on which conditions.
+
+`fitness` judges a dictionary for an axis that is configured; here nothing is, so that whatever the configuration has to
+bring is a condition and no refusal. A refusal rests only on what the dictionary states.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+from canopen import ObjectDictionary
+from canopen.objectdictionary import ODVariable, datatypes
+
+from canhaptic import object_dictionary as od
+from canhaptic.drive.bus_budget import BusBudget, bus_budget
+from canhaptic.drive.fitness import Finding, Verdict, check_dictionary
+from canhaptic.drive.parameters import AxisParameters, BusParameters
+from canhaptic.drive.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
+from canhaptic.errors import DictionaryError
+
+RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
+"""SYNCs per second for which the load of the bus is told [Hz]."""
+_MOST_AXES: Final = 16
+_INTEGER_NAMES: Final = {
+    datatypes.BOOLEAN: "BOOLEAN",
+    datatypes.INTEGER8: "INTEGER8",
+    datatypes.INTEGER16: "INTEGER16",
+    datatypes.INTEGER32: "INTEGER32",
+    datatypes.UNSIGNED8: "UNSIGNED8",
+    datatypes.UNSIGNED16: "UNSIGNED16",
+    datatypes.UNSIGNED32: "UNSIGNED32",
+}
+_SAVED_IS_RIGHT: Final[dict[int, Callable[[int], bool]]] = {
+    od.DEVICE_TYPE: lambda value: value & 0xFFFF == od.CIA402_PROFILE,
+    od.SUPPORTED_DRIVE_MODES: lambda value: bool(value & od.CYCLIC_SYNC_TORQUE_BIT),
+}
+
+Group = Literal["identity", "torque", "read-back", "limits", "resolution", "watchdog", "PDO"]
+
+
+class Suitability(Enum):
+    """Whether a drive can serve, as far as its dictionary tells."""
+
+    FIT = "fit"
+    CONDITIONAL = "fit with conditions"
+    UNFIT = "unfit"
+
+
+class SurveyRow(NamedTuple):
+    """One object or part of a dictionary."""
+
+    group: Group
+    item: str  # as `0x6072 max torque`
+    stated: str  # type, access, default, mappable: what the dictionary says
+    verdict: Verdict  # fit; unknown: a condition; refused
+    text: str  # what that means and what to do
+
+
+class ManualKey(NamedTuple):
+    """A key of the configuration that no dictionary can give."""
+
+    key: str  # of an axis
+    reason: str
+
+
+class LoadRow(NamedTuple):
+    """Load of the bus by one axis with the chosen map."""
+
+    rate: float  # [Hz]
+    periodic_load: float  # part of the bus, 0 to 1
+    worst_cycle: float  # [s]
+    fits: bool
+    axes: int  # of this kind that fit; `_MOST_AXES` stands for that many or more
+
+
+class Survey(NamedTuple):
+    """Everything that is known from one dictionary."""
+
+    path: Path
+    vendor: str
+    product: str
+    vendor_id: int | None
+    product_code: int | None
+    bitrates: tuple[int, ...]  # that the dictionary lists [bit/s], rising; empty when it lists none
+    rows: tuple[SurveyRow, ...]
+    manual: tuple[ManualKey, ...]
+    axis_map: AxisMap | None
+    bitrate: int  # of the loads [bit/s]
+    loads: tuple[LoadRow, ...]
+
+    @property
+    def reasons(self) -> list[SurveyRow]:
+        """What speaks against the drive."""
+        return [row for row in self.rows if row.verdict is Verdict.REFUSED]
+
+    @property
+    def conditions(self) -> list[SurveyRow]:
+        """What has to be configured, or is decided by the drive itself at the start."""
+        return [row for row in self.rows if row.verdict is Verdict.UNKNOWN]
+
+    @property
+    def suitability(self) -> Suitability:
+        """The verdict."""
+        if self.reasons:
+            return Suitability.UNFIT
+        return Suitability.CONDITIONAL if self.conditions else Suitability.FIT
+
+
+def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
+    """Returns what a dictionary says.
+
+    Args:
+        dictionary: As read from its EDS or DCF.
+        axis: From `unconfigured_axis`, perhaps with the keys of a drive profile.
+    """
+    device = dictionary.device_information
+    findings = {finding.item[:6]: finding for finding in check_dictionary(dictionary, axis)}
+    try:
+        axis_map = choose_map(dictionary, axis)
+    except DictionaryError:
+        axis_map = None
+    bitrates = tuple(sorted(device.allowed_baudrates))
+    bitrate = max((rate for rate in bitrates if rate <= 1_000_000), default=1_000_000)
+    rows = (
+        *_identity(dictionary, findings),
+        *_torque(dictionary, findings),
+        _read_back(dictionary, axis_map),
+        *_limits(dictionary, axis),
+        *_resolution(dictionary),
+        *_watchdog(dictionary, findings),
+        *_pdos(dictionary, findings),
+    )
+    return Survey(
+        Path(axis.eds),
+        device.vendor_name or "",
+        device.product_name or "",
+        _stated(dictionary, od.IDENTITY, 1) or device.vendor_number,
+        _stated(dictionary, od.IDENTITY, 2) or device.product_number,
+        bitrates,
+        rows,
+        _manual_keys(dictionary, axis),
+        axis_map,
+        bitrate,
+        () if axis_map is None else _loads(axis_map, bitrate),
+    )
+
+
+def unconfigured_axis(eds: str | Path, node_id: int = 1) -> AxisParameters:
+    """Returns an axis with nothing but its dictionary; scale and limit are 1 and mean nothing."""
+    return AxisParameters(name="drive", node_id=node_id, eds=Path(eds), counts_per_unit=1.0, torque_limit=1.0)
+
+
+# --- what an object states --------------------------------------------------------------------------------------
+
+
+def _variable(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> ODVariable | None:
+    variable: ODVariable | None = dictionary.get_variable(index, subindex)
+    return variable
+
+
+def _stated(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int | None:
+    """Returns the value of a DCF, else the default; None when the dictionary gives neither."""
+    variable = _variable(dictionary, index, subindex)
+    values = () if variable is None else (variable.value, variable.default)
+    return next((value for value in values if isinstance(value, int)), None)
+
+
+def _describe(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> str:
+    """Returns `UNSIGNED16 rw, default 1000, mappable`."""
+    variable = _variable(dictionary, index, subindex)
+    if variable is None:
+        return "not listed"
+    parts = [f"{_type_name(variable.data_type)} {variable.access_type}"]
+    if isinstance(variable.value, int):
+        parts.append(f"value {_number(index, variable.value)}")
+    elif isinstance(variable.default, int):
+        parts.append(f"default {_number(index, variable.default)}")
+    if variable.pdo_mappable:
+        parts.append("mappable")
+    return ", ".join(parts)
+
+
+def _type_name(data_type: int | None) -> str:
+    return "no type" if data_type is None else _INTEGER_NAMES.get(data_type, f"type {data_type:#06x}")
+
+
+def _number(index: int, value: int) -> str:
+    return f"{value:#x}" if index in (od.DEVICE_TYPE, od.IDENTITY, od.SUPPORTED_DRIVE_MODES) else str(value)
+
+
+def _row(
+    dictionary: ObjectDictionary, group: Group, name: str, index: int, verdict: Verdict, text: str, subindex: int = 0
+) -> SurveyRow:
+    place = f"{index:#06x}" + (f":{subindex:02x}" if subindex else "")
+    return SurveyRow(group, f"{place} {name}", _describe(dictionary, index, subindex), verdict, text)
+
+
+def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
+    """Returns the row of a finding of `fitness`; what a DCF was saved with speaks where there is no default."""
+    index = int(finding.item.split(" ")[0], 16)
+    verdict, text = finding.verdict, finding.text
+    saved = _stated(dictionary, index)
+    if verdict is Verdict.UNKNOWN and saved is not None:
+        is_right = _SAVED_IS_RIGHT[index](saved) if index in _SAVED_IS_RIGHT else True
+        verdict = Verdict.FIT if is_right else Verdict.UNKNOWN
+        text = f"{saved:#x} when this file was saved, {'as needed' if is_right else 'not fit'}; the drive is asked"
+    return SurveyRow(group, finding.item, _describe(dictionary, index), verdict, text)
+
+
+# --- the groups ---------------------------------------------------------------------------------------------------
+
+
+def _identity(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
+    return [
+        _judged(dictionary, "identity", findings["0x1000"]),
+        _row(dictionary, "identity", "vendor ID", od.IDENTITY, Verdict.FIT, "compared when vendor_id is set", 1),
+        _row(dictionary, "identity", "product code", od.IDENTITY, Verdict.FIT, "compared when product_code is set", 2),
+    ]
+
+
+def _torque(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
+    rows = [_judged(dictionary, "torque", findings[place]) for place in ("0x6071", "0x6502")]
+    mode = _variable(dictionary, od.MODES_OF_OPERATION)
+    if mode is None:
+        verdict, text = Verdict.UNKNOWN, "not listed; the drive must take mode 10 all the same"
+    elif mode.max is not None and mode.max < od.CYCLIC_SYNC_TORQUE:
+        verdict, text = Verdict.UNKNOWN, f"at most {mode.max} is allowed, mode 10 is needed; the drive decides"
+    else:
+        verdict, text = Verdict.FIT, "10 (cyclic synchronous torque) is written"
+    rows.append(_row(dictionary, "torque", "modes of operation", od.MODES_OF_OPERATION, verdict, text))
+    if _variable(dictionary, od.MODES_OF_OPERATION_DISPLAY) is None:
+        verdict, text = Verdict.UNKNOWN, "not listed; without an answer there is no start"
+    else:
+        verdict, text = Verdict.FIT, "must confirm mode 10"
+    rows.append(_row(dictionary, "torque", "modes of operation display", od.MODES_OF_OPERATION_DISPLAY, verdict, text))
+    return rows
+
+
+def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> SurveyRow:
+    stated = f"0x6074 {_describe(dictionary, od.TORQUE_DEMAND)}; 0x6077 {_describe(dictionary, od.TORQUE_ACTUAL)}"
+    texts = {
+        "demand": (Verdict.FIT, "0x6074 in the TPDO: the energy of every hold is exact"),
+        "actual": (
+            Verdict.UNKNOWN,
+            "0x6077 in the TPDO: a measured torque at one instant of the hold; its difference from the torque that "
+            "was sent bounds the error of the energy",
+        ),
+        "none": (Verdict.UNKNOWN, "no torque can be mapped: the energy is that of the torque sent, and believed"),
+    }
+    if axis_map is None:
+        return SurveyRow("read-back", "torque read back", stated, Verdict.FIT, "no map was found, see below")
+    return SurveyRow("read-back", "torque read back", stated, *texts[axis_map.read_back])
+
+
+def _limits(dictionary: ObjectDictionary, axis: AxisParameters) -> list[SurveyRow]:
+    limit, rated = _variable(dictionary, od.MAX_TORQUE), _variable(dictionary, od.RATED_TORQUE)
+    if limit is None or not limit.writable:
+        state = "not listed" if limit is None else "read-only"
+        text = f"{state}; torque_limit is kept by the master alone: set a limit in the drive with the vendor's tool"
+        rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.UNKNOWN, text)]
+    else:
+        text = "written from torque_limit and read back"
+        rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.FIT, text)]
+    value = _stated(dictionary, od.RATED_TORQUE)
+    if axis.rated_torque is not None:
+        verdict, text = Verdict.FIT, f"{axis.rated_torque:g} from the configuration"
+    elif rated is None:
+        verdict, text = Verdict.UNKNOWN, "not listed; rated_torque must be set"
+    elif not value:
+        verdict, text = Verdict.UNKNOWN, "no value; read from the drive, and rated_torque must be set if that is 0"
+    else:
+        verdict, text = Verdict.FIT, "read from the drive; its live value counts"
+    rows.append(_row(dictionary, "limits", "motor rated torque", od.RATED_TORQUE, verdict, text))
+    rows.append(
+        _row(dictionary, "limits", "motor rated current", od.RATED_CURRENT, Verdict.FIT, "for information; not used")
+    )
+    return rows
+
+
+def _resolution(dictionary: ObjectDictionary) -> list[SurveyRow]:
+    encoder = "for orientation; counts_per_unit is the configuration's, confirmed by hand motion"
+    gear = "for orientation; the gear belongs into counts_per_unit and transmission"
+    return [
+        _row(dictionary, "resolution", "encoder increments", od.ENCODER_RESOLUTION, Verdict.FIT, encoder, 1),
+        _row(dictionary, "resolution", "gear, motor revolutions", od.GEAR_RATIO, Verdict.FIT, gear, 1),
+    ]
+
+
+def _watchdog(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
+    rows = [_judged(dictionary, "watchdog", findings["0x1017"])]
+    if _variable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1) is None:
+        text = "not listed: the drive cannot notice a killed master; only watchdog: false goes on, at your own risk"
+        verdict = Verdict.UNKNOWN
+    else:
+        verdict, text = Verdict.FIT, "armed at the start: the drive notices a killed master"
+    rows.append(
+        _row(dictionary, "watchdog", "consumer heartbeat time", od.CONSUMER_HEARTBEAT_TIME, verdict, text, 1)
+    )  # fmt: skip
+    option = _variable(dictionary, od.ABORT_CONNECTION_OPTION)
+    if option is None or not option.writable:
+        state = "not listed" if option is None else "read-only"
+        text = f"{state}: what a lost master does is set with the vendor's tool; it must end in zero torque"
+        verdict = Verdict.UNKNOWN
+    else:
+        verdict, text = Verdict.FIT, "written: a lost master is a fault (1)"
+    rows.append(_row(dictionary, "watchdog", "abort connection option", od.ABORT_CONNECTION_OPTION, verdict, text))
+    return rows
+
+
+def _pdos(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
+    rows = []
+    kinds: tuple[Literal["RPDO", "TPDO"], ...] = ("RPDO", "TPDO")
+    for kind in kinds:
+        capabilities = pdo_capabilities(dictionary, kind)
+        verdict = Verdict.FIT if capabilities else Verdict.REFUSED
+        text = "" if capabilities else f"the dictionary describes no {kind}"
+        rows.append(SurveyRow("PDO", f"{kind}s", _counted(capabilities), verdict, text))
+    finding = findings["PDO ma"]
+    rows.append(SurveyRow("PDO", "map", "", finding.verdict, finding.text))
+    return rows
+
+
+def _counted(capabilities: list[PdoCapability]) -> str:
+    """Returns `25: 1 writable (8 entries), 24 fixed`."""
+    if not capabilities:
+        return "none"
+    writable = [c for c in capabilities if c.fixed is None]
+    rooms = sorted({c.room for c in writable})
+    entries = f" ({'-'.join(str(room) for room in {rooms[0]: 0, rooms[-1]: 0})} entries)" if rooms else ""
+    return f"{len(capabilities)}: {len(writable)} writable{entries}, {len(capabilities) - len(writable)} fixed"
+
+
+# --- what follows ---------------------------------------------------------------------------------------------------
+
+
+def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ManualKey, ...]:
+    keys = [
+        ManualKey("node_id", "as set in the drive"),
+        ManualKey("unit, counts_per_unit", "position counts (0x6064) per radian or metre of the axis, gear included"),
+        ManualKey("torque_limit", "the largest torque that may ever reach the hand"),
+        ManualKey("direction", "-1 if the positive direction of the drive is not that of the axis"),
+    ]
+    needs: tuple[tuple[str, str, Callable[[], bool]], ...] = (
+        (
+            "rated_torque",
+            "torque of the axis at 1000 per mille; 0x6076 does not tell it",
+            lambda: axis.rated_torque is None and not _stated(dictionary, od.RATED_TORQUE),
+        ),
+        ("transmission", "gear ratio, where 0x6076 is the motor's torque", lambda: od.RATED_TORQUE in dictionary),
+        (
+            "watchdog: false",
+            "the drive has no 0x1016; accept it knowingly or choose another drive",
+            lambda: _variable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1) is None,
+        ),
+        ("demand_reported", "before or after: whether the TPDO shows the hold that ended", lambda: True),
+    )
+    return (*keys, *(ManualKey(key, reason) for key, reason, needed in needs if needed()))
+
+
+def _loads(axis_map: AxisMap, bitrate: int) -> tuple[LoadRow, ...]:
+    return tuple(_load(axis_map, bitrate, rate) for rate in RATES)
+
+
+def _load(axis_map: AxisMap, bitrate: int, rate: float) -> LoadRow:
+    bus = BusParameters(rate=rate, bitrate=bitrate)
+    one = bus_budget(bus, [axis_map])
+    axes = 0
+    while axes < _MOST_AXES and _budget(bus, axis_map, axes + 1).fits:
+        axes += 1
+    return LoadRow(rate, one.periodic_load, one.worst_cycle, one.fits, axes)
+
+
+def _budget(bus: BusParameters, axis_map: AxisMap, axes: int) -> BusBudget:
+    return bus_budget(bus, [axis_map] * axes)

@@ -1,0 +1,204 @@
+"""`canhaptic check-eds` and `canhaptic new`: verdicts, exit statuses, and configurations that run."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from canhaptic.cli.main import main
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.starter import TO_SET
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+OURS = REPOSITORY / "eds" / "cia402_servo.eds"
+TRAITS = REPOSITORY / "tests" / "sim_drive" / "eds"
+FITTING = ("elmo_gold.dcf", "kollmorgen_rgm.eds", "maxon_epos4.dcf", "zeroerr_erob.eds")
+UNFIT = {
+    "elmo_simpliq.dcf": ["0x6502 supported drive modes: got 0x006d, expected bit 9"],
+    "maxon_epos2.eds": ["0x6071 target torque: missing", "map: drive:"],
+    "schunk_prl.dcf": ["0x6071 target torque: missing", "0x6502 supported drive modes: got 0x0043", "map: drive:"],
+}
+
+Captured = pytest.CaptureFixture[str]
+
+
+def checked(path: Path, capsys: Captured) -> tuple[int, dict[str, Any]]:
+    status = main(["check-eds", str(path), "--json"])
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return status, answer
+
+
+def test_our_dictionary_is_fit_but_for_what_the_rig_alone_knows(capsys: Captured) -> None:
+    status, answer = checked(OURS, capsys)
+    assert (status, answer["verdict"], answer["reasons"]) == (0, "fit with conditions", [])
+    assert [line.split(":")[0] for line in answer["conditions"]] == ["0x6076 motor rated torque"]
+    assert answer["map"]["rpdo"] == {
+        "name": "RPDO1",
+        "cob_id": "0x201",
+        "written": True,
+        "bytes": 4,
+        "entries": ["0x6040:00/16", "0x6071:00/16"],
+    }
+    assert answer["map"]["read_back"] == "demand"
+
+
+def test_the_loads_are_those_of_the_arithmetic_by_hand(capsys: Captured) -> None:
+    """SYNC 55 + TPDO 135 + RPDO 95 bits; besides one blocking frame, two heartbeats, one EMCY and 20 us of host."""
+    _, answer = checked(OURS, capsys)
+    assert answer["bus"]["bitrate"] == 1_000_000
+    loads = {row["rate"]: row for row in answer["bus"]["rates"]}
+    assert loads[1000.0]["periodic_load"] == pytest.approx(0.285)
+    assert loads[1000.0]["worst_cycle"] == pytest.approx((55 + 135 + 95 + 135 + 2 * 65 + 135) * 1e-6 + 20e-6)
+    assert [row["fits"] for row in answer["bus"]["rates"]] == [True, True, True, True, False, False]
+    assert (loads[1000.0]["axes"], loads[100.0]["axes"]) == (2, 16)
+
+
+@pytest.mark.parametrize("name", FITTING)
+def test_vendor_drives_with_cyclic_torque_can_serve(name: str, vendor_eds: Path, capsys: Captured) -> None:
+    status, answer = checked(vendor_eds / name, capsys)
+    assert (status, answer["verdict"], answer["reasons"]) == (0, "fit with conditions", [])
+
+
+@pytest.mark.parametrize("name", UNFIT)
+def test_vendor_drives_without_cyclic_torque_cannot(name: str, vendor_eds: Path, capsys: Captured) -> None:
+    status, answer = checked(vendor_eds / name, capsys)
+    assert (status, answer["verdict"]) == (1, "unfit")
+    assert len(answer["reasons"]) == len(UNFIT[name])
+    for reason, expected in zip(answer["reasons"], UNFIT[name], strict=True):
+        assert reason.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "conditions"),
+    [
+        ("elmo_gold.dcf", ["0x6502", "0x6076"]),
+        ("kollmorgen_rgm.eds", ["0x6502", "torque", "0x6072", "0x6076", "0x6007"]),
+        ("zeroerr_erob.eds", ["0x6072", "0x6076", "0x6007"]),
+        ("maxon_epos4.dcf", ["torque", "0x6072"]),
+    ],
+)
+def test_conditions_are_what_the_dictionary_leaves_open(
+    name: str, conditions: list[str], vendor_eds: Path, capsys: Captured
+) -> None:
+    _, answer = checked(vendor_eds / name, capsys)
+    assert [line.split(" ")[0] for line in answer["conditions"]] == conditions
+
+
+@pytest.mark.parametrize(
+    ("name", "status"),
+    [
+        ("fixed_maps.eds", 0),
+        ("array_maps.eds", 0),
+        ("empty_entries.eds", 0),
+        ("no_cyclic_torque.eds", 1),
+        ("no_target_torque.eds", 1),
+    ],
+)
+def test_trait_dictionaries_are_judged_without_vendor_files(name: str, status: int, capsys: Captured) -> None:
+    seen, answer = checked(TRAITS / name, capsys)
+    assert (seen, answer["verdict"] == "unfit") == (status, status == 1)
+
+
+def test_a_drive_without_watchdog_is_a_condition_with_its_key(tmp_path: Path, capsys: Captured) -> None:
+    text = OURS.read_text()
+    path = tmp_path / "no_watchdog.eds"
+    path.write_text(text.replace("[1016", "[2016"))
+    status, answer = checked(path, capsys)
+    assert status == 0
+    assert any(line.startswith("0x1016:01") for line in answer["conditions"])
+    assert "watchdog: false" in answer["configure"]
+
+
+@pytest.mark.parametrize("name", [OURS, TRAITS / "fixed_maps.eds", TRAITS / "no_target_torque.eds"])
+def test_the_table_ends_with_the_verdict_and_its_reasons(name: Path, capsys: Captured) -> None:
+    main(["check-eds", str(name)])
+    out = capsys.readouterr().out
+    for words in ("what the dictionary states", "0x6071 target torque", "watchdog", "PDO"):
+        assert words in out
+    verdict = "unfit" if "no_target" in name.name else "fit with conditions"
+    assert f"\n{verdict}\n" in out
+
+
+@pytest.mark.parametrize("words", [["check-eds"], ["new"]])
+def test_a_file_that_is_no_dictionary_is_bad_input(words: list[str], tmp_path: Path, capsys: Captured) -> None:
+    path = tmp_path / "x.eds"
+    path.write_text("hello")
+    assert main([*words, str(path)]) == 2
+    assert "lists no object" in capsys.readouterr().err
+    assert main([*words, str(tmp_path / "none.eds")]) == 2
+
+
+# --- new ----------------------------------------------------------------------------------------------------------
+
+
+def started(path: Path, folder: Path, capsys: Captured, *options: str) -> Path:
+    capsys.readouterr()
+    assert main(["new", str(path), *options]) == 0
+    scene = folder / "rig.yaml"
+    scene.write_text(capsys.readouterr().out, encoding="utf-8")
+    return scene
+
+
+def check_and_run(path: Path, folder: Path, capsys: Captured) -> dict[str, Any]:
+    rig = started(path, folder, capsys)
+    assert main(["check", str(rig)]) == 0
+    simulated = started(path, folder, capsys, "--simulate")
+    assert main(["check", str(simulated)]) == 0
+    capsys.readouterr()
+    assert main(["run", str(simulated), "--duration", "1.4", "--json"]) == 0
+    result: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return result
+
+
+@pytest.mark.parametrize("name", FITTING)
+def test_a_started_configuration_is_accepted_and_runs_for_every_vendor(
+    name: str, vendor_eds: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    result = check_and_run(vendor_eds / name, tmp_path, capsys)
+    assert result["status"] == "completed"
+    assert result["ports"]["axis1"]["in"] > 1e-5
+
+
+@pytest.mark.parametrize("path", [OURS, *(TRAITS / f"{n}_maps.eds" for n in ("fixed", "array"))], ids=lambda p: p.stem)
+def test_a_started_configuration_is_accepted_and_runs(path: Path, tmp_path: Path, capsys: Captured) -> None:
+    assert check_and_run(path, tmp_path, capsys)["ports"]["axis1"]["in"] > 1e-5
+
+
+def test_every_guess_is_marked(tmp_path: Path, capsys: Captured) -> None:
+    lines = started(TRAITS / "fixed_maps.eds", tmp_path, capsys).read_text().splitlines()
+    marked = [line.split(":")[0].strip() for line in lines if f"# {TO_SET}" in line]
+    assert {"interface", "channel", "node_id", "counts_per_unit", "rated_torque", "torque_limit"} <= set(marked)
+    assert {"moving_mass", "demand_reported"} <= set(marked)
+
+
+def test_what_a_dictionary_states_is_taken_over(tmp_path: Path, capsys: Captured) -> None:
+    path = tmp_path / "known.eds"
+    text = OURS.read_text().replace(
+        "ParameterName=Encoder increments\nObjectType=0x7\nDataType=0x0007\nAccessType=rw\n",
+        "ParameterName=Encoder increments\nObjectType=0x7\nDataType=0x0007\nAccessType=rw\nDefaultValue=2000\n",
+    )
+    assert text != OURS.read_text()
+    path.write_text(text.replace("BaudRate_1000=1", "BaudRate_1000=0").replace("BaudRate_800=1", "BaudRate_800="))
+    scene = load_scene(started(path, tmp_path, capsys))
+    assert scene.axes[0].parameters.counts_per_unit == pytest.approx(2000 / 6.283185307, rel=1e-7)
+    # 705 us of the cycle at 1 Mbit/s are 1390 us at 500 kbit/s: at most 719 Hz
+    assert (scene.bus.bitrate, scene.bus.rate) == (500_000, 500.0)
+
+
+def test_a_path_with_every_awkward_letter_survives(tmp_path: Path, capsys: Captured) -> None:
+    folder = tmp_path / 'a "b"  # c: Gerät'
+    folder.mkdir()
+    path = folder / "x.eds"
+    path.write_bytes(OURS.read_bytes())
+    scene = started(path, tmp_path, capsys)
+    assert yaml.safe_load(scene.read_text(encoding="utf-8"))["axes"][0]["eds"] == str(path)
+    assert main(["check", str(scene)]) == 0
+
+
+def test_a_drive_that_cannot_serve_gets_no_configuration(capsys: Captured) -> None:
+    assert main(["new", str(TRAITS / "no_cyclic_torque.eds")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "is not fit for cyclic torque: 0x6502 supported drive modes: got" in captured.err
