@@ -33,30 +33,32 @@ def execute(arguments: argparse.Namespace) -> int:
     dictionaries = [read_dictionary(a.parameters.eds, a.parameters.node_id) for a in scene.axes]
     axes = [axis.parameters for axis in scene.axes]
     maps = [choose_map(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)]
-    budget = require_budget(scene.bus, maps)
+    budgets = {
+        bus.name: require_budget(
+            bus.parameters, [plan for axis, plan in zip(scene.axes, maps, strict=True) if axis.bus == bus.name]
+        )
+        for bus in scene.buses
+    }
     findings = {
         axis.name: check_dictionary(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)
     }
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)]
     if arguments.json:
-        write_json(_as_json(scene, budget, findings, hints))
+        write_json(_as_json(scene, budgets, findings, hints))
     else:
-        _print(make_console(), scene, budget, findings, hints)
+        _print(make_console(), scene, budgets, findings, hints)
     return 0
 
 
-def _as_json(scene: Scene, budget: BusBudget, findings: dict[str, list[Finding]], hints: list[Hint]) -> dict[str, Any]:
+def _as_json(
+    scene: Scene, budgets: dict[str, BusBudget], findings: dict[str, list[Finding]], hints: list[Hint]
+) -> dict[str, Any]:
+    buses = {name: _budget_as_json(budget) for name, budget in budgets.items()}
     return {
         "status": "ok",
         "config_hash": scene.config_hash(),
         "config": scene.resolved(),
-        "bus": {
-            "rows": [{**row._asdict(), "bits": row.bits} for row in budget.rows],
-            "worst_cycle": budget.worst_cycle,
-            "sample_time": budget.sample_time,
-            "periodic_load": budget.periodic_load,
-            "arithmetic": budget.arithmetic(),
-        },
+        **({"buses": buses} if scene.bus_name else {"bus": buses[""]}),
         "drives": {
             name: [{"item": f.item, "verdict": f.verdict.value, "text": f.text} for f in rows]
             for name, rows in findings.items()
@@ -67,14 +69,25 @@ def _as_json(scene: Scene, budget: BusBudget, findings: dict[str, list[Finding]]
     }
 
 
+def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
+    return {
+        "rows": [{**row._asdict(), "bits": row.bits} for row in budget.rows],
+        "worst_cycle": budget.worst_cycle,
+        "sample_time": budget.sample_time,
+        "periodic_load": budget.periodic_load,
+        "arithmetic": budget.arithmetic(),
+    }
+
+
 def _print(
-    console: Console, scene: Scene, budget: BusBudget, findings: dict[str, list[Finding]], hints: list[Hint]
+    console: Console, scene: Scene, budgets: dict[str, BusBudget], findings: dict[str, list[Finding]], hints: list[Hint]
 ) -> None:
     console.print(f"[bold]configuration[/] {scene.config_hash()[:12]}")
     console.print(yaml.safe_dump(_changed(scene), sort_keys=False, allow_unicode=True), markup=False)
-    console.print(_bus_table(budget))
-    console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
-    console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
+    for name, budget in budgets.items():
+        console.print(_bus_table(name, budget))
+        console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
+        console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
     for axis in scene.axes:
         console.print(_fitness_table(axis, findings[axis.parameters.name]))
     console.print(_hint_table(hints))
@@ -111,8 +124,8 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _bus_table(budget: BusBudget) -> Table:
-    table = _table("bus, worst cycle", "what", "frames", "bits each", "bits", "time")
+def _bus_table(name: str, budget: BusBudget) -> Table:
+    table = _table(f"bus {name}".rstrip() + ", worst cycle", "what", "frames", "bits each", "bits", "time")
     for row in budget.rows:
         time = f"{row.bits / budget.bitrate * 1e6:.0f} us"
         table.add_row(row.what, str(row.frames), str(row.bits_each), str(row.bits), time)

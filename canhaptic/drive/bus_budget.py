@@ -114,7 +114,8 @@ def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
             break
     if len(maps) > 1:
         half = bus_budget(bus, maps[: (len(maps) + 1) // 2])
-        ways.append(f"two buses ({half.worst_cycle * 1e6:.0f} us each)" if half.fits else "more buses and a lower rate")
+        each = f"{half.worst_cycle * 1e6:.0f} us each; `bus` a list, `bus` of each axis its name"
+        ways.append(f"two buses ({each})" if half.fits else "more buses and a lower rate")
     return ways
 
 

@@ -25,6 +25,7 @@ class Frame(NamedTuple):
     data: bytes
     is_rx: bool  # received by the recorder of the log; True when the log does not say
     number: int = 0  # of its line in a text, of the frame in a binary log; from 1 on
+    channel: str = ""  # the bus as the log calls it
 
 
 def read_bus_log(path: str | Path) -> Iterator[Frame]:
@@ -50,7 +51,7 @@ def _read_candump(path: Path) -> Iterator[Frame]:
             if match is not None and len(match[5]) % 2 == 0:
                 nanoseconds = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
                 is_rx = match[6] not in ("T", "t")
-                yield Frame(nanoseconds, int(match[4], 16), bytes.fromhex(match[5]), is_rx, number)
+                yield Frame(nanoseconds, int(match[4], 16), bytes.fromhex(match[5]), is_rx, number, match[3])
             elif line.strip() and "#R" not in line.upper():
                 raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L")
 
@@ -62,9 +63,15 @@ def _read_with_python_can(path: Path) -> Iterator[Frame]:
             for number, message in enumerate(_reader(path.suffix.lower(), file), 1):
                 if not (message.is_error_frame or message.is_remote_frame):
                     nanoseconds = round(message.timestamp * 1e6) * 1000
-                    yield Frame(nanoseconds, message.arbitration_id, bytes(message.data), message.is_rx, number)
+                    can_id, data = message.arbitration_id, bytes(message.data)
+                    yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
         except (OSError, ValueError, can.CanError, EOFError, struct.error, zlib.error) as error:
             raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
+
+
+def _channel(path: Path, number: object) -> str:
+    """Returns the number of a bus, from 0 on; python-can hands out that of a TRC file from 1 on, as it is written."""
+    return str(number - 1 if path.suffix.lower() == ".trc" and isinstance(number, int) and number > 0 else number)
 
 
 def _reader(suffix: str, file: Any) -> Iterable[can.Message]:
@@ -76,7 +83,11 @@ def _reader(suffix: str, file: Any) -> Iterable[can.Message]:
 
 
 def convert(source: Path, target: Path) -> None:
-    """Writes a bus log in the format that the target's suffix names: .blf, .trc or .asc."""
+    """Writes a bus log in the format that the target's suffix names: .blf, .trc or .asc.
+
+    These formats number the buses: from 0, in the order in which they appear.
+    """
+    channels: dict[str, int] = {}
     with can.Logger(target) as writer:
         for frame in read_bus_log(source):
             writer.on_message_received(
@@ -86,6 +97,6 @@ def convert(source: Path, target: Path) -> None:
                     is_extended_id=frame.can_id > 0x7FF,
                     data=frame.data,
                     is_rx=frame.is_rx,
-                    channel=0,
+                    channel=channels.setdefault(frame.channel, len(channels)),
                 )
             )

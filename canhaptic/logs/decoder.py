@@ -40,6 +40,7 @@ class NodeDescription:
     counts_per_unit: float | None = None
     unit: str = "rad"
     rated_torque: float | None = None  # [N*m or N]
+    bus: int = 0  # its place among several
 
 
 class Decoded(NamedTuple):

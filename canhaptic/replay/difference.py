@@ -16,29 +16,33 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> dict[str
     """Returns `{number, time, recorded, sent, before}`; None when the master sent all that was recorded.
 
     `number` is the line of a text, or the frame of a binary log; `time` counts from the beginning of the log [s]. Each
-    frame is `{id, data, kind, node, text}`; `sent` is None when the master sent nothing any more. `before` are the
-    last frames that were still equal, each with its number, time and direction.
+    frame is `{channel, id, data, kind, node, text}`; `sent` is None when the master sent nothing any more. `before` are
+    the last frames that were still equal, each with its number, time and direction.
     """
     departure = side.departure
     index = side.unsent if departure is None else departure.place
     if index < 0:
         return None
     frames = recording.frames
-    decoder = BusDecoder(describe_nodes(scene))
+    nodes = describe_nodes(scene)
+    decoders = [BusDecoder([node for node in nodes if node.bus == place]) for place in range(len(scene.buses))]
     before = []
     for number, frame in enumerate(frames[:index]):
-        words = decoder.decode(frame.can_id, frame.data)  # all of them: the maps are learnt from the start
+        words = decoders[recording.buses[number]].decode(
+            frame.can_id, frame.data
+        )  # all of them: the maps are learnt from the start
         if number >= index - _SHOWN_BEFORE:
             direction = "T" if recording.is_master[number] else "R"
             before.append({**_place(recording, frame), "direction": direction, **_frame(frame, words._asdict())})
     recorded = frames[index]
     sent = None
     if departure is not None:
-        other = recorded._replace(can_id=departure.can_id, data=departure.data)
-        sent = _frame(other, decoder.decode(other.can_id, other.data)._asdict())
+        channel = recorded.channel if departure.bus == recording.buses[index] else scene.buses[departure.bus].name
+        other = recorded._replace(can_id=departure.can_id, data=departure.data, channel=channel)
+        sent = _frame(other, decoders[departure.bus].decode(other.can_id, other.data)._asdict())
     return {
         **_place(recording, recorded),
-        "recorded": _frame(recorded, decoder.decode(recorded.can_id, recorded.data)._asdict()),
+        "recorded": _frame(recorded, decoders[recording.buses[index]].decode(*_content(recorded))._asdict()),
         "sent": sent,
         "before": before,
     }
@@ -49,4 +53,8 @@ def _place(recording: Recording, frame: Frame) -> dict[str, Any]:
 
 
 def _frame(frame: Frame, words: dict[str, str]) -> dict[str, Any]:
-    return {"id": frame.can_id, "data": frame.data.hex().upper(), **words}
+    return {"channel": frame.channel, "id": frame.can_id, "data": frame.data.hex().upper(), **words}
+
+
+def _content(frame: Frame) -> tuple[int, bytes]:
+    return frame.can_id, frame.data

@@ -16,7 +16,7 @@ class JoinedRig(Rig):
     """A rig whose `start` sends only SYNC 0. Never for real drives: nothing about them is confirmed.
 
     Args:
-        link: The bus.
+        links: The buses.
         drives: One per axis.
         bus: Rate, link policy and the rest.
         heartbeat_cycle: In which cycle, counted from 1, the master's first heartbeat is due; None when not known.
@@ -25,13 +25,13 @@ class JoinedRig(Rig):
 
     def __init__(
         self,
-        link: Link,
+        links: Sequence[Link],
         drives: Sequence[ServoDrive],
         bus: BusParameters,
         heartbeat_cycle: int | None,
         arm: Callable[[], None],
     ) -> None:
-        super().__init__(link, drives, bus)
+        super().__init__(links, drives, bus)
         self._heartbeat_cycle = heartbeat_cycle
         self._arm = arm
 

@@ -1,5 +1,7 @@
 """The drive's side of a recording: gives back what followed each frame of the master, and compares that frame."""
 
+from collections import deque
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import can
@@ -20,6 +22,7 @@ class Departure(NamedTuple):
     """The first frame in which the master departs from the recording."""
 
     place: int  # index of the recorded frame
+    bus: int  # that the frame was sent on
     can_id: int  # of the frame sent instead; -1 when nothing was sent
     data: bytes
 
@@ -32,7 +35,7 @@ class RecordedSide:
     master has received when it sends it.
 
     Args:
-        bus: Its connection to the bus.
+        buses: Its connections to the buses, in the order of the scene.
         recording: What to play.
         first: Index of the first frame to play.
 
@@ -42,8 +45,10 @@ class RecordedSide:
         departure: The first difference; None while there is none.
     """
 
-    def __init__(self, bus: can.BusABC, recording: Recording, first: int) -> None:
-        self._bus = bus
+    def __init__(self, buses: Sequence[can.BusABC], recording: Recording, first: int) -> None:
+        self._buses = tuple(buses)
+        self._sent: list[deque[can.Message]] = [deque() for _ in buses]  # by the master, not compared yet
+        self._places = recording.buses
         self._frames = recording.frames
         self._is_master = recording.is_master
         self._end = len(recording.frames)
@@ -56,9 +61,15 @@ class RecordedSide:
 
     def arm(self) -> None:
         """From here on frames of the master are compared; what it sent before is forgotten."""
-        while self._bus.recv(0.0) is not None:
-            pass
+        self._collect()
+        for sent in self._sent:
+            sent.clear()
         self._is_armed = True
+
+    def _collect(self) -> None:
+        for bus, sent in zip(self._buses, self._sent, strict=True):
+            while (message := bus.recv(0.0)) is not None:
+                sent.append(message)
 
     def process(self, now: int) -> None:
         """Compares every frame that the master has sent, and sends what is due up to `now` [ns].
@@ -70,9 +81,9 @@ class RecordedSide:
             return
         if self._is_over:  # the rig tries to stop its drives on the way out
             raise ReplayOverError
-        receive = self._bus.recv
-        while (message := receive(0.0)) is not None:
-            self._compare(message, now)
+        self._collect()
+        while any(self._sent):
+            self._compare(now)
         while self.next_due() <= now:
             self._play()
 
@@ -94,10 +105,10 @@ class RecordedSide:
         return next((index for index in range(self._next, self._end) if self._is_master[index]), -1)
 
     def _play(self) -> None:
-        frame = self._frames[self._next]
+        frame, bus = self._frames[self._next], self._buses[self._places[self._next]]
         self._next += 1
         self.played += 1
-        self._bus.send(
+        bus.send(
             can.Message(
                 timestamp=(frame.timestamp_ns + self._offset) * 1e-9,
                 arbitration_id=frame.can_id,
@@ -106,14 +117,17 @@ class RecordedSide:
             )
         )
 
-    def _compare(self, message: can.Message, now: int) -> None:
+    def _compare(self, now: int) -> None:
+        """Compares one frame: that of the bus on which one is recorded next, of another only where there is none."""
         while self._next < self._end and not self._is_master[self._next]:
             self._play()
         if self._next == self._end:
             raise self._over()
-        frame = self._frames[self._next]
-        if message.arbitration_id != frame.can_id or message.data != frame.data:
-            self.departure = Departure(self._next, message.arbitration_id, bytes(message.data))
+        frame, place = self._frames[self._next], self._places[self._next]
+        bus = place if self._sent[place] else next(n for n, sent in enumerate(self._sent) if sent)
+        message = self._sent[bus].popleft()
+        if bus != place or message.arbitration_id != frame.can_id or message.data != frame.data:
+            self.departure = Departure(self._next, bus, message.arbitration_id, bytes(message.data))
             raise self._over()
         self._offset = now - frame.timestamp_ns
         self._next += 1

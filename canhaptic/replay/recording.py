@@ -1,12 +1,17 @@
 """A recorded bus, prepared for a replay: who sent what, where the cycle begins, where the operator ended it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
+from typing import Final
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.object_dictionary import SYNC_FRAME_COB_ID
-from canhaptic.replay.roles import Roles
+from canhaptic.replay.roles import Address, Roles
+from canhaptic.scene.channels import Channels
+
+_SYNC: Final[Address] = (0, SYNC_FRAME_COB_ID)
 
 
 class Recording:
@@ -15,28 +20,30 @@ class Recording:
     Attributes:
         path: The log.
         frames: All data frames, in the order of the log.
+        buses: For each frame, the place of its bus among those of the scene.
         is_master: For each frame, whether the master sent it.
         has_boot: Whether the start of the drives is in the log.
-        first_sync: Index of the frame that is SYNC 0, the first that found every axis enabled; -1 when none did.
+        first_sync: Index of the frame that is SYNC 0, on the first bus; -1 when no SYNC found every axis enabled.
 
     Raises:
         LogFormatError: The log cannot be read, or holds no frame of the master.
     """
 
-    def __init__(self, path: str | Path, roles: Roles) -> None:
+    def __init__(self, path: str | Path, roles: Roles, channels: Channels) -> None:
         self.path = Path(path)
         self.frames = list(read_bus_log(path))
-        master = roles.master
-        self.is_master = [frame.can_id in master for frame in self.frames]
+        self.buses = [channels.place_of(frame) for frame in self.frames]
+        self._addresses = [(bus, frame.can_id) for bus, frame in zip(self.buses, self.frames, strict=True)]
+        self.is_master = [address in roles.master for address in self._addresses]
         if not any(self.is_master):
             raise LogFormatError(
                 f"{path}: none of its {len(self.frames)} frames is one that the master of the scene sends; "
                 "is it the log of another scene?"
             )
         self._roles = roles
-        self.first_sync = _first_sync(self.frames, roles)
-        before = self.frames[: self.first_sync] if self.first_sync >= 0 else self.frames
-        self.has_boot = any(frame.can_id in roles.sdo_requests for frame in before)
+        self.first_sync = _first_sync(self._addresses, self.frames, roles)
+        before = self._addresses[: self.first_sync] if self.first_sync >= 0 else self._addresses
+        self.has_boot = any(address in roles.sdo_requests for address in before)
 
     def operator_cycles(self, ramp_cycles: int) -> int | None:
         """Returns how many cycles were completed when the operator stopped the run; None when he did not.
@@ -49,10 +56,10 @@ class Recording:
         """
         roles, syncs, commands = self._roles, 0, 0
         left: tuple[int, int] | None = None  # syncs and commands before the drives were disabled for good
-        for frame in self.frames[self.first_sync :] if self.first_sync >= 0 else ():
-            if frame.can_id == SYNC_FRAME_COB_ID:
+        for address, frame in self._since_first_sync():
+            if address == _SYNC:
                 syncs += 1
-            elif frame.can_id == roles.rpdo:
+            elif address == roles.rpdo:
                 if not roles.asks_to_leave(frame.data):
                     left = None
                 elif left is None:
@@ -65,23 +72,27 @@ class Recording:
     def heartbeat_cycle(self) -> int | None:
         """Returns in which cycle, counted from 1, the master first sent its heartbeat; None when it never did."""
         syncs = 0
-        for frame in self.frames[self.first_sync :] if self.first_sync >= 0 else ():
-            if frame.can_id == SYNC_FRAME_COB_ID:
+        for address, _ in self._since_first_sync():
+            if address == _SYNC:
                 syncs += 1
-            elif frame.can_id == self._roles.heartbeat:
+            elif address == (0, self._roles.heartbeat):
                 return syncs
         return None
 
+    def _since_first_sync(self) -> Iterator[tuple[Address, Frame]]:
+        if self.first_sync >= 0:
+            yield from islice(zip(self._addresses, self.frames, strict=True), self.first_sync, None)
 
-def _first_sync(frames: Sequence[Frame], roles: Roles) -> int:
+
+def _first_sync(addresses: Sequence[Address], frames: Sequence[Frame], roles: Roles) -> int:
     """Returns the index of the first SYNC that every axis answered in OPERATION ENABLED; -1 when there is none."""
-    sync, enabled = -1, set[int]()
-    for index, frame in enumerate(frames):
-        if frame.can_id == SYNC_FRAME_COB_ID:
+    sync, enabled = -1, set[Address]()
+    for index, (address, frame) in enumerate(zip(addresses, frames, strict=True)):
+        if address == _SYNC:
             sync, enabled = index, set()
-        elif sync >= 0 and frame.can_id in roles.statuswords:
-            if roles.shows_enabled(frame.can_id, frame.data):
-                enabled.add(frame.can_id)
+        elif sync >= 0 and address in roles.statuswords:
+            if roles.shows_enabled(address, frame.data):
+                enabled.add(address)
             if len(enabled) == len(roles.statuswords):
                 return sync
     return -1

@@ -4,6 +4,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
+import can
+
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.link import Link
@@ -18,6 +20,7 @@ from canhaptic.replay.roles import roles_of
 from canhaptic.result import run_result
 from canhaptic.scene.build import build_controllers
 from canhaptic.scene.bus import open_bus, private_channel
+from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_servo_drive
 
@@ -44,7 +47,7 @@ def replay(bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sy
     Raises:
         InputError: The recording cannot be read, does not fit the scene, or has no SYNC to begin with.
     """
-    recording = Recording(bus_log, roles_of(scene))
+    recording = Recording(bus_log, roles_of(scene), Channels(scene))
     joins = from_sync or not recording.has_boot
     if joins and recording.first_sync < 0:
         raise InputError(
@@ -64,23 +67,26 @@ class _Replay:
         self._joins = joins
         first = recording.first_sync if joins else 0
         self._start = recording.frames[first].timestamp_ns
-        channel = private_channel()
-        bus = scene.bus.model_copy(update=_BUS)
-        far_bus, near_bus = open_bus(bus, channel), open_bus(bus, channel)
-        stack.callback(far_bus.shutdown)
-        stack.callback(near_bus.shutdown)
+        far_buses: list[can.BusABC] = []
+        near_buses: list[can.BusABC] = []
+        for _ in scene.buses:
+            channel = private_channel()
+            for buses in (far_buses, near_buses):
+                buses.append(open_bus(scene.bus.model_copy(update=_BUS), channel))
+                stack.callback(buses[-1].shutdown)
         self._wall = WallClock()
-        self._side = RecordedSide(far_bus, recording, first)
+        self._side = RecordedSide(far_buses, recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
-        self._cycle = Cycle(self._rig(Link(near_bus, clock)), build_controllers(scene))
+        self._cycle = Cycle(self._rig([Link(bus, clock) for bus in near_buses]), build_controllers(scene))
 
-    def _rig(self, link: Link) -> Rig:
+    def _rig(self, links: list[Link]) -> Rig:
         scene, side = self._scene, self._side
-        drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
+        by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
+        drives = [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes]
         if self._joins:
-            return JoinedRig(link, drives, scene.bus, self._recording.heartbeat_cycle(), side.arm)
+            return JoinedRig(links, drives, scene.bus, self._recording.heartbeat_cycle(), side.arm)
         side.arm()
-        return Rig(link, drives, scene.bus)
+        return Rig(links, drives, scene.bus)
 
     def run(self) -> dict[str, Any]:
         """Runs to the end of the recording or to the first difference."""

@@ -13,15 +13,19 @@ from canhaptic.scene.models import Scene
 _ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
 
 
+Address = tuple[int, int]
+"""Place of the bus among those of the scene, COB-ID."""
+
+
 class Roles(NamedTuple):
     """COB-IDs of a scene by what they mean to a replay."""
 
-    master: frozenset[int]  # sent by the master
-    sdo_requests: frozenset[int]
+    master: frozenset[Address]  # sent by the master
+    sdo_requests: frozenset[Address]
     heartbeat: int  # the master's
-    rpdo: int  # of the first axis
+    rpdo: Address  # of the first axis
     controlword: struct.Struct  # in that RPDO
-    statuswords: dict[int, struct.Struct]  # TPDO with the statusword -> where it is in it; one per axis
+    statuswords: dict[Address, struct.Struct]  # TPDO with the statusword -> where it is in it; one per axis
 
     def asks_to_leave(self, data: bytes) -> bool:
         """Returns whether an RPDO of the first axis takes back OPERATION ENABLED.
@@ -31,9 +35,9 @@ class Roles(NamedTuple):
         (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (_ENABLE_BITS,)
         return (int(controlword) & _ENABLE_BITS).bit_count() < _ENABLE_BITS.bit_count() // 2
 
-    def shows_enabled(self, can_id: int, data: bytes) -> bool:
+    def shows_enabled(self, address: Address, data: bytes) -> bool:
         """Returns whether a TPDO with a statusword shows OPERATION ENABLED."""
-        image = self.statuswords[can_id]
+        image = self.statuswords[address]
         return len(data) == image.size and is_enabled(int(image.unpack(data)[0]))
 
 
@@ -43,19 +47,23 @@ def roles_of(scene: Scene) -> Roles:
     Raises:
         DictionaryError: A dictionary cannot be read or has no fitting PDOs.
     """
+    places = {bus.name: place for place, bus in enumerate(scene.buses)}
     axes = [axis.parameters for axis in scene.axes]
+    on = [places[axis.bus] for axis in scene.axes]
     maps = [choose_map(read_dictionary(axis.eds, axis.node_id), axis) for axis in axes]
-    sdo_requests = frozenset(od.SDO_REQUEST_BASE + axis.node_id for axis in axes)
+    sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + axis.node_id) for bus, axis in zip(on, axes, strict=True))
+    rpdos = [(bus, plan.rpdo.cob_id) for bus, plan in zip(on, maps, strict=True)]
     heartbeat = od.HEARTBEAT_BASE + scene.bus.master_id
+    on_every_bus = {(bus, cob_id) for bus in on for cob_id in (od.NMT_COB_ID, od.SYNC_FRAME_COB_ID, heartbeat)}
     return Roles(
-        sdo_requests | {plan.rpdo.cob_id for plan in maps} | {od.NMT_COB_ID, od.SYNC_FRAME_COB_ID, heartbeat},
+        sdo_requests | frozenset(rpdos) | on_every_bus,
         sdo_requests,
         heartbeat,
-        maps[0].rpdo.cob_id,
+        rpdos[0],
         codec(maps[0].rpdo.entries, [od.CONTROLWORD]),
         {
-            tpdo.cob_id: codec(tpdo.entries, [od.STATUSWORD])
-            for plan in maps
+            (bus, tpdo.cob_id): codec(tpdo.entries, [od.STATUSWORD])
+            for bus, plan in zip(on, maps, strict=True)
             for tpdo in plan.tpdos
             if any(entry.index == od.STATUSWORD for entry in tpdo.entries)
         },

@@ -6,7 +6,8 @@ from canhaptic.scene.models import Scene
 
 
 def describe_nodes(scene: Scene) -> list[NodeDescription]:
-    """Returns name, dictionary and units of every axis."""
+    """Returns name, dictionary, units and bus of every axis."""
+    places = {bus.name: place for place, bus in enumerate(scene.buses)}
     return [
         NodeDescription(
             axis.node_id,
@@ -15,6 +16,7 @@ def describe_nodes(scene: Scene) -> list[NodeDescription]:
             axis.counts_per_unit,
             axis.unit,
             axis.rated_torque,
+            places[name],
         )
-        for axis in (axis.parameters for axis in scene.axes)
+        for axis, name in ((axis.parameters, axis.bus) for axis in scene.axes)
     ]

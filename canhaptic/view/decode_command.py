@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from canhaptic.logs.bus_reader import read_bus_log
-from canhaptic.logs.decoder import BusDecoder, NodeDescription
+from canhaptic.logs.decoder import BusDecoder
+from canhaptic.scene.channels import Channels
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
 from canhaptic.scene.nodes import describe_nodes
 
 
@@ -29,22 +31,29 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The log or the scene cannot be used.
     """
-    nodes = [] if arguments.config is None else describe_nodes(load_scene(arguments.config))
-    for frame in decode_log(arguments.bus_log, nodes, arguments.start, arguments.stop):
+    scene = None if arguments.config is None else load_scene(arguments.config)
+    for frame in decode_log(arguments.bus_log, scene, arguments.start, arguments.stop):
         if not arguments.only or frame["kind"].lower() in {kind.lower() for kind in arguments.only}:
             sys.stdout.write((json.dumps(frame) if arguments.json else line(frame)) + "\n")
     return 0
 
 
 def decode_log(
-    path: Path, nodes: list[NodeDescription], start: float | None = None, stop: float | None = None
+    path: Path, scene: Scene | None = None, start: float | None = None, stop: float | None = None
 ) -> Iterator[dict[str, Any]]:
-    """Yields `{time, direction, id, data, kind, node, text}` of every frame between two times [s].
+    """Yields `{time, channel, direction, id, data, kind, node, text}` of every frame between two times [s].
 
-    Frames before `start` are decoded too, since the PDO maps are learnt from the bring-up.
+    Frames before `start` are decoded too, since the PDO maps are learnt from the bring-up. Each bus is decoded on its
+    own: the same node ID on two of them is two nodes.
     """
-    decoder = BusDecoder(nodes)
+    nodes = [] if scene is None else describe_nodes(scene)
+    place_of = None if scene is None else Channels(scene).place_of
+    decoders: dict[str, BusDecoder] = {}
     for frame in read_bus_log(path):
+        decoder = decoders.get(frame.channel)
+        if decoder is None:
+            of_bus = [node for node in nodes if place_of is None or node.bus == place_of(frame)]
+            decoder = decoders[frame.channel] = BusDecoder(of_bus)
         decoded = decoder.decode(frame.can_id, frame.data)
         time = frame.timestamp_ns / 1e9
         if stop is not None and time >= stop:
@@ -52,6 +61,7 @@ def decode_log(
         if start is None or time >= start:
             yield {
                 "time": time,
+                "channel": frame.channel,
                 "direction": "R" if frame.is_rx else "T",
                 "id": frame.can_id,
                 "data": frame.data.hex().upper(),
@@ -62,6 +72,6 @@ def decode_log(
 def line(frame: dict[str, Any]) -> str:
     """Returns one decoded frame as a line of text."""
     return (
-        f"{frame['time']:14.6f} {frame['direction']} {frame['id']:03X} {frame['data']:<16} "
+        f"{frame['time']:14.6f} {frame['channel']} {frame['direction']} {frame['id']:03X} {frame['data']:<16} "
         f"{frame['kind']:<9} {frame['node']:<10} {frame['text']}"
     ).rstrip()

@@ -21,6 +21,7 @@ from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.pdo_decoder import PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
+from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller
 from canhaptic.signals import Sample
@@ -106,11 +107,16 @@ def samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
         LogFormatError: The bus log cannot be read.
     """
     axes = [_ListenedAxis(axis.parameters) for axis in scene.axes]
+    on_bus = [[a for a, of in zip(axes, scene.axes, strict=True) if of.bus == bus.name] for bus in scene.buses]
+    place_of = Channels(scene).place_of
     cycle = -1
     for frame in read_bus_log(bus_log):
+        place = place_of(frame)
         if frame.can_id != od.SYNC_FRAME_COB_ID:
-            for axis in axes:
+            for axis in on_bus[place]:
                 axis.take(frame)
+            continue
+        if place:  # the SYNC of the same index on another bus, right behind that of the first
             continue
         if any(axis.has_left for axis in axes) and cycle >= 0:
             return

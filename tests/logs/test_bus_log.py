@@ -93,6 +93,31 @@ def test_a_channel_with_a_space_is_refused(tmp_path: Path) -> None:
         BusLogWriter(tmp_path / "a.log", "can 0")
 
 
+@pytest.mark.parametrize("suffix", ["log", "blf", "trc", "asc"])
+def test_each_frame_names_its_bus_in_every_format(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run.{suffix}"
+    log = BusLogWriter(path, ["left", "right"], pace="free")
+    on_right = log.on(1)
+    log(1_000_000, 0x181, b"\1", True)
+    on_right(2_000_000, 0x181, b"\2", True)
+    on_right(3_000_000, 0x201, b"\3", False)
+    log(4_000_000, 0x201, b"\4", False)
+    log.close()
+    names = ("left", "right") if suffix == "log" else ("0", "1")
+    assert [(frame.channel, frame.data[0]) for frame in read_bus_log(path)] == [
+        (names[0], 1),
+        (names[1], 2),
+        (names[1], 3),
+        (names[0], 4),
+    ]
+
+
+@pytest.mark.parametrize("names", [[], ["a", "a"], ["a", "b c"], ["a", ""]])
+def test_names_of_buses_that_cannot_be_told_apart_are_refused(tmp_path: Path, names: list[str]) -> None:
+    with pytest.raises(ParameterError, match="channel"):
+        BusLogWriter(tmp_path / "a.log", names)
+
+
 @pytest.mark.parametrize("suffix", ["blf", "trc", "asc"])
 def test_other_formats_hold_the_same_frames(tmp_path: Path, suffix: str) -> None:
     frames = [
@@ -111,7 +136,7 @@ def test_other_formats_hold_the_same_frames(tmp_path: Path, suffix: str) -> None
 def test_our_reader_gives_back_what_was_written_to_the_microsecond(tmp_path: Path) -> None:
     write(tmp_path / "a.log", FRAMES)
     assert list(read_bus_log(tmp_path / "a.log")) == [
-        (t // 1000 * 1000, *rest, line) for line, (t, *rest) in enumerate(FRAMES, 1)
+        (t // 1000 * 1000, *rest, line, "can0") for line, (t, *rest) in enumerate(FRAMES, 1)
     ]
 
 
@@ -133,8 +158,8 @@ def test_a_text_that_is_no_bus_log_is_one_clear_error(tmp_path: Path, text: byte
 def test_lines_of_candump_without_direction_and_remote_frames_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(1436509052.249713) vcan0 044#2A366C2BBA\n(1.5) vcan0 123#R\n\n(2.0) can1 7FF#\n")
     assert list(read_bus_log(tmp_path / "a.log")) == [
-        (1_436_509_052_249_713_000, 0x044, bytes.fromhex("2A366C2BBA"), True, 1),
-        (2_000_000_000, 0x7FF, b"", True, 4),
+        (1_436_509_052_249_713_000, 0x044, bytes.fromhex("2A366C2BBA"), True, 1, "vcan0"),
+        (2_000_000_000, 0x7FF, b"", True, 4, "can1"),
     ]
 
 

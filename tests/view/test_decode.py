@@ -39,8 +39,8 @@ def test_every_frame_becomes_a_line_and_maps_told_before_the_span_are_known(
 ) -> None:
     assert command(bus_log, "--from", "1", "--to", "2") == 0
     assert capsys.readouterr().out.splitlines() == [
-        "      1.000000 T 080                  SYNC",
-        "      1.000000 R 181 3712             TPDO1     node 1     statusword 0x1237 OPERATION ENABLED",
+        "      1.000000 vcan0 T 080                  SYNC",
+        "      1.000000 vcan0 R 181 3712             TPDO1     node 1     statusword 0x1237 OPERATION ENABLED",
     ]
 
 
@@ -49,6 +49,7 @@ def test_one_kind_of_frame_can_be_asked_for_as_json(bus_log: Path, capsys: pytes
     (found,) = capsys.readouterr().out.splitlines()
     assert json.loads(found) == {
         "time": 2.0,
+        "channel": "vcan0",
         "direction": "R",
         "id": 0x81,
         "data": "0010010000000000",

@@ -1,0 +1,37 @@
+"""Which bus of a scene a recorded frame was on: by the second word of its line, or the number of a binary log."""
+
+from canhaptic.errors import LogFormatError
+from canhaptic.logs.bus_reader import Frame
+from canhaptic.scene.models import Scene
+
+
+class Channels:
+    """The buses of a scene by what a bus log calls them.
+
+    A frame belongs to the bus whose name or channel (`can0`) its line has, or to the bus with that number, counted from
+    0. Where the scene has one bus every frame belongs to it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._source = scene.source
+        self._is_one = not scene.further_buses
+        self._places: dict[str, int] = {}
+        for place, (name, parameters) in enumerate(scene.buses):
+            for word in (name, str(parameters.channel), str(place)):
+                self._places.setdefault(word, place)
+
+    def place_of(self, frame: Frame) -> int:
+        """Returns the place of the frame's bus among those of the scene.
+
+        Raises:
+            LogFormatError: The log names a bus that the scene has not.
+        """
+        if self._is_one:
+            return 0
+        place = self._places.get(frame.channel)
+        if place is None:
+            raise LogFormatError(
+                f"frame {frame.number} is on bus {frame.channel!r}, which is no name, channel or number of a bus of "
+                f"{self._source} ({', '.join(self._places)})"
+            )
+        return place
