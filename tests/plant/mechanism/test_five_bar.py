@@ -1,0 +1,146 @@
+"""The simulated five-bar against open chains with multipliers (DOP853), its order, and its energy account."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mechanism_scenes import LINKS, MS, OpenChains, five_bar, integrated, run, wavy
+
+from canhaptic.errors import ParameterError
+from canhaptic.sim.mechanism.five_bar import FiveBar
+from canhaptic.sim.mechanism.task_hand import TaskHand
+
+LEFT = st.floats(1.7, 2.9)
+RIGHT = st.floats(0.2, 1.4)
+
+
+def reference(count: int, period: float = 1e-3) -> np.ndarray:
+    chains = OpenChains()
+    return integrated(chains.rates, chains.start(), wavy(count), period)
+
+
+def test_the_motion_is_that_of_two_open_chains_held_together_by_multipliers():
+    mechanism = five_bar(substeps=64)
+    positions = run(mechanism, wavy(300))
+    expected = reference(300)
+    assert np.ptp(expected[:, 0]) > 0.1
+    assert np.abs(positions - expected[:, :2]).max() < 2e-7
+    assert np.abs(np.array(mechanism.velocities) - expected[-1, 4:6]).max() < 2e-6
+
+
+def test_the_error_falls_with_the_declared_order():
+    expected = reference(100)[:, :2]
+    steps = np.array([1, 2, 4, 8, 16])
+    errors = [np.abs(run(five_bar(substeps=int(n)), wavy(100)) - expected).max() for n in steps]
+    order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert five_bar().order == 2
+    assert 1.9 < order < 2.1
+
+
+def test_the_works_of_the_motors_and_the_hand_are_those_of_the_reference():
+    mechanism = five_bar(substeps=32)
+    torques = wavy(300)
+    run(mechanism, torques)
+    chains = OpenChains()
+    rows = integrated(chains.rates, chains.start(), torques, 1e-3)
+    for axis in (0, 1):
+        expected = sum(pair[axis] * step for pair, step in zip(torques, np.diff(rows[:, axis]), strict=True))
+        assert mechanism.energy(axis).motor == pytest.approx(expected, abs=1e-7)
+    accounts = [mechanism.energy(axis) for axis in (0, 1)]
+    kinetic = kinetic_energy(rows[-1])
+    assert sum(a.stored for a in accounts) == pytest.approx(kinetic, abs=1e-6)
+    assert mechanism.stored == pytest.approx(kinetic, abs=1e-6)
+
+
+def kinetic_energy(z: np.ndarray) -> float:
+    """Of the open chains, from the velocities of points."""
+    a, b, v = LINKS["proximal"], LINKS["distal"], z[4:]
+    total = 0.0
+    for side in (0, 1):
+        elbow = a * v[side] * np.array([-math.sin(z[side]), math.cos(z[side])])
+        swing = b * v[side + 2] * np.array([-math.sin(z[side + 2]), math.cos(z[side + 2])])
+        centre = elbow + swing / 2
+        total += 0.5 * LINKS["motor_inertia"] * v[side] ** 2
+        total += 0.5 * LINKS["distal_mass"] * (centre @ centre + b * b * v[side + 2] ** 2 / 12)
+        if side == 0:
+            tip = elbow + swing
+            total += 0.5 * LINKS["handle_mass"] * tip @ tip
+    return total
+
+
+@given(left=LEFT, right=RIGHT, seed=st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None)
+def test_no_joule_is_lost_at_any_pose_even_at_coarse_steps(left: float, right: float, seed: int):
+    mechanism = five_bar(
+        period=5 * MS, initial_angles=(left, right), elbow_stop={"least": 0.05, "most": 0.39, "stiffness": 2e4}
+    )
+    random = np.random.default_rng(seed)
+    mechanism.begin(0)
+    for k in range(60):
+        mechanism.advance_to((k + 1) * 5 * MS, tuple(random.uniform(-0.3, 0.3, 2)))
+    largest = max(abs(value) for axis in (0, 1) for value in mechanism.energy(axis))
+    assert abs(mechanism.stored_error) <= 1e-10 * max(largest, 1.0)
+    assert all(mechanism.energy(axis).dissipated >= 0.0 for axis in (0, 1))
+
+
+def test_a_hand_that_stands_still_gives_back_what_it_got_and_never_more():
+    hand = TaskHand(stiffness=200, rest=(0.02, 0.24))
+    mechanism = five_bar(hand, damping=0.0)
+    mechanism.begin(0)
+    start = np.array(mechanism.handle) - hand.rest
+    energy = []
+    for k in range(3000):
+        mechanism.advance_to((k + 1) * MS, (0.0, 0.0))
+        apart = np.array(mechanism.handle) - hand.rest
+        energy.append(mechanism.stored + 100.0 * (apart @ apart) - 100.0 * (start @ start))
+    assert max(mechanism.stored, 0.01) > 0.009
+    assert np.abs(energy).max() < 1e-11  # of 0.05 J: the solver stops at 1e-15 rad
+
+
+def test_the_motor_is_booked_torque_times_displacement_also_inside_a_sample_time():
+    mechanism = five_bar()
+    mechanism.begin(0)
+    booked, last = np.zeros(2), np.array(mechanism.positions)
+    for now, torques in ((300_000, (0.2, -0.1)), (1_000_000, (-0.3, 0.1)), (1_700_000, (0.1, 0.0))):
+        mechanism.advance_to(now, torques)
+        booked += np.array(torques) * (np.array(mechanism.positions) - last)
+        last = np.array(mechanism.positions)
+    assert [mechanism.energy(axis).motor for axis in (0, 1)] == pytest.approx(booked, abs=1e-18)
+
+
+def test_a_singular_pose_is_refused_with_its_place_and_a_remedy():
+    with pytest.raises(ParameterError, match=r"elbows are 0\.4 m apart.*singular.*elbow_stop"):
+        five_bar(initial_angles=(math.pi, 0.0))
+    mechanism = five_bar(None)
+    mechanism.begin(0)
+    with pytest.raises(ParameterError, match=r"no motion|singular"):
+        run(mechanism, [(0.5, -0.5)] * 2000)
+
+
+def test_the_elbow_stop_keeps_the_links_from_stretching():
+    mechanism = five_bar(None, elbow_stop={"most": 0.38, "stiffness": 1e5}, damping=0.05)
+    mechanism.begin(0)
+    spans = []
+    for k in range(2500):
+        mechanism.advance_to((k + 1) * MS, (0.05, -0.05))
+        left, right = mechanism.positions
+        across, along = math.sin(right) - math.sin(left), math.cos(right) - math.cos(left)
+        spans.append(math.hypot(0.1 + 0.15 * along, 0.15 * across))
+    assert max(spans) < 0.381
+    assert spans[-1] == pytest.approx(0.38, abs=1e-4)
+    assert abs(mechanism.stored_error) < 1e-10
+
+
+def test_a_stop_beyond_the_singular_pose_is_refused():
+    with pytest.raises(ParameterError, match=r"expected least < most < 0\.4"):
+        FiveBar(**{**LINKS, "elbow_stop": {"most": 0.41, "stiffness": 1e5}})
+
+
+def test_time_does_not_go_back():
+    mechanism = five_bar()
+    mechanism.begin(0)
+    mechanism.advance_to(MS, (0.0, 0.0))
+    with pytest.raises(ParameterError, match="time went back"):
+        mechanism.advance_to(MS - 1000, (0.0, 0.0))
