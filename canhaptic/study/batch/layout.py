@@ -1,0 +1,94 @@
+"""What both written forms need to know of a program: what differs between scenes, what changes, and in which order."""
+
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.study.batch.graph import NUMBER, Node
+from canhaptic.study.batch.program import Program, ordered
+from canhaptic.study.loop import Array
+
+_NUMPY: Final[dict[str, Any]] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "mod": np.mod, "floordiv": np.floor_divide,
+    "neg": np.negative, "abs": np.absolute, "sqrt": np.sqrt, "exp": np.exp, "sin": np.sin, "cos": np.cos, "tan": np.tan,
+    "asin": np.arcsin, "floor": np.floor, "trunc": np.trunc, "rint": np.rint, "copysign": np.copysign,
+    "max": np.maximum, "min": np.minimum, "lt": np.less, "le": np.less_equal, "gt": np.greater,
+    "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
+    "not": np.logical_not, "finite": np.isfinite, "select": np.where,
+}  # fmt: skip
+
+
+class Layout:
+    """Which nodes are one for all scenes, which are fixed for a run, and what is done in every cycle.
+
+    Attributes:
+        lanes: Nodes that differ between scenes.
+        steps: Nodes computed in every cycle, in order.
+        fixed: Fixed nodes, parameters and constants among them, that a cycle or the result uses.
+        states: Names of the states, in order.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+        self.states = sorted(program.then)
+        goals = [*(program.then[name] for name in self.states), program.out, *program.results.values()]
+        everything = ordered(goals)
+        self.steps = [node for node in everything if node.changes and node.op != "state"]
+        used = {arg for node in self.steps for arg in node.args} | set(goals)
+        self.fixed = sorted((node for node in used if not node.changes), key=lambda node: node.number)
+        self._lane_states = self._differing_states()
+        self.lanes = self._differing(ordered([*goals, *program.first.values()]))
+
+    def state_differs(self, name: str) -> bool:
+        """Returns whether a state differs between scenes."""
+        return name in self._lane_states
+
+    def _differing_states(self) -> set[str]:
+        self._lane_states: set[str] = set()
+        program = self.program
+        while True:
+            lanes = self._differing(ordered([*program.then.values(), *program.first.values()]))
+            found = {n for n in self.states if program.then[n] in lanes or program.first[n] in lanes}
+            if found == self._lane_states:
+                return found
+            self._lane_states = found
+
+    def _differing(self, nodes: list[Node]) -> set[Node]:
+        lanes: set[Node] = set()
+        for node in nodes:
+            if node.op == "param":
+                differs = isinstance(self.program.values[node.value], np.ndarray)
+            elif node.op == "state":
+                differs = node.value in self._lane_states
+            else:
+                differs = any(arg in lanes for arg in node.args)
+            if differs:
+                lanes.add(node)
+        return lanes
+
+
+def fixed_values(program: Program, nodes: list[Node], part: slice) -> dict[Node, Any]:
+    """Returns the value of every node that depends on parameters only: a number, or one for each scene of a part."""
+    found: dict[Node, Any] = {}
+    with np.errstate(all="ignore"):
+        for node in ordered(nodes):
+            if node.op == "const":
+                found[node] = node.value
+            elif node.op == "param":
+                value = program.values[node.value]
+                found[node] = value[part] if isinstance(value, np.ndarray) else value
+            elif not node.changes:
+                found[node] = _evaluated(node, [found[arg] for arg in node.args])
+    return found
+
+
+def _evaluated(node: Node, args: list[Any]) -> Any:
+    result = _NUMPY[node.op](*args)
+    if isinstance(result, np.ndarray) and result.ndim:
+        return result
+    return float(result) if node.op in NUMBER or not node.is_truth else bool(result)
+
+
+def widened(value: Any, count: int, is_truth: bool) -> Array:
+    """Returns a value for each scene, as an array of its own."""
+    return np.array(np.broadcast_to(value, (count,)), dtype=bool if is_truth else float)

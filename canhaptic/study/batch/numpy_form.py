@@ -1,0 +1,175 @@
+"""A program written out as NumPy calls on a chunk of scenes: one call an operation, no memory taken but by selections."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.study.batch.graph import Node
+from canhaptic.study.batch.layout import Layout, fixed_values, widened
+from canhaptic.study.batch.program import Program
+
+_CALLS: Final[dict[str, str]] = {
+    "add": "add", "sub": "subtract", "mul": "multiply", "div": "divide", "mod": "mod", "floordiv": "floor_divide",
+    "neg": "negative", "abs": "absolute", "sqrt": "sqrt", "exp": "exp", "sin": "sin", "cos": "cos", "tan": "tan",
+    "asin": "arcsin", "floor": "floor", "trunc": "trunc", "rint": "rint", "copysign": "copysign", "max": "maximum",
+    "min": "minimum", "lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal", "eq": "equal",
+    "ne": "not_equal", "and": "bitwise_and", "or": "bitwise_or", "not": "invert", "finite": "isfinite",
+}  # fmt: skip
+
+
+class NumpyForm:
+    """A program as a function on arrays.
+
+    Attributes:
+        source: Of the function, for whoever wants to read what runs.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+        self.layout = Layout(program)
+        self._writer = _Writer(self.layout)
+        self.source = self._writer.source()
+        names: dict[str, Any] = {name: getattr(np, name) for name in _CALLS.values()}
+        names |= {"where": np.where, "copyto": np.copyto}
+        exec(compile(self.source, "<batch>", "exec"), names)
+        self._cycles = names["cycles"]
+
+    def run(
+        self, part: slice, count: int, cycles: int, escaped: Callable[[Any, Mapping[str, Any]], None]
+    ) -> dict[str, Any]:
+        """Returns the states of a chunk after its cycles.
+
+        Args:
+            part: Of the scenes.
+            count: Their number.
+            cycles: After the first SYNC.
+            escaped: Told (which scenes left every place in this cycle, all states); it may put the states back.
+        """
+        layout, program = self.layout, self.program
+        fixed = fixed_values(program, [*layout.fixed, *program.first.values()], part)
+        states = [
+            widened(fixed[program.first[name]], count, program.then[name].is_truth)
+            if layout.state_differs(name)
+            else fixed[program.first[name]]
+            for name in layout.states
+        ]
+        given = [fixed[node] for node in layout.fixed if node.op != "const"]
+        buffers = [np.empty(count, bool if name.startswith("b") else float) for name in self._writer.buffers]
+
+        def told(out: Any, now: tuple[Any, ...]) -> None:
+            escaped(out, dict(zip(layout.states, now, strict=True)))
+
+        with np.errstate(all="ignore"):
+            after = self._cycles(cycles, told, states, given, buffers)
+        return dict(zip(layout.states, after, strict=True))
+
+
+class _Writer:
+    """Writes the function: names for states, fixed values and buffers, and a line an operation."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self.buffers: list[str] = []
+        self._free: dict[bool, list[str]] = {False: [], True: []}
+        self._name: dict[Node, str] = {}
+        program = layout.program
+        graph = program.out.graph
+        self._state = [f"s{i}" for i in range(len(layout.states))]
+        for name, own in zip(layout.states, self._state, strict=True):
+            self._name[graph.state(name, program.then[name].is_truth)] = own
+        given = [node for node in layout.fixed if node.op != "const"]
+        self._given = [f"p{i}" for i in range(len(given))]
+        self._name |= dict(zip(given, self._given, strict=True))
+        self._name |= {node: _literal(node.value) for node in layout.fixed if node.op == "const"}
+
+    def source(self) -> str:
+        """Returns the text of the function."""
+        layout = self._layout
+        then = [layout.program.then[name] for name in layout.states]
+        last = self._last_uses([*then, layout.program.out])
+        lines = []
+        for index, node in enumerate(layout.steps):
+            args = [self._name[arg] for arg in node.args]
+            for arg in dict.fromkeys(node.args):  # a result may take the place of an argument that is used up
+                if last.get(arg) == index and arg in layout.lanes and arg.op != "state" and arg.changes:
+                    self._free[arg.is_truth].append(self._name[arg])
+            lines.append(self._line(node, args))
+        out = layout.program.out
+        turned = self._turned(then)
+        check = f"if {self._name[out]}.any(): told({self._name[out]}, ({', '.join(self._state)},))"
+        body = [*lines, *turned, check if out in layout.lanes else "pass"]
+        head = ["def cycles(count, told, states, given, buffers):"]
+        for names, source in ((self._state, "states"), (self._given, "given"), (self.buffers, "buffers")):
+            if names:
+                head.append(f"    {', '.join(names)}, = {source}")
+        loop = ["    for _ in range(count):", *(f"        {line}" for line in body)]
+        return "\n".join([*head, *loop, f"    return {', '.join(self._state)},"]) + "\n"
+
+    def _last_uses(self, goals: list[Node]) -> dict[Node, int]:
+        last = {arg: index for index, node in enumerate(self._layout.steps) for arg in node.args}
+        return last | dict.fromkeys(goals, len(self._layout.steps))
+
+    def _buffer(self, is_truth: bool) -> str:
+        free = self._free[is_truth]
+        if free:
+            return free.pop()
+        self.buffers.append(f"{'b' if is_truth else 'f'}{len(self.buffers)}")
+        return self.buffers[-1]
+
+    def _line(self, node: Node, args: list[str]) -> str:
+        if node not in self._layout.lanes:
+            self._name[node] = f"u{node.number}"
+            return f"{self._name[node]} = {_one_for_all(node, args)}"
+        target = self._name[node] = self._buffer(node.is_truth)
+        if node.op == "select":
+            return f"{target} = where({', '.join(args)})"
+        return f"{_CALLS[node.op]}({', '.join(args)}, out={target})"
+
+    def _turned(self, then: list[Node]) -> list[str]:
+        """Returns the lines that make the new values the states; arrays change hands and are not copied."""
+        lines, takes, gives, freed = [], [], [], []
+        given: set[str] = set()
+        layout = self._layout
+        for name, own, node in zip(layout.states, self._state, then, strict=True):
+            value = self._name[node]
+            if value == own:
+                given.add(own)
+                continue
+            differs = layout.state_differs(name)
+            if differs and (value in given or node not in layout.lanes or not node.changes):
+                copy = self._buffer(node.is_truth)
+                lines.append(f"copyto({copy}, {value})")
+                value = copy
+            given.add(value)
+            takes.append(own)
+            gives.append(value)
+            if differs:
+                freed.append((node.is_truth, own))
+        idle = [own for _, own in freed if own not in gives]
+        left = [value for value in gives if value[0] in "fb"]
+        takes += left
+        gives += idle
+        if takes:
+            lines.append(f"{', '.join(takes)}, = {', '.join(gives)},")
+        return lines
+
+
+def _literal(value: Any) -> str:
+    text = repr(value)
+    return {"inf": "float('inf')", "-inf": "float('-inf')", "nan": "float('nan')"}.get(text, text)
+
+
+def _one_for_all(node: Node, args: list[str]) -> str:
+    if node.op == "select":
+        return f"{args[1]} if {args[0]} else {args[2]}"
+    if node.op in ("and", "or", "not"):
+        return f"not {args[0]}" if node.op == "not" else f"{args[0]} {node.op} {args[1]}"
+    call = f"{_CALLS[node.op]}({', '.join(args)})"
+    signs = {"add": "+", "sub": "-", "mul": "*", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+    if node.op in signs:
+        return f"{args[0]} {signs[node.op]} {args[1]}"
+    return f"-{args[0]}" if node.op == "neg" else f"bool({call})" if node.is_truth else f"float({call})"
+
+
+__all__ = ["NumpyForm", "Program"]
