@@ -9,6 +9,7 @@ import can
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import InputError, LinkError
 from canhaptic.scene.models import Scene
+from canhaptic.sim.virtual_bus import LeanVirtualBus
 
 if TYPE_CHECKING:
     from canhaptic.sim.faulty_bus import FaultyBus
@@ -35,6 +36,8 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
         InputError: python-can has no such interface, lacks its driver or library, or refuses an option.
         LinkError: The interface is there but cannot be opened: no such channel, no device, no permission.
     """
+    if bus.interface == "virtual" and channel is not None and not bus.options:
+        return LeanVirtualBus(channel)
     options: dict[str, Any] = {"bitrate": bus.bitrate, **bus.options}
     if bus.interface == "virtual":
         options = {"preserve_timestamps": True, **bus.options}

@@ -1,0 +1,121 @@
+"""The lean virtual bus does what python-can's own does, beside it on the same channel."""
+
+import threading
+from collections.abc import Iterator
+from itertools import count
+
+import can
+import pytest
+from can.interfaces.virtual import VirtualBus
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canhaptic.sim.virtual_bus import LeanVirtualBus
+
+CHANNELS = count()
+FIELDS = [name for name in can.Message.__slots__ if name not in ("__weakref__", "channel", "is_rx")]
+
+
+@pytest.fixture
+def channel() -> str:
+    return f"lean-{next(CHANNELS)}"
+
+
+@pytest.fixture
+def pair(channel: str) -> Iterator[tuple[LeanVirtualBus, LeanVirtualBus]]:
+    with LeanVirtualBus(channel) as here, LeanVirtualBus(channel) as there:
+        yield here, there
+
+
+@given(
+    message=st.builds(
+        can.Message,
+        timestamp=st.floats(0.0, 1e9),
+        arbitration_id=st.integers(0, 0x1FFF_FFFF),
+        is_extended_id=st.booleans(),
+        is_error_frame=st.booleans(),
+        data=st.binary(max_size=8),
+        is_fd=st.booleans(),
+        is_rx=st.booleans(),
+        bitrate_switch=st.booleans(),
+        error_state_indicator=st.booleans(),
+    )
+)
+def test_every_field_arrives_as_through_the_stock_bus(message: can.Message) -> None:
+    channel = f"lean-{next(CHANNELS)}"
+    with (
+        LeanVirtualBus(channel) as lean,
+        VirtualBus(channel, preserve_timestamps=True) as stock,
+        LeanVirtualBus(channel) as third,
+    ):
+        lean.send(message)
+        by_lean = [stock.recv(0), third.recv(0)]
+        stock.send(message)
+        by_stock = third.recv(0)
+        assert lean.recv(0) is not None, "the stock bus reaches it"
+    for taken in by_lean:
+        assert taken is not None
+        assert taken.is_rx
+        assert taken.channel == channel
+        for name in FIELDS:
+            assert getattr(taken, name) == getattr(by_stock, name) == getattr(message, name), name
+
+
+def test_what_the_sender_or_another_receiver_changes_later_does_not_arrive(channel: str) -> None:
+    with LeanVirtualBus(channel) as sender, LeanVirtualBus(channel) as first, LeanVirtualBus(channel) as second:
+        message = can.Message(arbitration_id=1, is_extended_id=False, data=b"\x01\x02")
+        sender.send(message)
+        message.data[0], message.arbitration_id = 9, 9
+        taken = first.recv(0)
+        assert taken is not None
+        taken.data[1] = 9
+        other = second.recv(0)
+    assert other is not None
+    assert (other.arbitration_id, bytes(other.data)) == (1, b"\x01\x02")
+
+
+def test_frames_come_in_order_and_not_back_to_their_sender(pair: tuple[LeanVirtualBus, LeanVirtualBus]) -> None:
+    here, there = pair
+    for cob_id in (3, 1, 2):
+        here.send(can.Message(arbitration_id=cob_id, is_extended_id=False))
+    came = [there.recv(0), there.recv(0.0), there.recv(0.5), there.recv(0)]
+    assert [None if message is None else message.arbitration_id for message in came] == [3, 1, 2, None]
+    assert here.recv(0) is None
+    assert here.recv(0.001) is None
+
+
+def test_a_frame_of_another_thread_ends_the_wait(pair: tuple[LeanVirtualBus, LeanVirtualBus]) -> None:
+    here, there = pair
+    thread = threading.Timer(0.01, here.send, [can.Message(arbitration_id=5, is_extended_id=False)])
+    thread.start()
+    message = there.recv(None)
+    thread.join()
+    assert message is not None
+    assert message.arbitration_id == 5
+
+
+def test_filters_and_the_notifier_of_python_can_work(pair: tuple[LeanVirtualBus, LeanVirtualBus]) -> None:
+    here, there = pair
+    there.set_filters([{"can_id": 0x20, "can_mask": 0x7FF, "extended": False}])
+    taken: list[int] = []
+    came = threading.Event()
+
+    def listen(message: can.Message) -> None:
+        taken.append(message.arbitration_id)
+        came.set()
+
+    with can.Notifier(there, [listen], timeout=0.01):
+        for cob_id in (0x10, 0x20):
+            here.send(can.Message(arbitration_id=cob_id, is_extended_id=False))
+        assert came.wait(5.0)
+    assert taken == [0x20]
+
+
+def test_a_connection_that_was_shut_down_refuses_and_hears_nothing(channel: str) -> None:
+    here, there = LeanVirtualBus(channel), LeanVirtualBus(channel)
+    there.shutdown()
+    here.send(can.Message(arbitration_id=1, is_extended_id=False))
+    for use in (lambda: there.recv(0), lambda: there.send(can.Message())):
+        with pytest.raises(can.CanOperationError, match="closed"):
+            use()
+    here.shutdown()
