@@ -10,6 +10,7 @@
     |  `- LogFormatError                     2   an energy log or bus log that cannot be read
     |- LogWriteError (OSError)              2   a log that cannot be written where it was asked for
     |- CheckFailedError                      1   a comparison or check the user asked for failed
+    |- WorkersLostError (RuntimeError)       1   the processes of a sweep died again and again
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
        |- StartError                         3   a step of the fail-closed start was not confirmed
        |- SdoError                           3   an SDO was aborted by the drive or not answered
@@ -90,6 +91,10 @@ class LogWriteError(CanHapticError, OSError):
 
 class CheckFailedError(CanHapticError):
     """A check or comparison that the user asked for did not hold."""
+
+
+class WorkersLostError(CanHapticError, RuntimeError):
+    """The processes that compute a sweep died again and again, or did not run it; finished chunks are kept."""
 
 
 class RigError(CanHapticError, RuntimeError):

@@ -1,0 +1,235 @@
+"""The figures of consecutive scenes, wherever they are computed: a pure function of the recipe and their values.
+
+Scenes of one kind run together: in arrays by the batch engine, or one by one where that cannot take them, with the
+reason kept. How scenes are dealt into chunks changes nothing, because no scene knows of its neighbours.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.errors import CanHapticError, ParameterError
+from canhaptic.scene.models import Scene
+from canhaptic.study.batch import BATCH_KEYS, METRICS, run_batch, run_scalar, spectral_radius, why_not_batchable
+from canhaptic.study.loop import Array
+from canhaptic.study.sweep.places import batch_key
+from canhaptic.study.sweep.points import Column
+from canhaptic.study.sweep.recipe import RATE, Built, Recipe, Row, cycles_in, is_box_permitted, of_plant, scene_of
+
+RADIUS: Final = "spectral_radius"
+"""Metric of the linear sampled loop, from its eigenvalues; NaN where the loop is not linear."""
+FIGURES: Final = (*METRICS, RADIUS)
+STATUS: Final = ("pending", "completed", "refused", "failed")
+ENGINES: Final = ("none", "closed form", "numpy", "numba", "scalar")
+SLOTS: Final = 32
+"""Different remarks that one chunk keeps."""
+MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set with its values says which"
+
+_COMPLETED, _REFUSED, _FAILED = 1, 2, 3
+_CLOSED_FORM, _SCALAR = ENGINES.index("closed form"), ENGINES.index("scalar")
+_BATCHED: Final = frozenset(f"{section}.{name}" for section, names in BATCH_KEYS.items() for name in names)
+_Rows = NDArray[np.intp]
+
+
+class ChunkResult(NamedTuple):
+    """What a chunk gave, row by row; every array of shape (n_scenes,)."""
+
+    figures: dict[str, Array]  # by "axis/metric", NaN where there is nothing
+    status: NDArray[np.uint8]  # index in STATUS
+    engine: NDArray[np.uint8]  # index in ENGINES
+    remark: NDArray[np.uint8]  # 0 for none, else one more than the index in texts
+    texts: tuple[str, ...]
+
+
+def run_chunk(recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
+    """Returns the figures of the scenes `start` and following.
+
+    Args:
+        recipe: Of the sweep.
+        start: Global index of the first.
+        columns: Values by key, of one length.
+    """
+    return _Chunk(recipe, start, columns).run()
+
+
+def is_batch_key(recipe: Recipe, key: str) -> bool:
+    """Returns whether scenes that differ in a key fit one batch, for every axis that it touches."""
+    names = [batch_key(key, index, name) for index, name in enumerate(recipe.axes)]
+    return all(name is None or name in _BATCHED for name in names)
+
+
+class _Chunk:
+    """Consecutive scenes on their way from values to figures."""
+
+    def __init__(self, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> None:
+        self._recipe, self._start, self._columns = recipe, start, columns
+        self._count = len(next(iter(columns.values())))
+        self._free = _free_keys(recipe)
+        names = [f"{axis}/{metric}" for axis in recipe.axes for metric in recipe.metrics]
+        self._figures = {name: np.full(self._count, np.nan) for name in names}
+        self._status = np.zeros(self._count, dtype=np.uint8)
+        self._engine = np.zeros(self._count, dtype=np.uint8)
+        self._remark = np.zeros(self._count, dtype=np.uint8)
+        self._texts: list[str] = []
+
+    def run(self) -> ChunkResult:
+        """Runs every scene."""
+        batched = {key for key in self._columns if is_batch_key(self._recipe, key)}
+        apart = {key for key in self._columns if key not in batched}
+        if RATE in self._columns and self._recipe.cycles is None:
+            apart.add(RATE)  # scenes of one duration differ in their number of holds
+        permitted = self._permitted()
+        for rows in self._groups(apart, permitted):
+            self._run_group(rows, tuple(sorted(batched)))
+        return ChunkResult(self._figures, self._status, self._engine, self._remark, tuple(self._texts))
+
+    def _permitted(self) -> _Rows:
+        """Returns the rows whose values go together; the others are noted as refused."""
+        refused = []
+        for rows in self._groups({key for key in self._columns if key not in self._free}, np.arange(self._count)):
+            if is_box_permitted(self._recipe, self._row(int(rows[0]), set(self._columns) - self._free)):
+                continue
+            for row in rows.tolist():
+                built = scene_of(self._recipe, self._row(row))
+                if built.scene is None:
+                    refused.append(row)
+                    self._note(row, _REFUSED, 0, built.remark)
+        return np.setdiff1d(np.arange(self._count), np.array(refused, dtype=np.intp))
+
+    def _groups(self, keys: set[str], rows: _Rows) -> list[_Rows]:
+        """Returns the rows that share the values of some keys, in the order of their first."""
+        found: dict[Row, list[int]] = {}
+        for row in rows.tolist():
+            found.setdefault(self._row(row, keys), []).append(row)
+        return [np.array(group, dtype=np.intp) for group in found.values()]
+
+    def _row(self, row: int, keys: set[str] | None = None) -> Row:
+        return tuple(
+            (key, float(values[row]) if isinstance(values, np.ndarray) else values[row])
+            for key, values in self._columns.items()
+            if keys is None or key in keys
+        )
+
+    def _run_group(self, rows: _Rows, batched: Sequence[str]) -> None:
+        built = scene_of(self._recipe, self._row(int(rows[0])))
+        assert built.scene is not None
+        not_linear = self._closed_form(built, rows, batched) if RADIUS in self._recipe.metrics else ""
+        if self._recipe.metrics == (RADIUS,):
+            self._note_all(rows, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, built.remark))
+            return
+        reason = self._in_arrays(built, rows, batched)
+        if reason:
+            self._one_by_one(rows, reason)
+
+    def _closed_form(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
+        """Fills in the spectral radius where the loop is linear; returns "" or why it is not."""
+        reason = ""
+        for index, name in enumerate(self._recipe.axes):
+            scene = _alone(built, index)
+            try:
+                radii = spectral_radius(scene, self._varied(built, scene, index, rows, batched))
+            except (ParameterError, NotImplementedError) as error:
+                reason = f"no closed form: {error}".splitlines()[0]
+                continue
+            self._figures[f"{name}/{RADIUS}"][rows] = radii
+        return reason
+
+    def _in_arrays(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
+        """Runs the rows as one batch per axis; returns "" or the reason why that cannot be."""
+        assert built.scene is not None
+        recipe, cycles = self._recipe, cycles_in(self._recipe, built.scene)
+        metrics = [metric for metric in recipe.metrics if metric != RADIUS]
+        found: dict[str, Array] = {}
+        for index, name in enumerate(recipe.axes):
+            scene = _alone(built, index)
+            reason = why_not_batchable(scene)
+            if reason:
+                return reason
+            varied = self._varied(built, scene, index, rows, batched)
+            try:
+                figures = run_batch(scene, varied, cycles, recipe.engine, metrics)  # type: ignore[arg-type]
+            except ParameterError as error:
+                return f"the batch refused: {error}".splitlines()[0]
+            found |= {f"{name}/{metric}": figures[metric] for metric in metrics}
+        for path, values in found.items():
+            self._figures[path][rows] = values
+        self._note_all(rows, ENGINES.index(recipe.engine), built.remark)
+        return ""
+
+    def _varied(self, built: Built, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]) -> dict[str, Array]:
+        """Returns what differs inside a batch of one axis, by the names of the batch."""
+        follows = of_plant(built.told)
+        varied: dict[str, Array] = {}
+        for key in batched:
+            name = batch_key(key, index, self._recipe.axes[index])
+            values = self._columns[key]
+            if name is None or not isinstance(values, np.ndarray) or not _is_taken(scene, name):
+                continue
+            varied[name] = np.ascontiguousarray(values[rows])
+            varied |= {own: varied[name] for own, plant in follows.items() if plant == name}
+        if not varied:  # an axis that nothing touches: every scene of the batch is the same
+            varied = {RATE: np.full(len(rows), scene.bus.rate)}
+        return varied
+
+    def _one_by_one(self, rows: _Rows, reason: str) -> None:
+        for row in rows.tolist():
+            built = scene_of(self._recipe, self._row(row), self._start + row)
+            if built.scene is None:
+                self._note(row, _REFUSED, 0, built.remark)
+                continue
+            status, remark = _COMPLETED, _joined(reason, built.remark)
+            for index, name in enumerate(self._recipe.axes):
+                scene = _alone(built, index)
+                try:
+                    figures = run_scalar(scene, cycles_in(self._recipe, scene))
+                except CanHapticError as error:
+                    status, remark = _FAILED, str(error).splitlines()[0]
+                    continue
+                for metric in self._recipe.metrics:
+                    if metric != RADIUS:
+                        self._figures[f"{name}/{metric}"][row] = figures[metric]
+            self._note(row, status, _SCALAR, remark)
+
+    def _note_all(self, rows: _Rows, engine: int, remark: str) -> None:
+        self._status[rows], self._engine[rows], self._remark[rows] = _COMPLETED, engine, self._slot(remark)
+
+    def _note(self, row: int, status: int, engine: int, remark: str) -> None:
+        self._status[row], self._engine[row], self._remark[row] = status, engine, self._slot(remark)
+
+    def _slot(self, remark: str) -> int:
+        """Returns the number of a remark, 0 for none."""
+        if not remark:
+            return 0
+        if remark not in self._texts:
+            if len(self._texts) == SLOTS:
+                return SLOTS
+            self._texts.append(remark if len(self._texts) < SLOTS - 1 else MORE)
+        return self._texts.index(remark) + 1 if remark in self._texts else SLOTS
+
+
+def _alone(built: Built, index: int) -> Scene:
+    """Returns the scene of one axis alone: axes share nothing but the bus."""
+    assert built.scene is not None
+    return replace(built.scene, axes=(built.scene.axes[index],))
+
+
+def _joined(*remarks: str) -> str:
+    return "; ".join(remark for remark in remarks if remark)
+
+
+def _is_taken(scene: Scene, name: str) -> bool:
+    """Whether the algorithm has a property of its own that another of the sweep has."""
+    section, _, key = name.rpartition(".")
+    axis = scene.axes[0]
+    own = type(axis.passivity.parameters).model_fields
+    return section != "passivity" or key in own or key in type(axis.loop).model_fields
+
+
+@lru_cache(maxsize=64)
+def _free_keys(recipe: Recipe) -> frozenset[str]:
+    """Returns the keys with a range, whose ends decide for all values between."""
+    return frozenset(v.key for v in recipe.varied if v.spacing != "list" and is_batch_key(recipe, v.key))

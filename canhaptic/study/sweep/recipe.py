@@ -1,0 +1,229 @@
+"""From one row of values to a scene, or to the reason why there is none. Plain data: workers get it by pickle.
+
+A value that is wrong by itself (`stiffness=abc`, an unknown key, a mass of -1) ends the sweep before it begins: it is a
+slip of the pen. A row whose values are right and do not go together (a rate that the bus cannot carry, an algorithm
+that lacks what it rests on) is a finding: the row is kept as refused, with the reason, and the others run.
+"""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Final, NamedTuple
+
+from canhaptic.errors import InputError, ParameterError, SceneConflictError, SceneError
+from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.study.compare import at_rate, chosen_algorithms, cycles_of, with_algorithm, with_known_plant
+from canhaptic.study.scenes import loop_case
+from canhaptic.study.sweep.places import places_of
+from canhaptic.study.sweep.points import CONTROLLER, Points, scene_seed
+from canhaptic.study.sweep.vary import Value, Varied
+
+RATE: Final = "bus.rate"
+_SEED: Final = "simulation.seed"
+_MOST_CORNERS: Final = 6
+"""Keys of which every corner is tried; of more, the neighbours of two opposite corners."""
+_TOLD: Final = {"moving_mass": "mass", "device_damping": "damping", "device_damping_bound": "damping"}
+
+Row = tuple[tuple[str, Value], ...]
+"""(key, value) of one scene, or of several that share these values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """How every scene of a sweep is made.
+
+    Attributes:
+        source: File of the scene, the start of relative paths.
+        text: The scene.
+        overrides: Laid over it before anything varies.
+        varied: The keys; of a range only its ends.
+        places: Override paths of each key, in the order of `varied`.
+        axes: Names of the axes.
+        duration: Of every scene [s]; None: that of the scene.
+        cycles: SYNCs of every scene; None: by the duration.
+        metrics: Asked for.
+        engine: "numpy" or "numba", for scenes that fit a batch.
+        beyond_bus: Whether a rate is judged that the bus could not carry.
+        seed: From which every scene's own follows.
+    """
+
+    source: str
+    text: str
+    overrides: tuple[str, ...]
+    varied: tuple[Varied, ...]
+    places: tuple[tuple[str, ...], ...]
+    axes: tuple[str, ...]
+    duration: float | None
+    cycles: int | None
+    metrics: tuple[str, ...]
+    engine: str
+    beyond_bus: bool
+    seed: int
+
+
+class Built(NamedTuple):
+    """A scene, or why there is none."""
+
+    scene: Scene | None
+    remark: str  # why it is refused, or what an algorithm had to be told
+    told: tuple[str, ...] = ()  # loop properties taken from the plant
+
+
+def make_recipe(
+    scene: Scene,
+    points: Points,
+    *,
+    metrics: tuple[str, ...],
+    engine: str,
+    duration: float | None = None,
+    cycles: int | None = None,
+    beyond_bus: bool = False,
+) -> Recipe:
+    """Returns the recipe of a sweep, every value tried on its own.
+
+    Raises:
+        InputError: The scene has no text or simulation, or an unknown algorithm is asked for.
+        SceneError: A key or a value is wrong by itself.
+    """
+    if not scene.text:
+        raise InputError(
+            f"{scene.source}: a sweep needs the text of its scene; make it by load_scene or scene_from_text"
+        )
+    if not all(axis.simulation is not None for axis in scene.axes):
+        raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user on every axis; add one")
+    places = places_of(scene, tuple(v.key for v in points.varied))
+    recipe = Recipe(
+        scene.source,
+        scene.text,
+        scene.overrides,
+        tuple(v if v.spacing == "list" else replace(v, values=v.ends) for v in points.varied),
+        tuple(places[v.key] for v in points.varied),
+        tuple(axis.parameters.name for axis in scene.axes),
+        duration,
+        cycles,
+        metrics,
+        engine,
+        beyond_bus,
+        scene.simulation.seed if scene.simulation else 0,
+    )
+    for varied in recipe.varied:
+        _try_alone(recipe, varied)
+    return recipe
+
+
+def scene_of(recipe: Recipe, row: Row, index: int | None = None) -> Built:
+    """Returns the scene of a row of values, checked as if it had been written so.
+
+    Args:
+        recipe: Of the sweep.
+        row: Values of some or all keys.
+        index: Global, for the seed; None where nothing random matters.
+    """
+    values = dict(row)
+    controller, rate = values.pop(CONTROLLER, None), None
+    if recipe.beyond_bus and isinstance(values.get(RATE), float):
+        rate = values.pop(RATE)
+    try:
+        scene = scene_from_text(recipe.text, recipe.source, [*recipe.overrides, *_overrides(recipe, values, index)])
+        if rate is not None:
+            scene = at_rate(scene, float(rate))
+    except InputError as error:
+        return Built(None, _first_line(error))
+    return Built(scene, "") if controller is None else _under(scene, str(controller))
+
+
+def cycles_in(recipe: Recipe, scene: Scene) -> int:
+    """Returns the SYNCs of a scene."""
+    return recipe.cycles or cycles_of(scene, recipe.duration)
+
+
+@lru_cache(maxsize=4096)
+def is_box_permitted(recipe: Recipe, shared: Row) -> bool:
+    """Returns whether every scene with these values is permitted, whatever the ranges give the other keys.
+
+    Every limit of a scene is a bound from below or above, so that what holds in the corners of a box holds inside.
+    """
+    fixed = {key for key, _ in shared}
+    free = [v for v in recipe.varied if v.key not in fixed]
+    return all(scene_of(recipe, (*shared, *corner)).scene is not None for corner in _corners(free))
+
+
+def _corners(free: list[Varied]) -> list[Row]:
+    ends = [[(v.key, end) for end in v.ends] for v in free]
+    if len(free) <= _MOST_CORNERS:
+        return [tuple(corner) for corner in itertools.product(*ends)]
+    low, high = tuple(e[0] for e in ends), tuple(e[-1] for e in ends)
+    near = [(*low[:i], high[i], *low[i + 1 :]) for i in range(len(free))]
+    far = [(*high[:i], low[i], *high[i + 1 :]) for i in range(len(free))]
+    return [low, high, *near, *far]
+
+
+def _try_alone(recipe: Recipe, varied: Varied) -> None:
+    """Refuses a value that no other value could make right.
+
+    Raises:
+        SceneError: One is; the message is that of the scene.
+    """
+    if varied.key == CONTROLLER:
+        chosen_algorithms([str(value) for value in varied.values])
+        return
+    for value in varied.ends:
+        texts = _overrides(recipe, {varied.key: value}, None, with_unit=True)
+        try:
+            scene_from_text(recipe.text, recipe.source, [*recipe.overrides, *texts])
+        except SceneConflictError:
+            continue  # other values may go with it
+        except SceneError as error:
+            raise SceneError([fault.replace("--set ", "--vary ", 1) for fault in error.faults]) from error
+
+
+def _overrides(recipe: Recipe, values: Mapping[str, Value], index: int | None, *, with_unit: bool = False) -> list[str]:
+    texts = []
+    for varied, places in zip(recipe.varied, recipe.places, strict=True):
+        if varied.key in values:
+            text = varied.yaml(values[varied.key], with_unit=with_unit)
+            texts += [f"{place}={text}" for place in places]
+    if index is not None and _SEED not in values:
+        texts.append(f"{_SEED}={scene_seed(recipe.seed, index)}")
+    return texts
+
+
+def _under(scene: Scene, controller: str) -> Built:
+    """Returns the scene with every axis under an algorithm, told of the plant what it cannot do without."""
+    axes: list[AxisScene] = []
+    remark = ""
+    told: tuple[str, ...] = ()
+    for axis in scene.axes:
+        chosen = with_algorithm(axis, controller)
+        if _refusal(chosen, scene):
+            missing = tuple(key for key in _TOLD if getattr(chosen.loop, key) is None)
+            chosen, remark = with_known_plant(chosen)
+            told = missing
+        refusal = _refusal(chosen, scene)
+        if refusal:
+            return Built(None, refusal)
+        axes.append(chosen)
+    return Built(replace(scene, axes=tuple(axes)), remark, told)
+
+
+def of_plant(told: tuple[str, ...]) -> dict[str, str]:
+    """Returns which batch key of the loop follows which of the plant, for properties that were taken from it."""
+    return {f"passivity.{key}": f"simulation.plant.{_TOLD[key]}" for key in told}
+
+
+def _refusal(axis: AxisScene, scene: Scene) -> str:
+    try:
+        loop_case(axis, scene).controller()
+    except ParameterError as error:
+        return _first_line(error)
+    return ""
+
+
+def _first_line(error: Any) -> str:
+    """Returns the first fault of an error without the override that it names, which is one of the sweep's own."""
+    line = str(error).splitlines()[0]
+    if line.startswith("--set "):
+        line = line.partition(": ")[2]
+    return line

@@ -1,0 +1,159 @@
+"""What the file of a sweep holds, as plain values and as tables for a terminal."""
+
+from collections import Counter
+from typing import Any, Final
+
+import numpy as np
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from canhaptic.study.loop import Array
+from canhaptic.study.sweep.points import CONTROLLER
+from canhaptic.study.sweep.table import SweepTable
+from canhaptic.view.energy_table import PASSIVE_TOLERANCE
+from canhaptic.view.si import si
+
+_MOST_REMARKS: Final = 20
+_COMPLETED: Final = 1
+
+Summary = dict[str, Any]
+
+
+def summary(table: SweepTable) -> Summary:
+    """Returns the account of a sweep as plain values: what `canhaptic sweep --json` prints."""
+    done = table.done()
+    counts: Counter[tuple[str, str, str]] = Counter()
+    for status, engine, remark, number in table.remarks():
+        counts[status, engine, remark] += number
+    finished = sum(stop - start for start, stop in map(table.span, np.flatnonzero(done).tolist()))
+    return {
+        "file": str(table.path),
+        "scene": table.note("source"),
+        "varied": [varied["given"] for varied in table.identity["varied"]],
+        "samples": table.identity["samples"],
+        "scenes": len(table),
+        "finished": finished,
+        "status": _by(counts, 0),
+        "engines": _by(counts, 1),
+        "remarks": [
+            {"status": status, "engine": engine, "remark": remark, "scenes": number}
+            for (status, engine, remark), number in counts.most_common()
+            if remark
+        ][:_MOST_REMARKS],
+        "figures": {axis: _figures(table, axis) for axis in table.axes},
+    }
+
+
+def _by(counts: Counter[tuple[str, str, str]], part: int) -> dict[str, int]:
+    found: Counter[str] = Counter()
+    for kind, number in counts.items():
+        found[kind[part]] += number
+    return dict(found)
+
+
+def _figures(table: SweepTable, axis: str) -> dict[str, Any]:
+    """Returns shares and medians over the completed scenes, per algorithm."""
+    completed = table.status() == _COMPLETED
+    controllers = table.values(CONTROLLER) if CONTROLLER in table.keys else [""] * len(table)
+    names = np.array(controllers)
+    found = {}
+    for name in dict.fromkeys(names.tolist()):
+        rows = completed & (names == name)
+        found[str(name) or "of the scene"] = {"scenes": int(rows.sum()), **_shares(table, axis, rows)}
+    return found
+
+
+def _shares(table: SweepTable, axis: str, rows: Any) -> dict[str, Any]:
+    asked = set(table.metrics)
+
+    def of(metric: str) -> Array:
+        values: Array = table.figure(axis, metric)[rows]
+        return values
+
+    found: dict[str, Any] = {}
+    if "least_interaction" in asked:
+        found["passive"] = _mean(of("least_interaction") >= -PASSIVE_TOLERANCE)
+    if "margin" in asked:
+        found["margin_kept"] = _mean(of("margin") >= -PASSIVE_TOLERANCE)
+        found["least_margin"] = _least(of("margin"))
+    if "diverged" in asked:
+        found["diverged"] = _mean(of("diverged") == 1.0)
+    if "spectral_radius" in asked:
+        radii = of("spectral_radius")
+        found["stable"] = _mean(radii[np.isfinite(radii)] < 1.0)
+    if "stiffness_rendered.share" in asked:
+        found["stiffness_rendered"] = _median(of("stiffness_rendered.share"))
+    return found
+
+
+def _mean(truths: Any) -> float | None:
+    return float(np.mean(truths)) if len(truths) else None
+
+
+def _least(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if len(known) else None
+
+
+def _median(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None
+
+
+def summary_report(found: Summary) -> RenderableType:
+    """Returns tables of a summary."""
+    heading = Text(" ")
+    heading.append(found["scene"], style="bold")
+    heading.append(f"   {found['finished']} of {found['scenes']} scenes   {'  '.join(found['varied'])}")
+    parts: list[RenderableType] = [heading, _counts(found), _shares_table(found)]
+    return Group(*parts)
+
+
+def _counts(found: Summary) -> RenderableType:
+    lines = [Text(f" computed by: {_listed(found['engines'])}"), Text(f" status:      {_listed(found['status'])}")]
+    style = {"refused": "yellow", "failed": "red"}
+    lines += [
+        Text(
+            f" {entry['scenes']} {entry['status']} ({entry['engine']}): {entry['remark']}",
+            style.get(entry["status"], ""),
+        )
+        for entry in found["remarks"]
+    ]
+    return Group(*lines)
+
+
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{number} {name}" for name, number in counts.items()) or "nothing yet"
+
+
+_COLUMNS: Final = {
+    "passive": "true sum(h_i) >= 0",
+    "margin_kept": "margin (4) kept",
+    "least_margin": "least margin",
+    "diverged": "diverged",
+    "stable": "linear loop stable",
+    "stiffness_rendered": "stiffness, median",
+}
+
+
+def _shares_table(found: Summary) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("axis, algorithm", no_wrap=True)
+    shown = [
+        key for key in _COLUMNS if any(key in entry for axis in found["figures"].values() for entry in axis.values())
+    ]
+    for title in ("scenes", *(_COLUMNS[key] for key in shown)):
+        table.add_column(title, justify="right")
+    for axis, controllers in found["figures"].items():
+        for name, entry in controllers.items():
+            cells = [_cell(key, entry.get(key)) for key in shown]
+            table.add_row(f"{axis}, {name}", str(entry["scenes"]), *cells)
+    return table
+
+
+def _cell(key: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    return si(value, "J", 3) if key == "least_margin" else f"{100.0 * value:.3g} %"

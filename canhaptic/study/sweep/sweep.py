@@ -1,0 +1,311 @@
+"""Chunks to workers, results to the file as they come: memory does not grow with the number of scenes.
+
+What a scene gives depends on its own values and its global index alone, so that serial, pool and cluster write the same
+bits; only the order in which chunks become ready differs.
+"""
+
+import hashlib
+import importlib.util
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+
+from canhaptic.errors import CanHapticError, InputError, WorkersLostError
+from canhaptic.scene.models import Scene
+from canhaptic.study.batch import why_not_batchable
+from canhaptic.study.compare import with_algorithm
+from canhaptic.study.sweep.chunk import FIGURES, ChunkResult, is_batch_key, run_chunk
+from canhaptic.study.sweep.points import Points, make_points
+from canhaptic.study.sweep.recipe import Recipe, make_recipe
+from canhaptic.study.sweep.table import Columnset, SweepTable, create
+from canhaptic.study.sweep.vary import Varied, parse_vary
+from canhaptic.study.sweep.workers import Pool, SerialExecutor
+
+Engine = Literal["auto", "numpy", "numba"]
+
+_BATCH_CHUNK: Final = 5000
+_SCALAR_CHUNK: Final = 50
+_FEWEST_CHUNKS: Final = 16
+_LOOK: Final = 0.2
+"""Time between two looks at a request to stop [s]."""
+_MOST_LOSSES: Final = 3
+"""Pools lost in a row without a chunk finished in between."""
+
+
+class Sweep(NamedTuple):
+    """A sweep that can be begun, or gone on with."""
+
+    recipe: Recipe
+    points: Points
+    chunk: int
+    identity: dict[str, Any]
+
+
+class Progress(NamedTuple):
+    """How far a sweep is."""
+
+    done: int  # scenes whose results are in the file
+    total: int
+    begun: int  # scenes that an earlier run had finished
+
+
+def sweep(
+    scene: Scene,
+    vary: Sequence[str | Varied],
+    out: str | Path,
+    executor: Executor | Pool | None = None,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    in_flight: int = 4,
+    progress: Callable[[Progress], None] = lambda _: None,
+    stop_requested: Callable[[], bool] = lambda: False,
+    **options: Any,
+) -> Progress:
+    """Runs every scene and keeps the figures in a file; a sweep that was stopped or killed goes on where it was.
+
+    Args:
+        scene: With simulated drives, from a file or text.
+        vary: What varies, as for `--vary`.
+        out: The file (HDF5).
+        executor: Any `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
+        resume: Whether to go on with a file that is there; one that is not there is made.
+        force: Whether to replace a file that is there.
+        in_flight: Chunks submitted and not yet written, at most.
+        progress: Told now and then how far it is.
+        stop_requested: Asked now and then; True ends the sweep after the chunks under way.
+        options: As for `make_sweep`.
+
+    Raises:
+        InputError: Bad input, or a file of another sweep.
+        LogWriteError: The file cannot be written.
+        WorkersLostError: The workers die again and again.
+    """
+    asked, path = make_sweep(scene, vary, **options), Path(out)
+    if resume and path.exists():
+        with SweepTable(path) as table:
+            _check_same(table, asked)
+    else:
+        create(path, asked.points, asked.chunk, _columns(scene, asked), replace=force)
+    with SweepTable(path, writable=True) as table:
+        run = _Run(asked, table, progress)
+        run.run(executor or SerialExecutor(), 1 if executor is None else in_flight, stop_requested)
+        return run.state
+
+
+def make_sweep(
+    scene: Scene,
+    vary: Sequence[str | Varied],
+    *,
+    controllers: Sequence[str] = (),
+    samples: int = 0,
+    seed: int = 0,
+    duration: float | None = None,
+    cycles: int | None = None,
+    metrics: Sequence[str] | None = None,
+    engine: Engine = "auto",
+    chunk: int | None = None,
+    beyond_bus: bool = False,
+) -> Sweep:
+    """Returns a sweep, everything checked that can be before a scene runs.
+
+    Args:
+        scene: With simulated drives, from a file or text.
+        vary: What varies, as for `--vary`.
+        controllers: Passivity algorithms that every point is judged under; none: that of the scene.
+        samples: Points of a Latin hypercube; 0 for the grid of all values.
+        seed: Of the hypercube.
+        duration: Of every scene [s]; by default that of the scene.
+        cycles: SYNCs of every scene instead of a duration.
+        metrics: Names of `FIGURES`; all by default.
+        engine: For scenes that fit a batch; "auto" is numba where it is installed.
+        chunk: Scenes that are finished together; changes nothing but how much a kill can lose.
+        beyond_bus: Whether to judge rates that the bus could not carry, instead of refusing them.
+
+    Raises:
+        InputError: Anything is wrong.
+    """
+    points = make_points([_varied(one) for one in vary], controllers, samples, seed)
+    unknown = [name for name in metrics or () if name not in FIGURES]
+    if unknown:
+        raise InputError(f"unknown metric {unknown[0]!r}, expected one of: {', '.join(FIGURES)}")
+    if duration is not None and cycles is not None:
+        raise InputError("got a duration and a number of cycles; give one")
+    recipe = make_recipe(
+        scene,
+        points,
+        metrics=tuple(dict.fromkeys(metrics or FIGURES)),
+        engine=chosen_engine(engine),
+        duration=duration,
+        cycles=cycles,
+        beyond_bus=beyond_bus,
+    )
+    usual = _SCALAR_CHUNK if _runs_alone(scene, recipe, controllers) else _BATCH_CHUNK
+    chunk = chunk or max(1, min(usual, -(-len(points) // _FEWEST_CHUNKS)))
+    return Sweep(recipe, points, chunk, _identity(scene, recipe, points))
+
+
+def chosen_engine(engine: Engine) -> str:
+    """Returns the engine that "auto" stands for here; decided once, so that workers need not agree on it.
+
+    Raises:
+        InputError: numba is asked for and not installed.
+    """
+    there = importlib.util.find_spec("numba") is not None
+    if engine == "numba" and not there:
+        raise InputError("engine numba is not installed; install it with: pip install 'canhaptic[fast]', or take numpy")
+    return ("numba" if there else "numpy") if engine == "auto" else engine
+
+
+class _Run:
+    """A sweep on its way: which chunks are out, which are in the file."""
+
+    def __init__(self, asked: Sweep, table: SweepTable, progress: Callable[[Progress], None]) -> None:
+        self._asked, self._table, self._progress = asked, table, progress
+        done = table.done()
+        self._waiting = np.flatnonzero(~done).tolist()[::-1]
+        begun = sum(stop - start for start, stop in map(table.span, np.flatnonzero(done).tolist()))
+        self._out: dict[Future[ChunkResult], int] = {}
+        self._losses = 0
+        self.state = Progress(begun, len(table), begun)
+
+    def run(self, executor: Executor | Pool, in_flight: int, stop_requested: Callable[[], bool]) -> None:
+        """Runs what is not in the file yet."""
+        self._progress(self.state)
+        try:
+            while (self._waiting or self._out) and not stop_requested():
+                self._submit(executor, in_flight)
+                ready, _ = wait(self._out, timeout=_LOOK, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    self._take(future, executor)
+        finally:
+            for future in self._out:
+                future.cancel()
+        for future in [
+            future for future in self._out if not future.cancelled()
+        ]:  # what is under way is not thrown away
+            self._take(future, executor)
+
+    def _submit(self, executor: Executor | Pool, in_flight: int) -> None:
+        target = executor.executor if isinstance(executor, Pool) else executor
+        while self._waiting and len(self._out) < in_flight:
+            chunk = self._waiting.pop()
+            start, stop = self._table.span(chunk)
+            columns = self._table.columns(start, stop)
+            try:
+                self._out[target.submit(run_chunk, self._asked.recipe, start, columns)] = chunk
+            except BrokenExecutor as error:
+                self._waiting.append(chunk)
+                self._lost(executor, error)
+                return
+
+    def _take(self, future: Future[ChunkResult], executor: Executor | Pool) -> None:
+        chunk = self._out.pop(future, None)
+        if chunk is None:
+            return
+        try:
+            result = future.result()
+        except BrokenExecutor as error:
+            self._waiting.append(chunk)
+            self._lost(executor, error)
+        except CanHapticError:
+            raise
+        except (Exception, CancelledError) as error:
+            start, stop = self._table.span(chunk)
+            raise WorkersLostError(
+                f"{self._table.path}: scenes {start} to {stop - 1} failed in a worker "
+                f"({type(error).__name__}: {error}); workers need the same canhaptic and the drive's EDS at the same "
+                "path; what was finished is kept, --resume goes on"
+            ) from error
+        else:
+            self._table.write(chunk, result)
+            start, stop = self._table.span(chunk)
+            self._losses = 0
+            self.state = self.state._replace(done=self.state.done + stop - start)
+            self._progress(self.state)
+
+    def _lost(self, executor: Executor | Pool, error: BrokenExecutor) -> None:
+        """Begins anew with new workers after one died, unless that does not help."""
+        self._waiting += self._out.values()
+        self._out.clear()
+        self._losses += 1
+        if not isinstance(executor, Pool) or self._losses >= _MOST_LOSSES:
+            raise WorkersLostError(
+                f"{self._table.path}: the workers died {self._losses} times in a row without finishing a chunk "
+                f"({error or type(error).__name__}); what was finished is kept: look for the cause (memory?), take "
+                "fewer workers or a smaller --chunk with a new file, and --resume"
+            ) from error
+        executor.renew()
+
+
+def _varied(one: str | Varied) -> Varied:
+    return parse_vary(one) if isinstance(one, str) else one
+
+
+def _runs_alone(scene: Scene, recipe: Recipe, controllers: Sequence[str]) -> bool:
+    """Whether many scenes of a sweep will have to run one by one."""
+    if any(v.spacing != "list" and not is_batch_key(recipe, v.key) for v in recipe.varied):
+        return True
+    for axis in scene.axes:
+        for name in controllers or (axis.passivity.name,):
+            if why_not_batchable(replace(scene, axes=(with_algorithm(axis, name),))):
+                return True
+    return False
+
+
+def _identity(scene: Scene, recipe: Recipe, points: Points) -> dict[str, Any]:
+    """Returns what two runs must have in common to share a file."""
+    return {
+        "configuration": scene.config_hash(),
+        "varied": [
+            {"key": v.key, "given": str(v), "spacing": v.spacing, "hash": _hash(v), "numbers": v.is_number}
+            for v in points.varied
+        ],
+        "samples": points.samples,
+        "seed": points.seed if points.samples else 0,
+        "duration": recipe.duration,
+        "cycles": recipe.cycles,
+        "metrics": list(recipe.metrics),
+        "beyond_bus": recipe.beyond_bus,
+        "axes": list(recipe.axes),
+        "canhaptic": version("canhaptic"),
+    }
+
+
+def _hash(varied: Varied) -> str:
+    return hashlib.sha256(json.dumps(varied.values).encode()).hexdigest()
+
+
+def _columns(scene: Scene, asked: Sweep) -> Columnset:
+    figures = tuple(f"{axis}/{metric}" for axis in asked.recipe.axes for metric in asked.recipe.metrics)
+    notes = {"scene": scene.text, "source": scene.source, "overrides": json.dumps(scene.overrides)}
+    return Columnset(figures, asked.identity, notes)
+
+
+def _check_same(table: SweepTable, asked: Sweep) -> None:
+    """Refuses to go on with a file of something else.
+
+    Raises:
+        InputError: It is; names what differs.
+    """
+    there: Mapping[str, Any] = table.identity
+    for name, value in asked.identity.items():
+        if there.get(name) == value:
+            continue
+        found, wanted = (_words(name, entry) for entry in (there.get(name), value))
+        raise InputError(
+            f"{table.path}: was made with {name.replace('_', ' ')} {found}, now asked {wanted}; ask for the same, "
+            "give another --out, or replace it with --force"
+        )
+
+
+def _words(name: str, value: Any) -> str:
+    if name == "varied" and value:
+        return " ".join(str(varied["given"]) for varied in value)
+    return str(value)[:160]
