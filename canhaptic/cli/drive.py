@@ -1,6 +1,8 @@
 """`canhaptic drive CONFIG`: the simulated drives of a scene alone, at wall-clock pace, for a master elsewhere."""
 
 import argparse
+import selectors
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
 import can
@@ -11,11 +13,13 @@ from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
 from canhaptic.scene.build import build_drive_group
-from canhaptic.scene.bus import open_bus, with_effects
+from canhaptic.scene.bus import open_bus, suffers, with_effects
+from canhaptic.scene.buses import NamedBus
 from canhaptic.scene.models import Scene
 from canhaptic.sim.drive_group import DriveGroup
 
 _LONGEST_WAIT = 50_000_000  # [ns] between two looks at the stop signal
+_POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be waited on together
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,42 +31,87 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Lives until the duration is over (0) or a signal comes (130, 143)."""
     scene = scene_of(arguments)
-    if scene.bus.interface == "virtual" and scene.bus.channel is None:
+    if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
         raise InputError(
             f"{scene.source}: bus.interface 'virtual' ends inside this process, no master can reach the drive; "
             "name a bus that both use, as --set bus.interface=udp_multicast --set bus.channel=239.74.163.21"
         )
     with ExitStack() as stack:
         stop = stack.enter_context(StopSignal())
-        bus = open_bus(scene.bus, scene.bus.channel)
-        stack.callback(bus.shutdown)
-        if scene.bus_effects is not None:
-            bus = faulty_bus = with_effects(bus, scene, "drive")
-            stack.callback(faulty_bus.shutdown)
-            faulty_bus.use(WallClock(spin_margin=0.0))
-        group = build_drive_group(scene, bus)
-        write_note(f"{_names(scene)} on {scene.bus.interface} {scene.bus.channel or ''}: powered, Ctrl-C ends")
-        _live(group, bus, arguments.duration, stop)
+        far_ends = [_far_end(scene, place, stack) for place in range(len(scene.buses))]
+        write_note("; ".join(_names(scene, bus) for bus in scene.buses) + ": powered, Ctrl-C ends")
+        _live(far_ends, arguments.duration, stop)
     return stop.exit_status
 
 
-def _names(scene: Scene) -> str:
-    return ", ".join(f"{axis.parameters.name} (node {axis.parameters.node_id})" for axis in scene.axes)
+def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[can.BusABC, DriveGroup]:
+    """Returns the connection to one bus of the scene and the drives on it."""
+    name, parameters = scene.buses[place]
+    bus = open_bus(parameters, parameters.channel)
+    stack.callback(bus.shutdown)
+    if suffers(scene, name):
+        bus = faulty_bus = with_effects(bus, scene, "drive", place)
+        stack.callback(faulty_bus.shutdown)
+        faulty_bus.use(WallClock(spin_margin=0.0))
+    return bus, build_drive_group(scene, bus, name)
 
 
-def _live(group: DriveGroup, bus: can.BusABC, duration: float | None, stop: StopSignal) -> None:
+def _names(scene: Scene, bus: NamedBus) -> str:
+    axes = ", ".join(f"{a.parameters.name} (node {a.parameters.node_id})" for a in scene.axes_on(bus.name))
+    channel = bus.parameters.channel
+    return f"{axes} on {bus.parameters.interface} {'' if channel is None else channel}".rstrip()
+
+
+def _live(far_ends: Sequence[tuple[can.BusABC, DriveGroup]], duration: float | None, stop: StopSignal) -> None:
     """Hands every frame to the drives as it comes, and lets their timers run."""
     clock = WallClock(spin_margin=0.0)
     now = clock.now()
     end = None if duration is None else now + round(duration * 1e9)
-    group.process(now)
+    for _, group in far_ends:
+        group.process(now)
+    wait = _wait_on(clock, [bus for bus, _ in far_ends])
     while not stop.requested() and (end is None or now < end):
+        due = min(group.next_due() for _, group in far_ends)
         try:
-            message = clock.receive(bus, min(group.next_due(), now + _LONGEST_WAIT))
+            place, message = wait(min(due, now + _LONGEST_WAIT))
         except (can.CanError, OSError) as error:
             raise LinkError(f"the bus cannot be read: {error}; check cable and interface") from error
         now = clock.now()
         if message is not None:
-            for drive in group.drives:
+            for drive in far_ends[place][1].drives:
                 drive.take(message, now)
-        group.process(now)
+        for _, group in far_ends:
+            group.process(now)
+
+
+def _wait_on(clock: WallClock, buses: Sequence[can.BusABC]) -> Callable[[int], tuple[int, can.Message | None]]:
+    """Returns what waits until a time [ns] for a frame of any bus, and returns the place of that bus with the frame."""
+    if len(buses) == 1:
+        return lambda deadline: (0, clock.receive(buses[0], deadline))
+    selector = _selector(buses)
+
+    def wait(deadline: int) -> tuple[int, can.Message | None]:
+        while True:
+            for place, bus in enumerate(buses):
+                if (message := bus.recv(0.0)) is not None:
+                    return place, message
+            if (now := clock.now()) >= deadline:
+                return 0, None
+            if selector is None:
+                clock.wait_until(min(deadline, now + _POLL_PERIOD))
+            else:
+                selector.select((deadline - now) * 1e-9)
+
+    return wait
+
+
+def _selector(buses: Sequence[can.BusABC]) -> selectors.DefaultSelector | None:
+    """Returns what wakes up for a frame of any bus; None where one of them has nothing that could be waited on."""
+    selector = selectors.DefaultSelector()
+    try:
+        for bus in buses:
+            selector.register(bus.fileno(), selectors.EVENT_READ)
+    except (NotImplementedError, ValueError, OSError):
+        selector.close()
+        return None
+    return selector

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from canhaptic.scene.load import load_scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DEMO = str(CONFIGS / "demo.yaml")
+TWO_BUSES = str(CONFIGS / "two_buses.yaml")
 SHORT = [DEMO, "--duration", "0.2"]
 
 Captured = pytest.CaptureFixture[str]
@@ -120,7 +122,7 @@ def test_a_picture_needs_no_log(tmp_path: Path) -> None:
     [
         (["--set", "axes.0.nodeid=3"], 2, "unknown key; did you mean 'node_id'?"),
         (["--set", "bus.bitrate=125000"], 2, "the cycle does not fit the bus"),
-        (["--set", "bus.interface=telepathy", "--set", "bus.channel=x"], 2, "python-can cannot use it"),
+        (["--set", "bus.interface=telepathy", "--set", "bus.channel=x"], 2, "got 'telepathy', expected one of"),
         (["--log", "/nonexistent/a.h5"], 2, "/nonexistent/a.h5"),
         (["--bus-log", "/nonexistent/a.log"], 2, "/nonexistent/a.log"),
         (["--png", "/nonexistent/a.png"], 2, "no such folder /nonexistent"),
@@ -227,13 +229,30 @@ def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
     stop = drive_command.StopSignal()
     with open_bus(far.bus, "two-sides") as bus:
         group = build_drive_group(far, bus)
-        thread = threading.Thread(target=drive_command._live, args=(group, bus, 20.0, stop))
+        thread = threading.Thread(target=drive_command._live, args=([(bus, group)], 20.0, stop))
         thread.start()
         try:
             with build(master) as experiment:
                 run(experiment.cycle, cycles=30)
                 assert experiment.pace == "real"
                 assert experiment.cycle.cycles == 30
+        finally:
+            stop.number = 2
+            thread.join(5.0)
+
+
+def test_drives_on_two_buses_are_run_by_a_master_elsewhere() -> None:
+    overrides = ["bus.left.channel=left-side", "bus.right.channel=right-side", "bus.left.rate=100"]
+    far, master = load_scene(TWO_BUSES, overrides), load_scene(TWO_BUSES, [*overrides, "simulation=null"])
+    stop = drive_command.StopSignal()
+    with ExitStack() as stack:
+        far_ends = [drive_command._far_end(far, place, stack) for place in range(2)]
+        thread = threading.Thread(target=drive_command._live, args=(far_ends, 20.0, stop))
+        thread.start()
+        try:
+            with build(master) as experiment:
+                run(experiment.cycle, cycles=20)
+                assert experiment.rig.link_statistics()["success_rate"] == 1.0
         finally:
             stop.number = 2
             thread.join(5.0)
