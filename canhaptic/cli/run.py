@@ -17,6 +17,7 @@ from canhaptic.errors import CanHapticError, InputError
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.method import method_line
+from canhaptic.scene.preflight import require_preflight
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +44,8 @@ def execute(arguments: argparse.Namespace) -> int:
             check_picture(arguments.png)
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
+        for note in require_preflight(scene):
+            write_note(f"  {note.interface}: {note.item}: {note.seen}: {note.text}")
         stop = stack.enter_context(StopSignal())
         experiment = build(scene, arguments.pace, energy_log, arguments.bus_log)
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came

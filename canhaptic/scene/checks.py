@@ -12,6 +12,7 @@ from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.scene.buses import bus_section
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
+from canhaptic.scene.interfaces import interface_faults
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
 
@@ -21,6 +22,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
     _check_unique(scene, sections["axes"], faults)
     _check_somebody_answers(scene, sections, faults)
     _check_effects(scene, sections, faults)
+    _check_interfaces(scene, sections, faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         _check_loop(axis, _own_or_shared(entry, sections, "passivity"), scene, faults)
@@ -49,6 +51,12 @@ def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Faults) ->
         if axis.parameters.node_id == scene.bus.master_id:
             at = entry.value_at("node_id")
             faults.add(at, f"got {axis.parameters.node_id}, which is the node ID of the master (bus.master_id)")
+
+
+def _check_interfaces(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+    for index, (_, bus) in enumerate(scene.buses):
+        for key, message in interface_faults(bus):
+            faults.add(bus_section(sections, index).value_at(key), message)
 
 
 def _check_somebody_answers(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:

@@ -1,0 +1,45 @@
+"""`canhaptic preflight CONFIG`: looks at the SocketCAN interfaces of a scene, as `run` does before it begins."""
+
+import argparse
+from typing import Final
+
+from canhaptic.cli.arguments import add_json, add_scene, scene_of
+from canhaptic.cli.output import write_json
+from canhaptic.cli.tables import plain_table
+from canhaptic.scene.preflight import PreflightFinding, preflight
+from canhaptic.view.energy_table import make_console
+
+_REFUSED: Final = 1
+_COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `preflight`."""
+    add_scene(parser)
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Prints what the kernel says of each interface; returns 1 when a run would be refused."""
+    scene = scene_of(arguments)
+    findings = preflight(scene)
+    is_refused = any(finding.severity == "refused" for finding in findings)
+    if arguments.json:
+        verdict = "refused" if is_refused else "well"
+        write_json({"status": "ok", "verdict": verdict, "interfaces": [f._asdict() for f in findings]})
+    else:
+        _print(findings, [bus.parameters.interface for bus in scene.buses])
+    return _REFUSED if is_refused else 0
+
+
+def _print(findings: list[PreflightFinding], interfaces: list[str]) -> None:
+    console = make_console()
+    if not findings:
+        console.print(f"nothing to look at: {', '.join(interfaces)} is not SocketCAN")
+        return
+    table = plain_table("SocketCAN", "interface", "item", "", "seen", "what to do")
+    for finding in findings:
+        severity = f"[{_COLOURS[finding.severity]}]{finding.severity}[/]"
+        cells = (finding.seen.replace("[", r"\["), finding.text.replace("[", r"\["))
+        table.add_row(finding.interface, finding.item, severity, *cells)
+    console.print(table)

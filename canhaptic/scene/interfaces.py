@@ -1,0 +1,143 @@
+"""What python-can's interfaces take and need: the options each accepts, and what to do when one cannot be opened.
+
+Most backends take `**kwargs` and drop what they do not know, so that a misspelt option would vanish. The options are
+therefore read from the source of the backend, which needs neither its driver nor its device.
+"""
+
+import ast
+import difflib
+import importlib.util
+import logging
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import can
+from can.interfaces import BACKENDS
+
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.errors import CanHapticError, InputError, LinkError
+
+_OF_THE_SCENE: Final = ("interface", "channel", "bitrate")
+"""Arguments of `can.Bus` that are keys of `bus` themselves."""
+_OF_EVERY_BUS: Final = frozenset({"can_filters"})
+_TIMING: Final = frozenset({"f_clock", "brp", "tseg1", "tseg2", "sjw", "nof_samples"})
+"""From these `can.Bus` makes the `timing` of a backend that takes one."""
+
+REMEDIES: Final[Mapping[str, str]] = {
+    "socketcan": "load the modules (modprobe can can_raw and the adapter's own) and bring the interface up: "
+    "ip link set {channel} up type can bitrate {bitrate}; see `ip link`",
+    "pcan": "install PEAK's driver with the PCAN-Basic library; on Linux the kernel offers the same adapter as "
+    "socketcan",
+    "kvaser": "install Kvaser's driver with the CANlib library (linuxcan on Linux); on Linux the kernel offers the "
+    "same adapter as socketcan",
+    "slcan": "pip install 'python-can[serial]'; channel is the serial port (/dev/ttyACM0, COM5), which must exist, be "
+    "free and be yours (group dialout)",
+    "gs_usb": "pip install 'python-can[gs-usb]' and plug the adapter in; on Linux the kernel offers it as socketcan",
+    "ixxat": "works on Windows alone, with HMS's VCI 4 driver; on Linux use HMS's kernel driver as socketcan",
+    "vector": "works on Windows alone, with Vector's XL Driver Library; assign the channel to the application name "
+    "(app_name) in Vector Hardware Config",
+    "udp_multicast": "pip install 'canhaptic[multicast]'; channel is a multicast group that is yours alone (239.x.x.x)",
+    "virtual": "channel is any name, and reaches this process alone",
+}
+"""What makes an interface usable, by its python-can name."""
+
+logging.getLogger("can").addHandler(logging.NullHandler())  # drivers that are missing are told by our error, once
+
+
+def known_interfaces() -> list[str]:
+    """Returns the names of all interfaces that python-can offers here, plugins included."""
+    return sorted(BACKENDS)
+
+
+@cache
+def accepted_options(interface: str) -> frozenset[str] | None:
+    """Returns the keyword arguments that a backend reads, beside those of the scene; None when it cannot be told.
+
+    Args:
+        interface: A name that python-can knows.
+    """
+    module, name = BACKENDS[interface]
+    names: set[str] = set()
+    definition = _class_definition(module, name)
+    if definition is None:
+        return None
+    for function in (f for f in definition.body if isinstance(f, ast.FunctionDef) and f.name == "__init__"):
+        arguments = (*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs)
+        names.update(argument.arg for argument in arguments)
+        if function.args.kwarg is not None:
+            names.update(_read_from(function, function.args.kwarg.arg))
+    if "timing" in names:
+        names |= _TIMING
+    return frozenset(n for n in names | _OF_EVERY_BUS if not n.startswith("_")) - {"self", *_OF_THE_SCENE}
+
+
+def _class_definition(module: str, name: str) -> ast.ClassDef | None:
+    """Returns the class as its source has it, in the module itself or in one of a package; nothing is imported."""
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError):
+        return None
+    if spec is None or spec.origin is None:
+        return None
+    origin = Path(spec.origin)
+    files = sorted(origin.parent.glob("*.py")) if origin.name == "__init__.py" else [origin]
+    for file in files:
+        for node in ast.parse(file.read_text(encoding="utf-8", errors="replace")).body:
+            if isinstance(node, ast.ClassDef) and node.name == name:
+                return node
+    return None
+
+
+def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
+    """Yields the keys that a function takes out of its `**kwargs`."""
+    for node in ast.walk(function):
+        key: ast.expr | None = None
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args:
+            if isinstance(node.func.value, ast.Name) and node.func.value.id == kwargs:
+                key = node.args[0]
+        elif isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == kwargs:
+            key = node.slice
+        elif isinstance(node, ast.Compare) and any(
+            isinstance(c, ast.Name) and c.id == kwargs for c in node.comparators
+        ):
+            key = node.left
+        if isinstance(key, ast.Constant) and isinstance(key.value, str):
+            yield key.value
+
+
+def interface_faults(bus: BusParameters) -> list[tuple[str, str]]:
+    """Returns (key of `bus`, what is wrong) for an interface or option that python-can would not take or would drop."""
+    if bus.interface not in BACKENDS:
+        near = difflib.get_close_matches(bus.interface, BACKENDS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        return [("interface", f"got {bus.interface!r}, expected one of: {', '.join(known_interfaces())}{hint}")]
+    accepted = accepted_options(bus.interface)
+    faults = []
+    for key in bus.options:
+        if key in _OF_THE_SCENE:
+            faults.append(("options", f"{key} is a key of bus itself; give it there"))
+        elif accepted is not None and key not in accepted:
+            near = difflib.get_close_matches(key, accepted, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            listed = ", ".join(sorted(accepted)) or "none"
+            faults.append(("options", f"{bus.interface} takes no option {key!r}, expected any of: {listed}{hint}"))
+    return faults
+
+
+def opening_error(bus: BusParameters, channel: str | int | None, error: Exception) -> CanHapticError:
+    """Returns the one error for an interface that could not be opened: what happened, and what to do.
+
+    Bad input where python-can lacks the interface, its driver or library; a link fault where the device fails.
+    """
+    place = f"bus {bus.interface!r}, channel {channel!r}"
+    remedy = REMEDIES.get(bus.interface, "install what python-can needs for this interface, and plug the device in")
+    remedy = remedy.format(channel=channel, bitrate=bus.bitrate)
+    seen = " ".join(str(error).split()) or type(error).__name__
+    is_device = isinstance(error, can.CanError | OSError) and not isinstance(error, can.CanInterfaceNotImplementedError)
+    if is_device:
+        return LinkError(f"{place}: cannot be opened ({seen}); {remedy}")
+    lacking = isinstance(error, NameError | AttributeError)  # the library was not there when the backend was imported
+    what = f"its driver library is missing: {seen}" if lacking else seen
+    return InputError(f"{place}: python-can cannot use it ({what}); {remedy}; or correct bus.channel and bus.options")

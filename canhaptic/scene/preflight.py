@@ -1,0 +1,208 @@
+"""Looks at SocketCAN interfaces before a run: what the kernel says of them beside what the scene asks for.
+
+The kernel is asked through `ip -details -statistics -json link show`. What is wrong refuses the run; what is only
+unwise, or cannot be told, is a note.
+
+Bus-off (the controller gave up after too many errors) ends a run, and nothing may bring it back to life unseen. With
+`restart-ms 0` the controller stays off until a person restarts it. With a restart after the rig has certainly stopped
+(`stop_cycles` sample times) the bus comes back to drives that are disabled. A restart before that would let a run go
+on as if nothing had been, and is refused.
+"""
+
+import json
+import math
+import subprocess
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Literal, NamedTuple
+
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.errors import LinkError
+from canhaptic.scene.models import Scene
+
+Severity = Literal["well", "note", "refused"]
+Runner = Callable[[list[str]], "subprocess.CompletedProcess[str]"]
+
+_TIMEOUT: Final = 5.0  # [s] for `ip`
+_ALARMING_ERRORS: Final = 96  # the error counter from which a controller warns (ISO 11898-1)
+_FRAMES_BESIDE_RPDOS: Final = 3  # SYNC, heartbeat, SDO
+_REAL_CONTROLLERS: Final = "can"  # info_kind of an interface with a controller; vcan and vxcan have none
+
+
+class PreflightFinding(NamedTuple):
+    """One property of an interface, judged."""
+
+    interface: str  # channel, as can0
+    item: str
+    seen: str
+    severity: Severity
+    text: str  # what is expected and what to do; empty when all is well
+
+
+def preflight(scene: Scene, run: Runner | None = None) -> list[PreflightFinding]:
+    """Returns what the kernel says of every SocketCAN interface of a scene; nothing for other interfaces.
+
+    Args:
+        scene: Names the interfaces.
+        run: Runs a command and returns what it printed; `ip` itself by default.
+    """
+    findings = []
+    for bus in scene.buses:
+        if bus.parameters.interface == "socketcan":
+            axes = sum(axis.bus == bus.name for axis in scene.axes)
+            findings += inspect_interface(str(bus.parameters.channel), bus.parameters, axes, run or _run)
+    return findings
+
+
+def require_preflight(scene: Scene, run: Runner | None = None) -> list[PreflightFinding]:
+    """Returns the notes of a preflight in which nothing speaks against a run.
+
+    Raises:
+        LinkError: Something does; lists every reason.
+    """
+    findings = preflight(scene, run)
+    refused = [f for f in findings if f.severity == "refused"]
+    if refused:
+        raise LinkError("; ".join(f"{f.interface}: {f.item}: got {f.seen}, {f.text}" for f in refused))
+    return [f for f in findings if f.severity == "note"]
+
+
+def inspect_interface(channel: str, bus: BusParameters, axes: int, run: Runner) -> list[PreflightFinding]:
+    """Returns what the kernel says of one interface.
+
+    Args:
+        channel: Name of the interface.
+        bus: What is asked of it.
+        axes: Drives on it.
+        run: Runs a command and returns what it printed.
+    """
+    try:
+        done = run(["ip", "-details", "-statistics", "-json", "link", "show", "dev", channel])
+    except (OSError, subprocess.SubprocessError) as error:
+        text = f"cannot be checked ({error}); install iproute2 so that a wrong bit rate is found before a run"
+        return [PreflightFinding(channel, "ip", "no answer", "note", text)]
+    if done.returncode and "does not exist" in done.stderr:
+        text = "expected an interface of this name; plug the adapter in and load its module, see `ip link`"
+        return [PreflightFinding(channel, "interface", "none", "refused", text)]
+    try:
+        [link] = json.loads(done.stdout)
+        return judge_link(channel, link, bus, axes)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        seen = " ".join((done.stderr or done.stdout or repr(error)).split())[:80]
+        text = "cannot be checked; this `ip` prints no JSON (that of busybox does not), install iproute2"
+        return [PreflightFinding(channel, "ip", seen, "note", text)]
+
+
+def judge_link(channel: str, link: Mapping[str, Any], bus: BusParameters, axes: int) -> list[PreflightFinding]:
+    """Returns what one entry of `ip -json` says of an interface, judged."""
+    findings: list[PreflightFinding] = []
+
+    def find(item: str, seen: object, severity: Severity = "well", text: str = "") -> None:
+        findings.append(PreflightFinding(channel, item, str(seen), severity, text))
+
+    if link.get("link_type") != "can":
+        find("link type", link.get("link_type"), "refused", "expected can; name a CAN interface in bus.channel")
+        return findings
+    info = link.get("linkinfo") or {}
+    if "UP" not in link.get("flags", []):
+        command = f"ip link set {channel} up type can bitrate {bus.bitrate}"
+        find("link", "down", "refused", f"expected up; {command}")
+    else:
+        find("link", "up")
+    _judge_queue(link, axes, channel, find)
+    if info.get("info_kind") == _REAL_CONTROLLERS:
+        _judge_controller(info.get("info_data") or {}, info.get("info_xstats") or {}, channel, bus, find)
+    else:
+        find("controller", f"none ({info.get('info_kind')})")
+    return findings
+
+
+_Find = Callable[..., None]
+
+
+def _judge_queue(link: Mapping[str, Any], axes: int, channel: str, find: _Find) -> None:
+    """Judges the transmit queue: one that is shorter than two cycles refuses frames (ENOBUFS) at the first delay."""
+    length, needed = link.get("txqlen"), 2 * (axes + _FRAMES_BESIDE_RPDOS)
+    if not isinstance(length, int):
+        return
+    if length < needed:
+        text = f"expected {needed} at least (two cycles of {axes} axes); ip link set {channel} txqueuelen {4 * needed}"
+        find("txqueuelen", length, "note", text)
+    else:
+        find("txqueuelen", length)
+
+
+def _judge_controller(
+    data: Mapping[str, Any], statistics: Mapping[str, Any], channel: str, bus: BusParameters, find: _Find
+) -> None:
+    bitrate = (data.get("bittiming") or {}).get("bitrate", data.get("bittiming_bitrate"))
+    if bitrate is None:
+        find("bit rate", "not told", "note", f"cannot be compared with bus.bitrate {bus.bitrate}")
+    elif bitrate != bus.bitrate:
+        command = f"ip link set {channel} down; ip link set {channel} up type can bitrate {bus.bitrate}"
+        find("bit rate", bitrate, "refused", f"expected {bus.bitrate} as bus.bitrate says; correct it, or: {command}")
+    else:
+        find("bit rate", bitrate)
+    _judge_state(str(data.get("state", "not told")), channel, find)
+    _judge_modes(data.get("ctrlmode") or [], channel, find)
+    _judge_restart(data.get("restart_ms"), channel, bus, find)
+    _judge_errors(data.get("berr_counter") or {}, statistics, find)
+
+
+def _judge_state(state: str, channel: str, find: _Find) -> None:
+    if state == "BUS-OFF":
+        text = (
+            "expected ERROR-ACTIVE; find the cause (cable, termination, a node with another bit rate), then: "
+            f"ip link set {channel} type can restart"
+        )
+        find("state", state, "refused", text)
+    elif state in ("STOPPED", "SLEEPING"):
+        find("state", state, "refused", f"expected ERROR-ACTIVE; ip link set {channel} up")
+    elif state == "ERROR-ACTIVE":
+        find("state", state)
+    else:
+        find("state", state, "note", "expected ERROR-ACTIVE; nobody acknowledges, or cable and termination are bad")
+
+
+def _judge_modes(modes: list[str], channel: str, find: _Find) -> None:
+    for mode, name in (("LISTEN-ONLY", "listen-only"), ("LOOPBACK", "loopback"), ("ONE-SHOT", "one-shot")):
+        if mode in modes:
+            down, up = f"ip link set {channel} down", f"ip link set {channel} up type can {name} off"
+            find("mode", mode, "refused", f"expected an ordinary controller; {down}; {up}")
+
+
+def least_restart(bus: BusParameters) -> int:
+    """Returns the shortest automatic restart after a bus-off [ms] that finds the rig stopped."""
+    return math.ceil(bus.stop_cycles * bus.sample_time * 1e3)
+
+
+def _judge_restart(restart: object, channel: str, bus: BusParameters, find: _Find) -> None:
+    if not isinstance(restart, int):
+        find("restart-ms", "not told", "note", "cannot be checked; `restart-ms 0` is what a rig wants")
+        return
+    if restart == 0:
+        find("restart-ms", "0 (by hand)")
+    elif restart < least_restart(bus):
+        text = (
+            f"expected 0, or at least {least_restart(bus)} ms ({bus.stop_cycles} sample times, after which the rig has "
+            "stopped), so that a bus-off ends the run and does not go unseen; "
+            f"ip link set {channel} type can restart-ms 0"
+        )
+        find("restart-ms", f"{restart} ms", "refused", text)
+    else:
+        find("restart-ms", f"{restart} ms", "well", "after a bus-off the interface comes back, the run does not")
+
+
+def _judge_errors(counters: Mapping[str, Any], statistics: Mapping[str, Any], find: _Find) -> None:
+    worst = max((int(counters.get(side, 0)) for side in ("tx", "rx")), default=0)
+    seen = f"tx {counters.get('tx', '?')}, rx {counters.get('rx', '?')}"
+    if worst >= _ALARMING_ERRORS:
+        find("error counters", seen, "note", f"expected below {_ALARMING_ERRORS}; check cable, termination, bit rate")
+    else:
+        find("error counters", seen)
+    offs = statistics.get("bus_off", 0)
+    if offs:
+        find("bus-offs so far", offs, "note", "expected none since the interface came up; find the cause")
+
+
+def _run(command: list[str]) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT, check=False)
