@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import can
 
 from canhaptic.drive.parameters import BusParameters
-from canhaptic.errors import InputError, LinkError
+from canhaptic.errors import InputError
+from canhaptic.scene.interfaces import opening_error
 from canhaptic.scene.models import Scene
 from canhaptic.sim.virtual_bus import LeanVirtualBus
 
@@ -41,18 +42,10 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
     options: dict[str, Any] = {"bitrate": bus.bitrate, **bus.options}
     if bus.interface == "virtual":
         options = {"preserve_timestamps": True, **bus.options}
-    place = f"bus {bus.interface!r}, channel {channel!r}"
     try:
         return can.Bus(interface=bus.interface, channel=channel, **options)
-    except (can.CanInterfaceNotImplementedError, ImportError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{place}: python-can cannot use it ({error}); correct bus.interface, bus.channel and bus.options, "
-            "or install what the interface needs"
-        ) from error
-    except (can.CanError, OSError) as error:
-        raise LinkError(
-            f"{place}: cannot be opened ({error}); is the interface up, its bit rate {bus.bitrate} and its device free?"
-        ) from error
+    except Exception as error:  # backends let through whatever their driver library raises
+        raise opening_error(bus, channel, error) from error
 
 
 def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus":
