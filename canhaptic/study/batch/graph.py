@@ -215,7 +215,7 @@ class Graph:
         return value if value.is_truth else self.op("ne", value, 0.0)
 
     def _node(self, op: str, args: tuple[Node, ...], value: Any, is_truth: bool, key: Any = None) -> Node:
-        key = key or (op, value, *(arg.number for arg in args))
+        key = key or (op, value, is_truth, *(arg.number for arg in args))
         node = self._known.get(key)
         if node is None:
             node = self._known[key] = Node(self, op, args, value, is_truth)
@@ -258,6 +258,8 @@ def _simplified(graph: Graph, op: str, args: tuple[Node, ...]) -> Any:
         return graph.node(graph.op("neg", b))
     if a is b and op in ("max", "min"):
         return a
+    if op in ("mul", "div") and "neg" in (a.op, b.op):
+        return _without_sign(graph, op, a, b)
     if a is b and op == "sub":
         return graph.constant(0.0)
     if b.op == "neg" and op in ("add", "sub"):
@@ -265,6 +267,13 @@ def _simplified(graph: Graph, op: str, args: tuple[Node, ...]) -> Any:
     if a.op == "neg" and op == "add":
         return graph.node(graph.op("sub", b, a.args[0]))
     return _pushed(graph, op, args)
+
+
+def _without_sign(graph: Graph, op: str, a: Node, b: Node) -> Node:
+    """Returns the product or quotient with the signs taken out of it."""
+    negative = (a.op == "neg") != (b.op == "neg")
+    result = graph.op(op, *(arg.args[0] if arg.op == "neg" else arg for arg in (a, b)))
+    return graph.node(graph.op("neg", result) if negative else result)
 
 
 def _pushed(graph: Graph, op: str, args: tuple[Node, ...]) -> Any:
@@ -300,7 +309,17 @@ def _simplified_truth(graph: Graph, op: str, args: tuple[Node, ...]) -> Any:
             for i, arg in enumerate(second.args):
                 if arg is graph.node(graph.op("not", first)):
                     return graph.node(graph.op(op, first, second.args[1 - i]))
+    if a.op == b.op and a.op in ("and", "or") and a.op != op:
+        return _distributed(graph, a, b)
     return a if a is b else None
+
+
+def _distributed(graph: Graph, a: Node, b: Node) -> Node | None:
+    """Returns x for (x or y) and (x or not y), and for the same with `and` and `or` exchanged; else None."""
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        if a.args[i] is b.args[j] and a.args[1 - i] is graph.node(graph.op("not", b.args[1 - j])):
+            return a.args[i]
+    return None
 
 
 def _simplified_comparison(graph: Graph, op: str, a: Node, b: Node) -> Any:

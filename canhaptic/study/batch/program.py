@@ -195,13 +195,29 @@ def _reduced(
     ends = {name: graph.state(path) if path in thens else graph.node(results[name]) for name, path in kept.items()}
     for _ in range(_MOST_ROUNDS):
         same = _same_states(graph, firsts, thens)
-        if not same:
+        two_valued = {} if same else _two_valued(graph, firsts, thens)
+        if not (same or two_valued):
             break
-        rewrite = Rewrite(graph, same)
+        rewrite = Rewrite(graph, {**same, **two_valued})
         thens = {name: rewrite(node) for name, node in thens.items() if graph.state(name, node.is_truth) not in same}
         out, ends = rewrite(out), {name: rewrite(node) for name, node in ends.items()}
     live = _live(graph, thens, [out, *ends.values()])
     return Program({name: firsts[name] for name in live}, {name: thens[name] for name in live}, out, ends, values)
+
+
+def _two_valued(graph: Graph, first: dict[str, Node], then: dict[str, Node]) -> dict[Node, Node]:
+    """Returns state -> selection between the two numbers that it can be, by a truth value that takes its place."""
+    found = {}
+    for name, node in list(then.items()):
+        if node.op != "select" or node.is_truth or any(side.op != "const" for side in node.args[1:]):
+            continue
+        condition, yes, no = node.args
+        was_yes, was_no = (graph.op("eq", first[name], side) for side in (yes, no))
+        if graph.op("or", was_yes, was_no) is not True:
+            continue
+        found[graph.state(name)] = graph.node(graph.select(graph.state(name, is_truth=True), yes, no))
+        first[name], then[name] = graph.node(was_yes), condition
+    return found
 
 
 def _same_states(graph: Graph, first: dict[str, Node], then: dict[str, Node]) -> dict[Node, Node]:
