@@ -1,10 +1,8 @@
 """One axis of a scene: its own keys laid over the shared sections, each part validated by the model that owns it."""
 
-from collections.abc import Mapping
 from typing import Any, Final, get_args
 
 from canhaptic.drive.parameters import AxisParameters, BusParameters
-from canhaptic.errors import ParameterError
 from canhaptic.haptics.environments import ENVIRONMENTS
 from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.haptics.passivity.protocol import LoopProperties
@@ -13,13 +11,13 @@ from canhaptic.scene.buses import BUS_KEY
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.eds_path import find_dictionary
 from canhaptic.scene.faults import Faults
+from canhaptic.scene.groups import GroupEntry, membership
 from canhaptic.scene.models import AxisScene, AxisSimulation, Typed
-from canhaptic.scene.section import read_list, read_mapping, read_section, shown
+from canhaptic.scene.section import read_list, read_mapping, read_section, read_type
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import EFFECTS
 from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
-from canhaptic.tables import load
 
 LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
@@ -33,7 +31,13 @@ SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects")
 
 
 def read_axis(
-    section: MarkedMapping, shared: MarkedMapping, bus: BusParameters | None, seed: int, faults: Faults
+    section: MarkedMapping,
+    shared: MarkedMapping,
+    bus: BusParameters | None,
+    seed: int,
+    faults: Faults,
+    group: GroupEntry | None = None,
+    moves_mechanism: bool = False,
 ) -> AxisScene | None:
     """Returns one axis; None when it has faults, which are all noted.
 
@@ -43,23 +47,63 @@ def read_axis(
         bus: The bus, None when it has faults.
         seed: Of everything random in its simulation.
         faults: Receives one line per fault.
+        group: That renders on it; None when it renders for itself.
+        moves_mechanism: Whether its simulated motor is one of a mechanism.
     """
     motion = _motion(section)
     own = find_dictionary(section.without(*OWN_SECTIONS, BUS_KEY), faults)
     parameters = read_section(AxisParameters, own, faults, motion, also=(*OWN_SECTIONS, BUS_KEY))
-    environment = _environment(overlay(shared, section, "environment", "type", faults), faults, motion)
-    passivity_section = overlay(shared, section, "passivity", "algorithm", faults)
-    passivity = _passivity(passivity_section, faults, motion)
+    if group is None:
+        environment = _environment(overlay(shared, section, "environment", "type", faults), faults, motion)
+        passivity_section = overlay(shared, section, "passivity", "algorithm", faults)
+        passivity = _passivity(passivity_section, faults, motion)
+    else:
+        environment = passivity = membership(group)
+        passivity_section = _loop_in_group(section, group, faults)
     loop = _loop(passivity_section or MarkedMapping(section.mark), parameters, bus, faults, motion)
     simulation_section = _simulation_of(shared, str(section.get("name")), faults)
-    simulation = None
-    if simulation_section is not None:
+    simulation, drive = None, None
+    if simulation_section is not None and moves_mechanism:
+        _refuse_own_plant(shared, str(section.get("name")), faults)
+        drive = read_section(SimulatedDriveParameters, _drive(simulation_section, own, faults), faults, motion)
+    elif simulation_section is not None:
         simulation = _simulation(simulation_section, own, seed, faults, motion)
     if parameters is None or environment is None or passivity is None or loop is None:
         return None
-    if simulation_section is not None and simulation is None:
+    if simulation_section is not None and simulation is None and drive is None:
         return None
-    return AxisScene(parameters, environment, passivity, loop, simulation)
+    name = "" if group is None else group.name
+    return AxisScene(parameters, environment, passivity, loop, simulation, group=name, simulated_drive=drive)
+
+
+def _loop_in_group(section: MarkedMapping, group: GroupEntry, faults: Faults) -> MarkedMapping | None:
+    """Returns what a scene says of the loop of an axis in a group: its own `passivity` over that of the group."""
+    if section.get("environment") is not None:
+        faults.add(section.keys_at["environment"], f"group {group.name!r} renders on this axis; leave it out")
+    of_group = group.section.get("passivity")
+    loop = of_group if isinstance(of_group, MarkedMapping) else None
+    if section.get("passivity") is None:
+        return loop
+    own = read_mapping(section["passivity"], section.value_at("passivity"), faults, ", ".join(LOOP_KEYS))
+    if own is None:
+        return loop
+    for key in own.keys() - set(LOOP_KEYS):
+        faults.add(
+            own.keys_at[key],
+            f"group {group.name!r} renders on this axis; give it in the group, and here only {', '.join(LOOP_KEYS)}",
+        )
+    return own if loop is None else laid_over(own, loop)
+
+
+def _refuse_own_plant(shared: MarkedMapping, name: str, faults: Faults) -> None:
+    """Notes every part of `simulation.axes.NAME` that the mechanism has instead."""
+    axes = shared["simulation"].get("axes")
+    own = axes.get(name) if isinstance(axes, MarkedMapping) else None
+    if isinstance(own, MarkedMapping):
+        for key in own.keys() & {"plant", "user", "effects"}:
+            faults.add(
+                own.keys_at[key], f"{name!r} moves a mechanism, which has masses and hand of its own; leave it out"
+            )
 
 
 def overlay(
@@ -100,26 +144,8 @@ def _motion(section: MarkedMapping) -> Motion | None:
     return unit if unit in get_args(Motion) else None
 
 
-def _typed(
-    section: MarkedMapping, selector: str, kind: str, table: Mapping[str, str], faults: Faults
-) -> tuple[str, type[Any]] | None:
-    """Returns (name, class) of a section that chooses from a table; None, with a fault, when it does not."""
-    name, at = section.get(selector), section.value_at(selector)
-    if not isinstance(name, str):
-        seen = "missing" if name is None else f"got {shown(name)}"
-        faults.add(at, f"{seen}, expected one of: {', '.join(sorted(table))}")
-        return None
-    try:
-        return name, load(table, name, kind)
-    except ParameterError as error:
-        faults.add(at, str(error))
-    except ImportError as error:
-        faults.add(at, f"got {name!r}, a {kind} that this installation lacks a module for ({error})")
-    return None
-
-
 def _environment(section: MarkedMapping | None, faults: Faults, motion: Motion | None) -> Typed | None:
-    found = None if section is None else _typed(section, "type", "environment", ENVIRONMENTS, faults)
+    found = None if section is None else read_type(section, "type", "environment", ENVIRONMENTS, faults)
     if section is None or found is None:
         return None
     name, model = found
@@ -128,7 +154,7 @@ def _environment(section: MarkedMapping | None, faults: Faults, motion: Motion |
 
 
 def _passivity(section: MarkedMapping | None, faults: Faults, motion: Motion | None) -> Typed | None:
-    found = None if section is None else _typed(section, "algorithm", "passivity algorithm", ALGORITHMS, faults)
+    found = None if section is None else read_type(section, "algorithm", "passivity algorithm", ALGORITHMS, faults)
     if section is None or found is None:
         return None
     name, algorithm = found
@@ -229,7 +255,7 @@ def _effects(section: MarkedMapping, faults: Faults, motion: Motion | None) -> t
     effects = []
     for entry, at in entries.items_at() if entries is not None else ():
         effect = read_mapping(entry, at, faults, "type and its parameters")
-        found = None if effect is None else _typed(effect, "type", "effect", EFFECTS, faults)
+        found = None if effect is None else read_type(effect, "type", "effect", EFFECTS, faults)
         if effect is not None and found is not None:
             parameters = read_section(found[1], effect.without("type"), faults, motion, also=("type",))
             effects += [Typed(found[0], parameters)] if parameters is not None else []

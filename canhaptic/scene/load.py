@@ -10,11 +10,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import SceneConflictError, SceneError
 from canhaptic.logs.parameters import LogParameters
-from canhaptic.scene.axes import SIMULATION_PARTS, read_axis
+from canhaptic.scene.axes import LOOP_KEYS, SIMULATION_PARTS, read_axis
 from canhaptic.scene.buses import BusSections, bus_of_axis, check_every_bus_has_an_axis, read_buses
 from canhaptic.scene.checks import cross_check
 from canhaptic.scene.document import MarkedList, MarkedMapping, mark_plain, parse_yaml
 from canhaptic.scene.faults import Faults, Mark
+from canhaptic.scene.groups import GroupEntry, check_axis_names, group_of, read_group_entries, read_groups
+from canhaptic.scene.mechanisms import (
+    MECHANISMS_KEY,
+    MechanismEntry,
+    moves_mechanism,
+    read_mechanism_entries,
+    read_mechanisms,
+)
 from canhaptic.scene.models import AutoAccuracy, AxisScene, RunParameters, Scene, SimulationParameters
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.section import read_list, read_mapping, read_section, refuse_unknown_keys
@@ -24,7 +32,7 @@ if TYPE_CHECKING:
     from canhaptic.sim.bus_effects import BusEffects
 
 MAX_BYTES: Final = 1_000_000
-SECTIONS: Final = ("bus", "axes", "environment", "passivity", "simulation", "accuracy", "log", "duration")
+SECTIONS: Final = ("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log", "duration")
 
 
 def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
@@ -115,15 +123,19 @@ def _sections(
     bus_effects = _bus_effects(sections, faults)
     buses = read_buses(sections, faults)
     accuracy = _accuracy(sections, faults)
-    axes = _axes(sections, buses, simulation.seed if simulation else 0, faults)
+    entries, moved = read_group_entries(sections, faults), read_mechanism_entries(sections, faults)
+    axes = _axes(sections, buses, simulation.seed if simulation else 0, faults, entries, moved)
+    _check_members(entries, sections, faults)
+    groups = read_groups(entries, axes, LOOP_KEYS, faults)
     if run is None or log is None or buses is None or accuracy is None or not axes:
         return None
     tolerance = accuracy.auto if isinstance(accuracy, AutoAccuracy) else None
     solved = AccuracyParameters() if isinstance(accuracy, AutoAccuracy) else accuracy
     axes = tuple(_solved(axis, solved, simulation is not None and simulation.compiled) for axis in axes)
+    mechanisms = read_mechanisms(moved, axes, solved.substeps, faults)
     return Scene(
         source, text, overrides, buses.first, axes, log, run, simulation, bus_effects, buses.name, buses.further,
-        tolerance,
+        tolerance, groups=groups, mechanisms=mechanisms,
     )  # fmt: skip
 
 
@@ -144,7 +156,7 @@ def _simulation(sections: MarkedMapping, faults: Faults) -> SimulationParameters
     section = _section(sections, "simulation", faults)
     if section is None:
         return None
-    names = (*SIMULATION_PARTS, "axes", "bus")
+    names = (*SIMULATION_PARTS, "axes", "bus", MECHANISMS_KEY)
     return read_section(SimulationParameters, section.without(*names), faults, also=names)
 
 
@@ -179,7 +191,27 @@ def _bus_effects(sections: MarkedMapping, faults: Faults) -> "BusEffects | None"
     return None if section is None else read_section(BusEffects, section, faults)
 
 
-def _axes(sections: MarkedMapping, buses: BusSections | None, seed: int, faults: Faults) -> tuple[AxisScene, ...]:
+def _check_members(entries: tuple[GroupEntry, ...], sections: MarkedMapping, faults: Faults) -> None:
+    """Notes axes of groups that are none, and shared sections that no axis reads because groups render on all."""
+    axes = sections.get("axes")
+    if not entries or not isinstance(axes, MarkedList):
+        return
+    names = [str(entry.get("name")) for entry in axes if isinstance(entry, MarkedMapping)]
+    check_axis_names([(entry.section, entry.axes) for entry in entries], names, "group", faults)
+    if all(group_of(name, entries) for name in names):
+        for key in ("environment", "passivity"):
+            if sections.get(key) is not None:
+                faults.add(sections.keys_at[key], "no axis renders by itself; give it in the group, or leave it out")
+
+
+def _axes(
+    sections: MarkedMapping,
+    buses: BusSections | None,
+    seed: int,
+    faults: Faults,
+    groups: tuple[GroupEntry, ...],
+    mechanisms: tuple[MechanismEntry, ...],
+) -> tuple[AxisScene, ...]:
     at = sections.value_at("axes")
     entries = read_list(sections.get("axes"), at, faults, "axes, each with name, node_id, eds, ...")
     if entries is None:
@@ -192,7 +224,9 @@ def _axes(sections: MarkedMapping, buses: BusSections | None, seed: int, faults:
         section = read_mapping(entry, entry_at, faults, "name, node_id, eds, ...")
         if section is not None:
             used.append("" if buses is None else bus_of_axis(section, buses.names, faults))
-            axis = read_axis(section, sections, buses and buses.first, seed + index, faults)
+            name = str(section.get("name"))
+            group, moves = group_of(name, groups), moves_mechanism(name, mechanisms)
+            axis = read_axis(section, sections, buses and buses.first, seed + index, faults, group, moves)
             axes.append(axis and replace(axis, bus=used[-1]))
     if buses is not None and entries:
         check_every_bus_has_an_axis(buses.names, used, sections, faults)

@@ -17,6 +17,7 @@ from canhaptic.sim.user import UserParameters
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus_effects import BusEffects
+    from canhaptic.sim.mechanism.task_hand import TaskHand
 
 
 class RunParameters(Parameters):
@@ -72,10 +73,39 @@ class AxisScene:
     loop: LoopProperties
     simulation: AxisSimulation | None
     bus: str = ""  # name of the one it is on
+    group: str = ""  # name of the group that renders on it; environment and passivity then say so
+    simulated_drive: SimulatedDriveParameters | None = None  # of an axis whose motor moves a simulated mechanism
 
     def dictionary_hash(self) -> str:
         """Returns the SHA-256 of the drive's EDS or DCF."""
         return hashlib.sha256(self.parameters.eds.read_bytes()).hexdigest()
+
+
+class GroupMembership(Parameters):
+    """What stands for environment and algorithm of an axis on which a group renders."""
+
+    group: str
+
+
+@dataclass(frozen=True, slots=True)
+class GroupScene:
+    """Axes that render one network together, with one account."""
+
+    name: str
+    axes: tuple[str, ...]
+    kinematics: Typed
+    network: Typed
+    passivity: Typed
+
+
+@dataclass(frozen=True, slots=True)
+class MechanismScene:
+    """A simulated mechanism that several drives move."""
+
+    axes: tuple[str, ...]
+    mechanism: Typed
+    hand: "TaskHand | None"
+    substeps: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +125,8 @@ class Scene:
     further_buses: tuple[FurtherBus, ...] = ()
     accuracy_tolerance: float | None = None  # of `accuracy: {auto: ...}` [m or rad]; None where accuracy is given
     accuracy_choices: Mapping[str, Any] = field(default_factory=dict)  # axis -> what was chosen for it, and why
+    groups: tuple[GroupScene, ...] = ()
+    mechanisms: tuple[MechanismScene, ...] = ()
 
     @property
     def buses(self) -> tuple[NamedBus, ...]:
@@ -118,7 +150,8 @@ class Scene:
             "axes": {axis.parameters.name: {**_axis(axis), **_bus_of(axis)} for axis in self.axes},
             "log": _plain(self.log),
             "run": _plain(self.run),
-            "simulation": self.simulation and {**_plain(self.simulation), **self._bus_effects()},
+            "simulation": self.simulation and {**_plain(self.simulation), **self._bus_effects(), **self._mechanisms()},
+            **self._groups(),
             **self._accuracy(),
         }
 
@@ -127,6 +160,12 @@ class Scene:
         if not self.bus_name:
             return first
         return [{"name": self.bus_name, **first}, *(_plain(bus) for bus in self.further_buses)]
+
+    def _groups(self) -> dict[str, Any]:
+        return {"groups": {group.name: _group(group) for group in self.groups}} if self.groups else {}
+
+    def _mechanisms(self) -> dict[str, Any]:
+        return {"mechanisms": [_mechanism(of) for of in self.mechanisms]} if self.mechanisms else {}
 
     def _accuracy(self) -> dict[str, Any]:
         if self.accuracy_tolerance is None:
@@ -166,20 +205,48 @@ def _bus_of(axis: AxisScene) -> dict[str, str]:
     return {"bus": axis.bus} if axis.bus else {}
 
 
+def _group(group: GroupScene) -> dict[str, Any]:
+    return {
+        "axes": list(group.axes),
+        "kinematics": _typed("type", group.kinematics),
+        "network": _typed("type", group.network),
+        "passivity": _typed("algorithm", group.passivity),
+    }
+
+
+def _mechanism(of: MechanismScene) -> dict[str, Any]:
+    return {
+        "axes": list(of.axes),
+        **_typed("type", of.mechanism),
+        "hand": of.hand and _plain(of.hand),
+        "substeps": of.substeps,
+    }
+
+
 def _axis(axis: AxisScene) -> dict[str, Any]:
-    simulation = axis.simulation
+    if axis.simulated_drive is not None:
+        return {**_rendered(axis), "simulation": {"drive": _plain(axis.simulated_drive)}}
+    return {**_rendered(axis), "simulation": _far_side(axis)}
+
+
+def _rendered(axis: AxisScene) -> dict[str, Any]:
     return {
         **_plain(axis.parameters),
         "environment": _typed("type", axis.environment),
         "passivity": _typed("algorithm", axis.passivity),
         "loop": _plain(axis.loop),
-        "simulation": simulation
-        and {
-            "drive": _plain(simulation.drive),
-            "plant": _plain(simulation.plant),
-            "user": simulation.user and _plain(simulation.user),
-            "effects": [_typed("type", effect) for effect in simulation.effects],
-            "seed": simulation.seed,
-            "accuracy": _plain(simulation.accuracy),
-        },
+    }
+
+
+def _far_side(axis: AxisScene) -> dict[str, Any] | None:
+    simulation = axis.simulation
+    if simulation is None:
+        return None
+    return {
+        "drive": _plain(simulation.drive),
+        "plant": _plain(simulation.plant),
+        "user": simulation.user and _plain(simulation.user),
+        "effects": [_typed("type", effect) for effect in simulation.effects],
+        "seed": simulation.seed,
+        "accuracy": _plain(simulation.accuracy),
     }

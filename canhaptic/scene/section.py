@@ -2,16 +2,18 @@
 
 import difflib
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from canhaptic.errors import ParameterError
 from canhaptic.parameters import Motion, Parameters, Unit, axis_motion
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
+from canhaptic.tables import load
 
 P = TypeVar("P", bound=Parameters)
 
@@ -71,6 +73,24 @@ def read_list(value: Any, at: Mark, faults: Faults, what: str) -> MarkedList | N
     if isinstance(value, MarkedList):
         return value
     faults.add(at, f"got {shown(value)}, expected a list of {what}")
+    return None
+
+
+def read_type(
+    section: MarkedMapping, selector: str, kind: str, table: Mapping[str, str], faults: Faults
+) -> tuple[str, type[Any]] | None:
+    """Returns (name, class) of a section that chooses from a table; None, with a fault, when it does not."""
+    name, at = section.get(selector), section.value_at(selector)
+    if not isinstance(name, str):
+        seen = "missing" if name is None else f"got {shown(name)}"
+        faults.add(at, f"{seen}, expected one of: {', '.join(sorted(table))}")
+        return None
+    try:
+        return name, load(table, name, kind)
+    except ParameterError as error:
+        faults.add(at, str(error))
+    except ImportError as error:
+        faults.add(at, f"got {name!r}, a {kind} that this installation lacks a module for ({error})")
     return None
 
 
