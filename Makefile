@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 JOBS ?= auto
 SOURCES := canhaptic tests tools
 
-.PHONY: demo test test-all format bench clean
+.PHONY: demo test test-all test-socketcan format bench clean
 
 # One stamp per set of extras: a changed pyproject.toml installs again.
 $(VENV)/bin/pip:
@@ -33,6 +33,10 @@ test: $(VENV)/.installed-dev
 test-all: test $(VENV)/.installed-report,export
 	$(BIN)/python tools/record.py --check
 	$(BIN)/pytest -q -n $(JOBS) -m slow
+
+# Linux's own CAN stack in a virtual machine; the packages it needs are named in tests/socketcan_vm/README.md.
+test-socketcan: $(VENV)/.installed-dev
+	$(BIN)/pytest -q -n 0 -m slow tests/socketcan_vm
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff format $(SOURCES)

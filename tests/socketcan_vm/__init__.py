@@ -1,0 +1,1 @@
+"""SocketCAN in a virtual machine; see README.md."""

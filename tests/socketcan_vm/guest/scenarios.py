@@ -1,0 +1,191 @@
+"""Runs inside the guest: brings CAN interfaces up, runs `canhaptic` over them, and prints what the frames say as JSON.
+
+Every line `RESULT {...}` is one scenario. Frames are read from the kernel by a socket of this program's own, with the
+kernel's time stamps, and judged by their bytes.
+"""
+
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+SCENE = "/packages/configs/demo.yaml"
+PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
+FIRST = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30)); "  # answers before anybody else runs
+HAND_IN_THE_WALL = ["--set", "simulation.user.rest=-0.2 m"]
+RATE = 1000  # [Hz]
+SYNC, TPDO, RPDO = 0x080, 0x181, 0x201
+TIMESTAMP_NS = 35  # SO_TIMESTAMPNS of <asm-generic/socket.h>
+RCVBUF_FORCE = 33  # SO_RCVBUFFORCE: more than net.core.rmem_max, as root
+PATIENCE = 120.0  # [s] of the guest's time
+
+
+class Frame(NamedTuple):
+    """One frame as the kernel saw it."""
+
+    time: float  # [s]
+    can_id: int
+    data: bytes
+
+
+class Listener:
+    """A raw socket on one interface."""
+
+    def __init__(self, channel: str) -> None:
+        self.socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self.socket.setsockopt(socket.SOL_SOCKET, TIMESTAMP_NS, 1)
+        self.socket.setsockopt(socket.SOL_SOCKET, RCVBUF_FORCE, 1 << 25)
+        self.socket.bind((channel,))
+        self.frames: list[Frame] = []
+
+    def hear(self, seconds: float) -> Frame | None:
+        if not select.select([self.socket], [], [], seconds)[0]:
+            return None
+        packed, extra, _flags, _address = self.socket.recvmsg(16, 64)
+        can_id, length = struct.unpack_from("<IB", packed)
+        [(_level, _kind, stamp)] = extra
+        whole, nano = struct.unpack("<qq", stamp)
+        frame = Frame(whole + nano * 1e-9, can_id & 0x7FF, packed[8 : 8 + length])
+        self.frames.append(frame)
+        return frame
+
+    def drain(self) -> list[Frame]:
+        while self.hear(0.0) is not None:
+            pass
+        self.socket.close()
+        return self.frames
+
+
+def torque(frame: Frame) -> int:
+    """Target torque of an RPDO1 (controlword, target torque) [per mille]."""
+    return int(struct.unpack_from("<h", frame.data, 2)[0])
+
+
+@contextmanager
+def canhaptic(*words: str, before: str = "") -> Iterator["subprocess.Popen[str]"]:
+    """The command in a process of its own, gone at the end of the block."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    with subprocess.Popen(
+        [sys.executable, "-c", before + PROGRAM, *words],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
+    ) as process:  # fmt: skip
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def on_bus(channel: str) -> list[str]:
+    values = ["bus.interface=socketcan", f"bus.channel={channel}", f"bus.rate={RATE} Hz"]
+    values += ["bus.spin_margin=0 s", "bus.tpdo_timeout=0.8"]  # one processor of 10^9 instructions a second for both
+    values += ["bus.realtime.priority=20", "bus.realtime.freeze_garbage=true"]
+    return [word for value in values for word in ("--set", value)]
+
+
+def whole_run(master: str, drive: str, seconds: float) -> dict[str, Any]:
+    """Two processes over one bus: start, contact, stop."""
+    listener = Listener(master)
+    with canhaptic("drive", SCENE, *on_bus(drive), *HAND_IN_THE_WALL, before=FIRST) as far:
+        assert far.stderr is not None
+        powered = far.stderr.readline()
+        command = ["run", SCENE, *on_bus(master), "--pace", "real", "--duration", str(seconds), "--json"]
+        with canhaptic(*command, "--bus-log", "/tmp/run.log") as near:
+            out, err = near.communicate(timeout=PATIENCE)
+        far.send_signal(signal.SIGTERM)
+        far.communicate(timeout=PATIENCE)
+        ends = [near.returncode, far.returncode]
+    frames = listener.drain()
+    syncs = [frame.time for frame in frames if frame.can_id == SYNC]
+    gaps = [later - earlier for earlier, later in pairwise(syncs)]
+    account = json.loads(out) if ends[0] == 0 else {}
+    return {
+        "powered": powered.strip(), "ends": ends, "error": err.strip()[-800:], "account": account,
+        "syncs": len(syncs), "tpdos": count(frames, TPDO), "rpdos": count(frames, RPDO),
+        "longest_gap": max(gaps, default=0.0), "shortest_gap": min(gaps, default=0.0),
+        "most_torque": max((abs(torque(frame)) for frame in frames if frame.can_id == RPDO), default=0),
+        "last_torque": [torque(frame) for frame in frames if frame.can_id == RPDO][-1:],
+    }  # fmt: skip
+
+
+def count(frames: list[Frame], can_id: int) -> int:
+    return sum(frame.can_id == can_id for frame in frames)
+
+
+def cut_off(master: str, drive: str, how: str) -> dict[str, Any]:
+    """In the middle of the contact the drive's interface goes down, or the drive's process is killed."""
+    listener = Listener(master)
+    with canhaptic("drive", SCENE, *on_bus(drive), *HAND_IN_THE_WALL, before=FIRST) as far:
+        assert far.stderr is not None
+        far.stderr.readline()
+        with canhaptic("run", SCENE, *on_bus(master), "--pace", "real", "--duration", "60") as near:
+            pushed = 0
+            while pushed < 100:
+                frame = listener.hear(1.0)
+                if frame is None and near.poll() is not None:
+                    raise RuntimeError(f"the master ended before the contact: {near.communicate()}")
+                pushed += frame is not None and frame.can_id == RPDO and abs(torque(frame)) > 50
+            if how == "killed":
+                far.send_signal(signal.SIGKILL)
+            else:
+                subprocess.run(["ip", "link", "set", drive, "down"], check=True)
+            _out, err = near.communicate(timeout=PATIENCE)
+            end = near.returncode
+    if how != "killed":
+        subprocess.run(["ip", "link", "set", drive, "up"], check=True)
+    return {"ends": [end], "error": err.strip()[-1200:], **after_the_last_answer(listener.drain())}
+
+
+def after_the_last_answer(frames: list[Frame]) -> dict[str, Any]:
+    """What the master sent once the drive was silent, counted in SYNCs."""
+    last = max(i for i, frame in enumerate(frames) if frame.can_id == TPDO)
+    torques: list[list[int]] = []  # [SYNCs since the last answer, target torque]
+    syncs = 0
+    for frame in frames[last + 1 :]:
+        syncs += frame.can_id == SYNC
+        if frame.can_id == RPDO:
+            torques.append([syncs, torque(frame)])
+    zero = [at for at, value in torques if value == 0]
+    return {
+        "held": torques[0][1] if torques else None,
+        "syncs_to_zero": zero[0] if zero else None,
+        "torque_after_zero": any(value for at, value in torques if zero and at > zero[0]),
+        "torques": torques[:40],
+    }
+
+
+def link(*words: str) -> None:
+    subprocess.run(["ip", "link", *words], check=True)
+
+
+def main() -> None:
+    """Runs every scenario; one that fails says so and does not stop the others."""
+    Path("/proc/sys/kernel/sched_rt_runtime_us").write_text("-1")  # else the kernel stalls both for 50 ms at 95 % load
+    link("add", "dev", "vcan0", "type", "vcan")
+    link("set", "vcan0", "up")
+    for name in ("can0", "can1"):
+        link("set", name, "up", "txqueuelen", "128", "type", "can", "bitrate", "1000000")
+    seconds = 3.0
+    scenarios = {
+        "vcan": lambda: whole_run("vcan0", "vcan0", seconds),
+        "kvaser": lambda: whole_run("can0", "can1", seconds),
+        "link_down": lambda: cut_off("can0", "can1", "down"),
+        "killed": lambda: cut_off("can0", "can1", "killed"),
+    }
+    for name, scenario in scenarios.items():
+        try:
+            result = scenario()
+        except Exception as error:  # one line a scenario, whatever happens
+            result = {"failed": f"{type(error).__name__}: {error}"}
+        print("RESULT", json.dumps({"scenario": name, **result}), flush=True)
+
+
+main()
