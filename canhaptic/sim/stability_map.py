@@ -25,31 +25,32 @@ class Loops(NamedTuple):
     wall_damping: Array | float  # on the backward difference of the position [N*s/m or N*m*s/rad]
 
 
-def loop_matrices(loops: Loops, sample_time: float, delay: int) -> Array:
+def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array:
     """Returns the matrix of one hold of each loop, shape (n_loops, 3 + delay, 3 + delay).
 
     Args:
         loops: Broadcast against each other.
-        sample_time: T [s].
+        sample_time: T, one or of shape (n_loops,) [s].
         delay: Whole holds between computing a torque and its hold, 0 or 1.
 
     Raises:
         ParameterError: A mass or sample time that is not positive, or another delay.
     """
-    mass, damping, hand, stiffness, viscosity = np.broadcast_arrays(*(np.atleast_1d(value) for value in loops))
-    if delay not in (0, 1) or not sample_time > 0.0 or not np.all(mass > 0.0):
+    columns = [np.atleast_1d(value) for value in (*loops, sample_time)]
+    mass, damping, hand, stiffness, viscosity, period = np.broadcast_arrays(*columns)
+    if delay not in (0, 1) or not np.all(period > 0.0) or not np.all(mass > 0.0):
         raise ParameterError(
-            f"stability map: got delay {delay}, sample time {sample_time} s and least mass {mass.min()}, expected "
-            "delay 0 or 1, sample time > 0 and mass > 0"
+            f"stability map: got delay {delay}, least sample time {period.min()} s and least mass {mass.min()}, "
+            "expected delay 0 or 1, sample time > 0 and mass > 0"
         )
     rates = np.zeros((len(mass), 3, 3))  # of [q, v, held torque]
     rates[:, 0, 1] = 1.0
     rates[:, 1] = np.stack([-hand / mass, -damping / mass, 1.0 / mass], axis=1)
-    change = _doubled(rates, sample_time)
+    change = flow_change(rates * period[:, None, None], 1.0)
     size = 3 + delay  # [q, v, q before] and, with a delay, the torque that waits
     matrices = np.zeros((len(mass), size, size))
     law = np.zeros((len(mass), size))  # torque computed from the state at a SYNC
-    law[:, 0], law[:, 2] = -stiffness - viscosity / sample_time, viscosity / sample_time
+    law[:, 0], law[:, 2] = -stiffness - viscosity / period, viscosity / period
     held = law
     if delay:
         held = np.zeros_like(law)
@@ -61,14 +62,14 @@ def loop_matrices(loops: Loops, sample_time: float, delay: int) -> Array:
     return matrices
 
 
-def decay_per_hold(loops: Loops, sample_time: float, delay: int) -> Array:
+def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Array:
     """Returns the largest absolute eigenvalue of each loop, shape (n_loops,); below 1 it is stable."""
     radii: Array = np.abs(np.linalg.eigvals(loop_matrices(loops, sample_time, delay))).max(axis=1)
     return radii
 
 
-def _doubled(rates: Array, sample_time: float) -> Array:
-    """Returns exp(F T) - I of many matrices, by the series at a small step and doubling."""
+def flow_change(rates: Array, sample_time: float) -> Array:
+    """Returns exp(F T) - I of many matrices F, shape (n, k, k), by the series at a small step and doubling."""
     halvings = 0
     while float(np.abs(rates).sum(axis=1).max()) * sample_time * 0.5**halvings > _LARGEST_STEP:
         halvings += 1

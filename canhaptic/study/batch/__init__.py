@@ -15,19 +15,33 @@ stated in `plants`. The scalar classes know nothing of it and cost nothing more.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Final
 
 import numpy as np
 
+from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
+from canhaptic.study.batch.cases import batch_case, check_values, why_not
+from canhaptic.study.batch.graph import NotBatchableError
+from canhaptic.study.batch.march import Engine, march
 from canhaptic.study.batch.meter import METRICS
+from canhaptic.study.batch.radius import radii
 from canhaptic.study.batch.scalar import run_scalar
 from canhaptic.study.batch.varied import BATCH_KEYS, scene_with
 from canhaptic.study.loop import Array
 
-__all__ = ["BATCH_KEYS", "METRICS", "run_batch", "run_scalar", "scene_with", "spectral_radius", "why_not_batchable"]
+__all__ = [
+    "BATCH_KEYS",
+    "METRICS",
+    "NotBatchableError",
+    "run_batch",
+    "run_scalar",
+    "scene_with",
+    "spectral_radius",
+    "why_not_batchable",
+]
 
-Engine = Literal["numpy", "numba", "auto"]
+_DELAY: Final = "loop.delay"
 
 
 def why_not_batchable(scene: Scene) -> str:
@@ -38,7 +52,7 @@ def why_not_batchable(scene: Scene) -> str:
     Args:
         scene: Validated; none of its values matters, only what it names.
     """
-    return "the batch form of this loop is not built"
+    return why_not(scene)
 
 
 def run_batch(
@@ -53,20 +67,34 @@ def run_batch(
     Args:
         scene: What all have in common; `why_not_batchable(scene)` must be "".
         varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
-        cycles: SYNCs.
-        engine: "numba" needs the extra `fast`; "auto" takes it where it is installed.
+        cycles: SYNCs, at least 2.
+        engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and pays. Both give the same bits.
         metrics: Names of `METRICS`; None for all. Fewer are faster: what nobody asked for is not computed.
 
     Raises:
-        ParameterError: A key that cannot vary inside a batch, a value out of its range, a scene that is not batchable.
+        ParameterError: A key that cannot vary inside a batch, a value out of its range, an unknown metric.
+        NotBatchableError: The scene cannot run in arrays.
     """
-    count = {len(values) for values in varied.values()}
-    [number] = count
-    rows = [
-        run_scalar(scene_with(scene, {key: float(values[i]) for key, values in varied.items()}), cycles)
-        for i in range(number)
-    ]
-    return {name: np.array([row[name] for row in rows]) for name in metrics or METRICS}
+    names = list(METRICS) if metrics is None else list(metrics)
+    unknown = [name for name in names if name not in METRICS]
+    if unknown or cycles < 2:
+        raise ParameterError(
+            f"run_batch: got metrics {unknown} and {cycles} cycles; expected {list(METRICS)}, 2 or more"
+        )
+    arrays = {key: np.asarray(values, dtype=float) for key, values in varied.items()}
+    reason = why_not(scene)
+    if reason:
+        raise NotBatchableError(f"{scene.source}: {reason}; run such scenes one by one with run_scalar")
+    count = check_values(scene, arrays)
+    found = {name: np.empty(count) for name in names}
+    delays = arrays.pop(_DELAY, None)
+    for delay in [None] if delays is None else sorted({*delays.tolist()}):
+        rows = np.arange(count) if delays is None else np.flatnonzero(delays == delay)
+        of_delay = scene if delay is None else scene_with(scene, {_DELAY: delay})
+        case = batch_case(of_delay, {key: np.ascontiguousarray(values[rows]) for key, values in arrays.items()})
+        for name, values in march(case, len(rows), cycles, engine, names).metrics.items():
+            found[name][rows] = values
+    return found
 
 
 def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
@@ -82,4 +110,4 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     Raises:
         ParameterError: The scene has no linear loop, or a key cannot vary.
     """
-    raise NotImplementedError
+    return radii(scene, {key: np.asarray(values, dtype=float) for key, values in varied.items()})

@@ -74,7 +74,9 @@ class Expressions(ABC):
             ast.IfExp: self._either,
             ast.Call: self._called,
             ast.GeneratorExp: self._each,
-            ast.Dict: lambda e, f: {self.value(cast(ast.expr, k), f): self.value(v, f) for k, v in zip(e.keys, e.values, strict=True)},
+            ast.Dict: lambda e, f: {
+                self.value(cast(ast.expr, k), f): self.value(v, f) for k, v in zip(e.keys, e.values, strict=True)
+            },
             ast.JoinedStr: lambda e, f: "",
         }
         functions: dict[Any, Callable[..., Any]] = {
@@ -136,7 +138,10 @@ class Expressions(ABC):
 
     def _binary(self, expression: ast.BinOp, frame: "Frame") -> Any:
         left, right = _bare(self.value(expression.left, frame)), _bare(self.value(expression.right, frame))
-        return _ARITHMETIC[type(expression.op)](left, right)
+        try:
+            return _ARITHMETIC[type(expression.op)](left, right)
+        except (TypeError, KeyError) as error:
+            raise NotBatchableError(f"the expression {ast.unparse(expression)} ({error})") from error
 
     def _unary(self, expression: ast.UnaryOp, frame: "Frame") -> Any:
         value = _bare(self.value(expression.operand, frame))

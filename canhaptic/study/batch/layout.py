@@ -1,5 +1,6 @@
 """What both written forms need to know of a program: what differs between scenes, what changes, and in which order."""
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -57,7 +58,7 @@ class Layout:
         lanes: set[Node] = set()
         for node in nodes:
             if node.op == "param":
-                differs = isinstance(self.program.values[node.value], np.ndarray)
+                differs = self.program.kinds[node.value].differs
             elif node.op == "state":
                 differs = node.value in self._lane_states
             else:
@@ -67,17 +68,22 @@ class Layout:
         return lanes
 
 
-def fixed_values(program: Program, nodes: list[Node], part: slice) -> dict[Node, Any]:
-    """Returns the value of every node that depends on parameters only: a number, or one for each scene of a part."""
+def known_values(nodes: list[Node], numbers: Mapping[str, Any], states: Mapping[str, Any]) -> dict[Node, Any]:
+    """Returns the value of nodes and of all that they are made of: a number, or one for each scene.
+
+    Args:
+        nodes: To be computed.
+        numbers: By parameter.
+        states: By name, as far as the nodes are made of states.
+    """
     found: dict[Node, Any] = {}
     with np.errstate(all="ignore"):
         for node in ordered(nodes):
             if node.op == "const":
                 found[node] = node.value
-            elif node.op == "param":
-                value = program.values[node.value]
-                found[node] = value[part] if isinstance(value, np.ndarray) else value
-            elif not node.changes:
+            elif node.op in ("param", "state"):
+                found[node] = (numbers if node.op == "param" else states)[node.value]
+            else:
                 found[node] = _evaluated(node, [found[arg] for arg in node.args])
     return found
 

@@ -5,7 +5,7 @@ the source: the compiler then sees that rows do not overlap, and turns the inner
 is contracted or reordered: the same operations on the same numbers as in NumPy.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from canhaptic.study.batch.graph import Node
-from canhaptic.study.batch.layout import Layout, fixed_values, widened
+from canhaptic.study.batch.layout import Layout, known_values, widened
 from canhaptic.study.batch.program import Program
 from canhaptic.study.loop import Array
 
@@ -53,19 +53,19 @@ class NumbaForm:
         self.source = _source(layout, self._lane_states, self._one_states, self._lane_values, self._one_values)
         self._kernel = compiled(self.source)
 
-    def run(self, part: slice, count: int, cycles: int) -> tuple[dict[str, Any], Array]:
+    def run(self, numbers: Mapping[str, Any], count: int, cycles: int) -> tuple[dict[str, Any], Array]:
         """Returns the states of some scenes after their cycles, or when they diverged, and the cycle of that.
 
         Args:
-            part: Of the scenes.
-            count: Their number.
+            numbers: By parameter, one or of shape (count,).
+            count: Scenes.
             cycles: After the first SYNC.
 
         Returns:
             State -> value; and for each scene the cycle in which it diverged, 0 where it did not.
         """
         program, layout = self.program, self.layout
-        fixed = fixed_values(program, [*layout.fixed, *program.first.values()], part)
+        fixed = known_values([*layout.fixed, *program.first.values()], numbers, {})
         rows = [fixed[program.first[name]] for name in self._lane_states] + [fixed[v] for v in self._lane_values]
         chunks = -(-count // WIDTH)
         block = np.empty((chunks, len(rows) + 1, WIDTH))

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.study.batch.graph import Node
-from canhaptic.study.batch.layout import Layout, fixed_values, widened
+from canhaptic.study.batch.layout import Layout, known_values, widened
 from canhaptic.study.batch.program import Program
 
 _CALLS: Final[dict[str, str]] = {
@@ -36,18 +36,22 @@ class NumpyForm:
         self._cycles = names["cycles"]
 
     def run(
-        self, part: slice, count: int, cycles: int, escaped: Callable[[Any, Mapping[str, Any]], None]
+        self,
+        numbers: Mapping[str, Any],
+        count: int,
+        cycles: int,
+        escaped: Callable[[Any, Mapping[str, Any], int], None],
     ) -> dict[str, Any]:
         """Returns the states of a chunk after its cycles.
 
         Args:
-            part: Of the scenes.
-            count: Their number.
+            numbers: By parameter, one or of shape (count,).
+            count: Scenes.
             cycles: After the first SYNC.
-            escaped: Told (which scenes left every place in this cycle, all states); it may put the states back.
+            escaped: Told (which scenes left every place in this cycle, all states, the cycle); it may put the states back.
         """
         layout, program = self.layout, self.program
-        fixed = fixed_values(program, [*layout.fixed, *program.first.values()], part)
+        fixed = known_values([*layout.fixed, *program.first.values()], numbers, {})
         states = [
             widened(fixed[program.first[name]], count, program.then[name].is_truth)
             if layout.state_differs(name)
@@ -57,8 +61,8 @@ class NumpyForm:
         given = [fixed[node] for node in layout.fixed if node.op != "const"]
         buffers = [np.empty(count, bool if name.startswith("b") else float) for name in self._writer.buffers]
 
-        def told(out: Any, now: tuple[Any, ...]) -> None:
-            escaped(out, dict(zip(layout.states, now, strict=True)))
+        def told(out: Any, now: tuple[Any, ...], cycle: int) -> None:
+            escaped(out, dict(zip(layout.states, now, strict=True)), cycle)
 
         with np.errstate(all="ignore"):
             after = self._cycles(cycles, told, states, given, buffers)
@@ -97,13 +101,13 @@ class _Writer:
             lines.append(self._line(node, args))
         out = layout.program.out
         turned = self._turned(then)
-        check = f"if {self._name[out]}.any(): told({self._name[out]}, ({', '.join(self._state)},))"
+        check = f"if {self._name[out]}.any(): told({self._name[out]}, ({', '.join(self._state)},), cycle)"
         body = [*lines, *turned, check if out in layout.lanes else "pass"]
         head = ["def cycles(count, told, states, given, buffers):"]
         for names, source in ((self._state, "states"), (self._given, "given"), (self.buffers, "buffers")):
             if names:
                 head.append(f"    {', '.join(names)}, = {source}")
-        loop = ["    for _ in range(count):", *(f"        {line}" for line in body)]
+        loop = ["    for cycle in range(1, count + 1):", *(f"        {line}" for line in body)]
         return "\n".join([*head, *loop, f"    return {', '.join(self._state)},"]) + "\n"
 
     def _last_uses(self, goals: list[Node]) -> dict[Node, int]:
@@ -170,6 +174,3 @@ def _one_for_all(node: Node, args: list[str]) -> str:
     if node.op in signs:
         return f"{args[0]} {signs[node.op]} {args[1]}"
     return f"-{args[0]}" if node.op == "neg" else f"bool({call})" if node.is_truth else f"float({call})"
-
-
-__all__ = ["NumpyForm", "Program"]

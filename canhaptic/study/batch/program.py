@@ -5,10 +5,8 @@ become states. States that always hold the same are one, and what nobody asks fo
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final
-
-import numpy as np
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
 from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.haptics.passivity import ALGORITHMS
@@ -20,27 +18,56 @@ from canhaptic.study.batch.lowering import Lowering
 from canhaptic.study.loop import Array
 from canhaptic.tables import load
 
-POSITION: Final = "plant.0"
-"""State of the plant that is the true position."""
 _MOST_ROUNDS: Final = 50
 
 
 @dataclass(frozen=True, slots=True)
 class BatchCase:
-    """What many loops have in common, and the numbers in which they differ."""
+    """What many loops have in common, and the numbers in which they differ.
+
+    `numbers` holds what may differ by name: of the models `environment`, `passivity` and `loop` field by field, then
+    `counts_per_unit`, `torque_quantum`, `torque_limit`, `start.I` and `flow.ROW.COLUMN` of the plant. A name that is
+    absent has the value of its model; None, whole numbers and truth values are structure and stay there.
+    """
 
     environment: Environment
     algorithm: str
     parameters: Parameters
     loop: LoopProperties
     delay: int
-    counts_per_unit: float | None
-    torque_quantum: float | None
-    torque_limit: float | None
     furthest: float
-    flows: Array  # shape (n_scenes or 1, n, n): of [states..., torque, one] over one sample time
-    start: Array  # shape (n_scenes or 1, n)
-    varied: Mapping[str, Array] = field(default_factory=dict)  # "environment.stiffness", ... -> (n_scenes,)
+    size: int  # of the plant's state vector [states..., torque, one]
+    numbers: Mapping[str, Array | float | None]  # each of shape (n_scenes,) or one number
+
+    def kinds(self) -> dict[str, "Kind"]:
+        """Returns what is known of each number."""
+        return {name: kind_of(value) for name, value in self.numbers.items() if value is not None}
+
+    def structure(self) -> str:
+        """Returns everything that decides what the program is, but no number."""
+        models = [(type(m).__qualname__, _rest(m)) for m in (self.environment, self.parameters, self.loop)]
+        return repr((self.algorithm, self.delay, self.furthest, self.size, models, sorted(self.kinds().items())))
+
+
+class Kind(NamedTuple):
+    """What is known of a number before its value: 0 itself, or its sign in all scenes, and whether they differ."""
+
+    is_zero: bool
+    sign: int
+    differs: bool
+
+
+def kind_of(value: Array | float) -> Kind:
+    """Returns what is known of a number or of one for each scene."""
+    if isinstance(value, float):
+        return Kind(value == 0.0, (value > 0.0) - (value < 0.0), False)
+    least, most = float(value.min()), float(value.max())
+    return Kind(least == most == 0.0, (least > 0.0) - (most < 0.0), True)
+
+
+def _rest(model: Parameters) -> list[tuple[str, Any]]:
+    fields = [(name, getattr(model, name)) for name in type(model).model_fields]
+    return [(name, value) for name, value in fields if not isinstance(value, float)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,45 +78,40 @@ class Program:
         first: State -> its value after the first SYNC; depends on parameters only.
         then: State -> its value one cycle later.
         out: Whether the axis diverged in this cycle.
-        results: Sum of the meter -> the state that holds it, or its value where it never changes.
-        values: Parameter -> number, or one for each scene.
+        results: Sum of the meter -> its value at the end, made of states.
+        kinds: What is known of each parameter.
     """
 
     first: dict[str, Node]
     then: dict[str, Node]
     out: Node
     results: dict[str, Node]
-    values: dict[str, Any]
+    kinds: dict[str, Kind]
 
 
-class _Values:
-    """Numbers by the name of their parameter."""
+class _Numbers:
+    """Parameters in the place of numbers."""
 
-    def __init__(self, graph: Graph, varied: Mapping[str, Array]) -> None:
-        self._graph, self._varied = graph, varied
-        self.values: dict[str, Any] = {}
+    def __init__(self, graph: Graph, kinds: Mapping[str, Kind]) -> None:
+        self._graph, self._kinds = graph, kinds
 
-    def lift(self, name: str, value: Any) -> Any:
-        """Returns a number as a parameter; 0, truth values, whole numbers and None stay what they are."""
-        value = self._varied.get(name, value)
-        if isinstance(value, np.ndarray):
-            return self.take(name, value)
-        return self.take(name, value) if isinstance(value, float) and value else value
-
-    def take(self, name: str, value: Any) -> Any:
-        """Returns the parameter of one number or of one for each scene; an array of equal ones is one."""
-        if isinstance(value, np.ndarray) and (value == value[0]).all():
-            value = float(value[0])
-        if isinstance(value, float) and value == 0.0:
-            return 0.0
-        self.values[name] = value
-        least, most = np.min(value), np.max(value)
-        return self._graph.param(name, int(least > 0.0) - int(most < 0.0))
+    def get(self, name: str) -> Any:
+        """Returns the parameter of a number, 0 where it is that, None where there is none."""
+        kind = self._kinds.get(name)
+        if kind is None:
+            return None
+        return 0.0 if kind.is_zero else self._graph.param(name, kind.sign)
 
     def lifted(self, section: str, model: Any) -> Any:
         """Returns a parameter model with its numbers as parameters."""
-        names = type(model).model_fields
-        return model.model_copy(update={name: self.lift(f"{section}.{name}", getattr(model, name)) for name in names})
+        names = [name for name in type(model).model_fields if f"{section}.{name}" in self._kinds]
+        return model.model_copy(update={name: self.get(f"{section}.{name}") for name in names})
+
+
+def numbers_of(section: str, model: Parameters) -> dict[str, float]:
+    """Returns the numbers of a parameter model by the names of `BatchCase.numbers`."""
+    fields = {f"{section}.{name}": getattr(model, name) for name in type(model).model_fields}
+    return {name: value for name, value in fields.items() if isinstance(value, float)}
 
 
 def build_program(case: BatchCase, sums: Sequence[str]) -> Program:
@@ -103,10 +125,9 @@ def build_program(case: BatchCase, sums: Sequence[str]) -> Program:
         NotBatchableError: Part of the source has no form in arrays.
     """
     graph = Graph()
-    lowering, values = Lowering(graph), _Values(graph, case.varied)
-    axis = _axis(lowering, values, case)
-    size = case.start.shape[-1]
-    start = [values.take(f"start.{i}", _column(case.start[:, i])) for i in range(size - 2)]
+    lowering, numbers = Lowering(graph), _Numbers(graph, case.kinds())
+    axis = _axis(lowering, numbers, case)
+    start = [numbers.get(f"start.{i}") for i in range(case.size - 2)]
     lowering.call(SampledAxis.sync, (axis, start[0]), {})
     first = dict(lowering.heap.leaves())
     after_first = lowering.heap.save()
@@ -115,7 +136,7 @@ def build_program(case: BatchCase, sums: Sequence[str]) -> Program:
         lowering.heap.restore(after_first)
         lowering.heap.change(lambda name, value: _placed(graph, states, name, value))
         placed = dict(lowering.heap.leaves())
-        moved = _moved(graph, values, case.flows, axis.held)
+        moved = _moved(graph, numbers, case.size, axis.held)
         lowering.call(SampledAxis.sync, (axis, moved[0]), {})
         then = dict(lowering.heap.leaves())
         changed = {name for name in then if name not in states and _differs(then[name], placed[name])}
@@ -124,42 +145,40 @@ def build_program(case: BatchCase, sums: Sequence[str]) -> Program:
         states |= changed
     firsts = {name: first[name] for name in states} | {f"plant.{i}": value for i, value in enumerate(start)}
     thens = {name: then[name] for name in states} | {f"plant.{i}": value for i, value in enumerate(moved)}
-    results = {name: getattr(axis.meter, name) for name in sums}
-    kept = {name: path for name in sums for path in [_path_of(lowering, axis.meter, name)]}
-    return _reduced(graph, firsts, thens, graph.node(axis.out), results, kept, values.values)
+    ends: dict[str, Node] = {}
+    for name in sums:
+        path = _path_of(lowering, axis.meter, name)
+        ends[name] = graph.state(path, graph.node(then[path]).is_truth) if path in states else graph.node(then[path])
+    return _reduced(graph, firsts, thens, graph.node(axis.out), ends, case.kinds())
 
 
-def _axis(lowering: Lowering, values: _Values, case: BatchCase) -> Any:
-    environment = values.lifted("environment", case.environment)
+def _axis(lowering: Lowering, numbers: _Numbers, case: BatchCase) -> Any:
+    environment = numbers.lifted("environment", case.environment)
     algorithm = load(ALGORITHMS, case.algorithm, "passivity algorithm")
-    parameters, loop = values.lifted("passivity", case.parameters), values.lifted("loop", case.loop)
+    parameters, loop = numbers.lifted("passivity", case.parameters), numbers.lifted("loop", case.loop)
     controller = lowering.create(algorithm, environment, parameters, loop)
     return lowering.create(
         SampledAxis,
         controller,
         environment,
         delay=case.delay,
-        counts_per_unit=values.lift("counts_per_unit", case.counts_per_unit),
-        torque_quantum=values.lift("torque_quantum", case.torque_quantum),
-        torque_limit=values.lift("torque_limit", case.torque_limit),
+        counts_per_unit=numbers.get("counts_per_unit"),
+        torque_quantum=numbers.get("torque_quantum"),
+        torque_limit=numbers.get("torque_limit"),
         furthest=case.furthest,
     )
 
 
-def _column(column: Array) -> Array | float:
-    return float(column[0]) if len(column) == 1 else column
-
-
-def _moved(graph: Graph, values: _Values, flows: Array, torque: Any) -> list[Any]:
+def _moved(graph: Graph, numbers: _Numbers, size: int, torque: Any) -> list[Any]:
     """Returns the states of the plant after a hold, each the sum of its terms in the order of the states."""
-    size = flows.shape[-1]
     before = [graph.state(f"plant.{i}") for i in range(size - 2)] + [torque, 1.0]
     moved = []
     for row in range(size - 2):
         total: Any = 0.0
         for column in range(size):
-            if np.any(flows[:, row, column]):
-                total = total + values.take(f"flow.{row}.{column}", _column(flows[:, row, column])) * before[column]
+            coefficient = numbers.get(f"flow.{row}.{column}")
+            if coefficient is not None:
+                total = total + coefficient * before[column]
         moved.append(total)
     return moved
 
@@ -181,18 +200,11 @@ def _path_of(lowering: Lowering, owner: object, name: str) -> str:
 
 
 def _reduced(
-    graph: Graph,
-    first: dict[str, Any],
-    then: dict[str, Any],
-    out: Node,
-    results: dict[str, Any],
-    kept: dict[str, str],
-    values: dict[str, Any],
+    graph: Graph, first: dict[str, Any], then: dict[str, Any], out: Node, ends: dict[str, Node], kinds: dict[str, Kind]
 ) -> Program:
     """Returns the program without states that are others, are constant, or are not asked for."""
     firsts = {name: graph.node(value) for name, value in first.items()}
     thens = {name: graph.node(value) for name, value in then.items()}
-    ends = {name: graph.state(path) if path in thens else graph.node(results[name]) for name, path in kept.items()}
     for _ in range(_MOST_ROUNDS):
         same = _same_states(graph, firsts, thens)
         two_valued = {} if same else _two_valued(graph, firsts, thens)
@@ -202,7 +214,7 @@ def _reduced(
         thens = {name: rewrite(node) for name, node in thens.items() if graph.state(name, node.is_truth) not in same}
         out, ends = rewrite(out), {name: rewrite(node) for name, node in ends.items()}
     live = _live(graph, thens, [out, *ends.values()])
-    return Program({name: firsts[name] for name in live}, {name: thens[name] for name in live}, out, ends, values)
+    return Program({name: firsts[name] for name in live}, {name: thens[name] for name in live}, out, ends, kinds)
 
 
 def _two_valued(graph: Graph, first: dict[str, Node], then: dict[str, Node]) -> dict[Node, Node]:

@@ -84,6 +84,13 @@ def _axis_with(axis: AxisScene, section: str, name: str, value: float) -> AxisSc
     return replace(axis, simulation=_simulation_with(simulation, section, name, value))
 
 
+def simulation_with(simulation: AxisSimulation, values: Mapping[str, float]) -> AxisSimulation:
+    """Returns a simulation with other values at keys under `simulation.`."""
+    for key, value in values.items():
+        simulation = _simulation_with(simulation, *split_key(key), value)
+    return simulation
+
+
 def _simulation_with(simulation: AxisSimulation, section: str, name: str, value: float) -> AxisSimulation:
     if section == "simulation.plant":
         return replace(simulation, plant=_with(simulation.plant, **{name: value}))

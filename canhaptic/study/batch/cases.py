@@ -1,0 +1,125 @@
+"""From a scene and the keys in which many scenes differ to loops that can run in arrays."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.errors import ParameterError
+from canhaptic.scene.models import AxisSimulation, Scene
+from canhaptic.study.batch.graph import NotBatchableError
+from canhaptic.study.batch.plants import plant_numbers, why_not_linear
+from canhaptic.study.batch.program import BatchCase, build_program, numbers_of
+from canhaptic.study.batch.scalar import FURTHEST
+from canhaptic.study.batch.varied import scene_with, split_key
+from canhaptic.study.loop import Array, LoopCase
+from canhaptic.study.scenes import loop_case
+
+_RATE: Final = "bus.rate"
+
+
+def why_not(scene: Scene) -> str:
+    """Returns "" when the whole loop of a scene can run in arrays, else the reason by name."""
+    if len(scene.axes) != 1:
+        return f"scene has {len(scene.axes)} axes, expected one"
+    simulation = scene.axes[0].simulation
+    if simulation is None:
+        return "axis is not simulated"
+    reason = why_not_linear(simulation)
+    if reason:
+        return reason
+    try:
+        build_program(batch_case(scene, {}), ())
+    except NotBatchableError as error:
+        return f"{scene.axes[0].environment.name} under {scene.axes[0].passivity.name}: {error}"
+    except ParameterError as error:
+        return f"refused: {error}"
+    return ""
+
+
+def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
+    """Returns the loop of a scene of one axis with the numbers in which many scenes differ.
+
+    Args:
+        scene: What they have in common, the delay among it.
+        varied: Key of `BATCH_KEYS` but `loop.delay` -> value of each scene.
+    """
+    axis = scene.axes[0]
+    simulation = axis.simulation
+    assert simulation is not None
+    numbers = _numbers(loop_case(axis, scene), simulation, scene.bus.sample_time_ns, varied)
+    passivity = axis.passivity.parameters
+    for key, values in varied.items():
+        section, name = split_key(key)
+        if section == "passivity":
+            numbers[f"{'passivity' if name in type(passivity).model_fields else 'loop'}.{name}"] = values
+        elif section == "environment":
+            numbers[key] = values
+        elif section == "axes.0":
+            numbers |= _of_axis(name, values)
+    return _case(loop_case(axis, scene), numbers)
+
+
+def loop_in_arrays(case: LoopCase, simulation: AxisSimulation, numbers: Mapping[str, Array]) -> BatchCase:
+    """Returns a loop that is not of a scene (an ideal encoder, an ideal torque) for many scenes.
+
+    Args:
+        case: What they have in common.
+        simulation: Its plant and hand.
+        numbers: By the names of `BatchCase.numbers`.
+    """
+    return _case(case, {**_numbers(case, simulation, case.sample_time_ns, {}), **numbers})
+
+
+def _numbers(
+    case: LoopCase, simulation: AxisSimulation, sample_time_ns: float, varied: Mapping[str, Array]
+) -> dict[str, Array | float | None]:
+    numbers: dict[str, Array | float | None] = {
+        **numbers_of("environment", case.environment),  # type: ignore[arg-type]
+        **numbers_of("passivity", case.parameters),  # type: ignore[arg-type]
+        **numbers_of("loop", case.loop),
+        "counts_per_unit": case.counts_per_unit,
+        "torque_quantum": case.torque_quantum,
+        "torque_limit": case.torque_limit,
+    }
+    period: Array | float = float(sample_time_ns)
+    if _RATE in varied:
+        period = np.rint(1e9 / varied[_RATE])
+        numbers["loop.sample_time"] = period * 1e-9
+    return numbers | plant_numbers(simulation, period, varied)
+
+
+def _case(case: LoopCase, numbers: dict[str, Any]) -> BatchCase:
+    states = sum(name.startswith("start.") for name in numbers)
+    parameters: Any = case.parameters
+    return BatchCase(case.environment, case.algorithm, parameters, case.loop, case.delay, FURTHEST, states + 2, numbers)
+
+
+def _of_axis(name: str, values: Array) -> dict[str, Array]:
+    if name == "counts_per_unit":
+        return {"counts_per_unit": values, "loop.encoder_count": 1.0 / values}
+    if name == "rated_torque":
+        return {"torque_quantum": values * 1e-3, "loop.torque_quantum": values / 1000.0}
+    return {"torque_limit": values, "loop.torque_limit": values}
+
+
+def check_values(scene: Scene, varied: Mapping[str, Array]) -> int:
+    """Checks the scenes with the least and the largest value of each key; returns the number of scenes.
+
+    Raises:
+        ParameterError: A key that cannot vary, values of different lengths, not finite or out of range, or an algorithm
+            that cannot do without one.
+    """
+    lengths = {key: np.shape(values) for key, values in varied.items()}
+    if len(set(lengths.values())) > 1 or any(len(shape) != 1 or shape[0] == 0 for shape in lengths.values()):
+        raise ParameterError(f"varied: got shapes {lengths}, expected one (n_scenes,) for all, n_scenes > 0")
+    rows = {0}
+    for key, values in varied.items():
+        split_key(key)
+        if not np.isfinite(values).all():
+            raise ParameterError(f"varied: got {key} that is not finite, expected numbers in SI")
+        rows |= {int(np.argmin(values)), int(np.argmax(values))}
+    for row in sorted(rows):
+        one = scene_with(scene, {key: float(values[row]) for key, values in varied.items()})
+        loop_case(one.axes[0], one).controller()
+    return max([1, *(len(values) for values in varied.values())])

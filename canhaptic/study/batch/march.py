@@ -1,0 +1,147 @@
+"""Runs the written forms over many scenes, in chunks that fit the cache, and keeps the figures of those that diverge."""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from importlib.util import find_spec
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+
+from canhaptic.errors import ParameterError
+from canhaptic.study.batch.layout import known_values, widened
+from canhaptic.study.batch.meter import metrics_of, sums_of
+from canhaptic.study.batch.numpy_form import NumpyForm
+from canhaptic.study.batch.program import BatchCase, Program, build_program
+from canhaptic.study.loop import Array
+
+Engine = Literal["numpy", "numba", "auto"]
+
+CHUNK: Final = 8192
+"""Scenes that are moved together: many enough that a call costs less than its numbers, few enough for the cache."""
+PART: Final = 1 << 15
+"""Scenes for which numbers are laid out at a time."""
+_WORTH: Final = 2e7
+"""Scenes times cycles from which compiling pays."""
+_COUNTED: Final = ("diverged", "cycles")
+"""Sums that are not states: the loop over the scenes knows them."""
+
+
+class Batch(NamedTuple):
+    """What a run gave."""
+
+    metrics: dict[str, Array]  # each of shape (n_scenes,)
+    engine: str  # that ran: "numpy" or "numba"
+
+
+class _Form(NamedTuple):
+    program: Program
+    run: Any
+    engine: str
+
+
+def chosen_engine(engine: Engine, scenes: int, cycles: int) -> str:
+    """Returns the engine to be used.
+
+    Raises:
+        ParameterError: An unknown name, or numba is asked for and not installed.
+    """
+    if engine not in ("numpy", "numba", "auto"):
+        raise ParameterError(f"engine: got {engine!r}, expected numpy, numba or auto")
+    if engine == "auto":
+        return "numba" if scenes * cycles >= _WORTH and find_spec("numba") else "numpy"
+    if engine == "numba" and not find_spec("numba"):
+        raise ParameterError("engine: got numba, which is not installed; pip install 'canhaptic[fast]', or use numpy")
+    return engine
+
+
+def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Sequence[str]) -> Batch:
+    """Returns the figures of many loops, in the order of the scenes and whatever the chunks.
+
+    Args:
+        case: What they have in common, and the numbers in which they differ.
+        scenes: Their number.
+        cycles: SYNCs, the first included.
+        engine: See `run_batch`.
+        metrics: Names of `METRICS`.
+
+    Raises:
+        NotBatchableError: Part of the source has no form in arrays.
+    """
+    names = list(metrics)
+    sums = sums_of(names)
+    form = _form(case, tuple(name for name in sums if name not in _COUNTED), chosen_engine(engine, scenes, cycles))
+    found: dict[str, Array] = {name: np.empty(scenes) for name in sums}
+    size = PART if form.engine == "numba" else CHUNK
+    for first in range(0, scenes, size):
+        part = slice(first, min(first + size, scenes))
+        count = part.stop - part.start
+        numbers = {
+            name: value[part] if isinstance(value, np.ndarray) else value for name, value in case.numbers.items()
+        }
+        for name, values in _part(form, numbers, count, cycles).items():
+            if name in found:
+                found[name][part] = values
+    return Batch(metrics_of(names, found), form.engine)
+
+
+def _part(form: _Form, numbers: Mapping[str, Any], count: int, cycles: int) -> dict[str, Array]:
+    program = form.program
+    if form.engine == "numba":
+        states, when = form.run(numbers, count, cycles - 1)
+    else:
+        states, when = _with_escapes(form, numbers, count, cycles - 1)
+    values = known_values(list(program.results.values()), numbers, states)
+    sums = {name: widened(values[node], count, False) for name, node in program.results.items()}
+    sums["diverged"] = np.array(when > 0, dtype=float)
+    sums["cycles"] = np.where(when > 0, when + 1.0, float(cycles))
+    return sums
+
+
+def _with_escapes(form: _Form, numbers: Mapping[str, Any], count: int, cycles: int) -> tuple[dict[str, Any], Any]:
+    """Returns the states at the end or when a scene diverged, and the cycle of that, 0 where it did not."""
+    program = form.program
+    begin = known_values(list(program.first.values()), numbers, {})
+    kept: dict[str, Array] = {}
+    when = np.zeros(count, dtype=np.int64)
+
+    def escaped(out: Any, states: Mapping[str, Any], cycle: int) -> None:
+        fresh = out & (when == 0)
+        when[fresh] = cycle
+        for name, values in states.items():
+            if name not in kept:
+                kept[name] = widened(values, count, program.then[name].is_truth)
+            kept[name][fresh] = values[fresh] if isinstance(values, np.ndarray) else values
+            if isinstance(values, np.ndarray):  # back to the start, so that nothing overflows from here on
+                values[out] = widened(begin[program.first[name]], count, program.then[name].is_truth)[out]
+
+    states = form.run(numbers, count, cycles, escaped)
+    if kept:
+        states = {name: np.where(when > 0, kept[name], values) for name, values in states.items()}
+    return states, when
+
+
+def _form(case: BatchCase, sums: tuple[str, ...], engine: str) -> _Form:
+    return _known_form(_Structure(case), sums, engine)
+
+
+class _Structure:
+    """A case by its structure alone, for remembering forms."""
+
+    def __init__(self, case: BatchCase) -> None:
+        self.case, self._key = case, case.structure()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Structure) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=64)
+def _known_form(structure: _Structure, sums: tuple[str, ...], engine: str) -> _Form:
+    program = build_program(structure.case, sums)
+    if engine == "numba":
+        from canhaptic.study.batch.numba_form import NumbaForm
+
+        return _Form(program, NumbaForm(program).run, engine)
+    return _Form(program, NumpyForm(program).run, engine)

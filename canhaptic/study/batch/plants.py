@@ -1,0 +1,144 @@
+"""The flow of many linear plants over one sample time, in arrays: mass, bearings and a hand that follows sinusoids.
+
+    m v' = torque - b v + K (x_u - q) + D (v_u - v) + push        (`canhaptic.sim.user`, `canhaptic.sim.plant`)
+
+The states are those of `Plant`, in its order, and so is the flow: exp(F T) by the same series. The sum of a row is taken
+term by term and not by a matrix product, so that a position may differ from that of `Plant` by a few units in its last
+place per hold. Plants with other linear effects are made one by one, each different one once.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final, cast
+
+import numpy as np
+
+from canhaptic.scene.models import AxisSimulation
+from canhaptic.sim.assembly import Scene as PlantScene
+from canhaptic.sim.effects import Effect
+from canhaptic.sim.plant import Plant
+from canhaptic.sim.stability_map import flow_change
+from canhaptic.sim.user import UserParameters
+from canhaptic.study.batch.varied import simulation_with
+from canhaptic.study.loop import Array
+
+_IN_ARRAYS: Final = ("viscous_friction", "tremor")
+"""Effects whose place in the equation of motion is known here."""
+Numbers = dict[str, Array | float]
+
+
+def why_not_linear(simulation: AxisSimulation) -> str:
+    """Returns "" when nothing but linear parts act on a plant, else the reason by name."""
+    for effect in simulation.effects:
+        scene = PlantScene(1e-3)
+        simulation.plant.add_to(scene)
+        (simulation.user or UserParameters()).add_to(scene)
+        before = len(scene.parts)
+        try:
+            cast(Effect, effect.parameters).add_to(scene)
+        except Exception as error:  # noqa: BLE001 - an effect that builds on another
+            return f"effect {effect.name} does not stand alone ({error})"
+        if any(part.has_guards for part in scene.parts[before:]):
+            return f"effect {effect.name} has events"
+        for found, reason in (
+            (scene.efforts, "is not linear"),
+            (scene.schedule, "changes by the clock"),
+            (scene.commands, "changes the torque of a hold"),
+            (scene.encoders, "changes what the encoder reports"),
+        ):
+            if found:
+                return f"effect {effect.name} {reason}"
+    return ""
+
+
+def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> Numbers:
+    """Returns start and flow of many plants by the names of `BatchCase.numbers`; a coefficient of 0 is left out.
+
+    Args:
+        simulation: What all have in common.
+        sample_time_ns: One, or of each scene, shape (n_scenes,) [ns].
+        varied: Keys under `simulation.` -> value of each scene.
+    """
+    keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
+    if not keys and isinstance(sample_time_ns, float):
+        plant = _plant(simulation, int(sample_time_ns))
+        return _named(plant.whole_flow()[None], plant.initial_state()[None])
+    if all(effect.name in _IN_ARRAYS for effect in simulation.effects):
+        return _named(*_in_arrays(simulation, sample_time_ns, keys))
+    return _named(*_one_by_one(simulation, sample_time_ns, keys))
+
+
+def _named(flows: Array, start: Array) -> Numbers:
+    numbers: Numbers = {}
+    states = flows.shape[-1] - 2
+    for row in range(states):
+        numbers[f"start.{row}"] = _shared(start[:, row])
+        for column in range(states + 2):
+            if flows[:, row, column].any():
+                numbers[f"flow.{row}.{column}"] = _shared(flows[:, row, column])
+    return numbers
+
+
+def _shared(values: Array) -> Array | float:
+    """Returns one number where all scenes have the same."""
+    return float(values[0]) if (values == values[0]).all() else np.ascontiguousarray(values)
+
+
+def _plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
+    effects = [cast(Effect, effect.parameters) for effect in simulation.effects]
+    return Plant(simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy)
+
+
+def _in_arrays(simulation: AxisSimulation, sample_time_ns: Array | float, keys: Mapping[str, Array]) -> tuple[Any, Any]:
+    user = simulation.user or UserParameters()
+
+    def number(name: str, value: float) -> Any:
+        return keys.get(f"simulation.{name}", value)
+
+    plant = {
+        name: number(f"plant.{name}", getattr(simulation.plant, name)) for name in type(simulation.plant).model_fields
+    }
+    hand = {name: number(f"user.{name}", getattr(user, name)) for name in ("stiffness", "damping", "push", "rest")}
+    damping, rest = plant["damping"] + hand["damping"], hand["rest"]
+    motions = []  # (amplitude, angular frequency, phase)
+    if user.motion is not None:
+        motion = {name: number(f"user.motion.{name}", getattr(user.motion, name)) for name in
+                  ("amplitude", "frequency", "phase", "offset")}  # fmt: skip
+        motions.append((motion["amplitude"], 2.0 * np.pi * motion["frequency"], motion["phase"]))
+        rest = rest + motion["offset"]
+    for effect in simulation.effects:
+        found = cast(Any, effect.parameters)
+        if effect.name == "tremor":
+            motions.append((found.amplitude, 2.0 * np.pi * found.frequency, found.phase))
+        else:
+            damping = damping + found.damping
+    count = max([1, np.size(sample_time_ns), *(len(values) for values in keys.values())])
+    size = 4 + 2 * len(motions)
+    rates, start = np.zeros((count, size, size)), np.zeros((count, size))
+    start[:, 0], start[:, 1], start[:, -1] = plant["initial_position"], plant["initial_velocity"], 1.0
+    rates[:, 0, 1] = 1.0
+    force = rates[:, 1]
+    force[:, 0], force[:, 1], force[:, -2] = -hand["stiffness"], -damping, 1.0
+    force[:, -1] = hand["stiffness"] * rest + hand["push"]
+    for i, (amplitude, omega, phase) in enumerate(motions):
+        sine, cosine = 2 + 2 * i, 3 + 2 * i
+        force[:, sine], force[:, cosine] = hand["stiffness"] * amplitude, hand["damping"] * amplitude * omega
+        rates[:, sine, cosine], rates[:, cosine, sine] = omega, -omega
+        start[:, sine], start[:, cosine] = np.sin(phase), np.cos(phase)
+    force /= np.reshape(plant["mass"], (-1, 1))
+    change = flow_change(rates * np.reshape(np.asarray(sample_time_ns) * 1e-9, (-1, 1, 1)), 1.0)
+    return np.eye(size) + change, start
+
+
+def _one_by_one(
+    simulation: AxisSimulation, sample_time_ns: Array | float, keys: Mapping[str, Array]
+) -> tuple[Any, Any]:
+    columns = [
+        np.broadcast_to(sample_time_ns, (max(np.size(sample_time_ns), *map(len, keys.values()), 1),)),
+        *keys.values(),
+    ]
+    rows, which = np.unique(np.stack(columns, axis=1), axis=0, return_inverse=True)
+    plants = [
+        _plant(simulation_with(simulation, dict(zip(keys, row[1:], strict=True))), int(row[0])) for row in rows.tolist()
+    ]
+    flows, start = np.array([p.whole_flow() for p in plants]), np.array([p.initial_state() for p in plants])
+    return flows[which.ravel()], start[which.ravel()]

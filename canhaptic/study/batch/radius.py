@@ -1,0 +1,60 @@
+"""Stability of the linear sampled loop by closed form: one matrix and its eigenvalues for each scene."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from canhaptic.errors import ParameterError
+from canhaptic.scene.models import Scene
+from canhaptic.sim.stability_map import Loops, decay_per_hold
+from canhaptic.sim.user import UserParameters
+from canhaptic.study.batch.cases import check_values
+from canhaptic.study.loop import Array
+from canhaptic.study.scenes import environment_of
+
+_NO_PART: tuple[str, ...] = ("tremor",)
+"""Effects that move the hand and have no part in stability."""
+
+
+def radii(scene: Scene, varied: Mapping[str, Array]) -> Array:
+    """Returns the largest |eigenvalue| of one hold of each loop, shape (n_scenes,); see `spectral_radius`."""
+    axis = scene.axes[0]
+    simulation, environment = axis.simulation, environment_of(axis)
+    if simulation is None or len(scene.axes) != 1:
+        raise ParameterError(f"{scene.source}: spectral radius: expected one axis, simulated; give it `simulation`")
+    stiffness = environment.linear_stiffness
+    if stiffness is None or "environment.hardening" in varied:
+        raise ParameterError(
+            f"{scene.source}: spectral radius: {axis.environment.name} has no linear stiffness; run the scenes instead"
+        )
+    count, user = check_values(scene, varied), simulation.user or UserParameters()
+
+    def number(key: str, value: float) -> Any:
+        return varied.get(key, value)
+
+    damping = number("simulation.plant.damping", simulation.plant.damping)
+    damping = damping + number("simulation.user.damping", user.damping)
+    for effect in simulation.effects:
+        if effect.name == "viscous_friction":
+            damping = damping + getattr(effect.parameters, "damping")  # noqa: B009 - any effect's parameters
+        elif effect.name not in _NO_PART:
+            raise ParameterError(f"{scene.source}: spectral radius: effect {effect.name} is not in it; leave it out")
+    loops = Loops(
+        number("simulation.plant.mass", simulation.plant.mass),
+        damping,
+        number("simulation.user.stiffness", user.stiffness),
+        number("environment.stiffness", stiffness),
+        number("environment.damping", environment.damping),
+    )
+    period = scene.bus.sample_time_ns * 1e-9
+    if "bus.rate" in varied:
+        period = np.rint(1e9 / varied["bus.rate"]) * 1e-9
+    of_scene = 1.0 if scene.bus.rpdo == "synchronous" else 0.0
+    delays = np.broadcast_to(varied.get("loop.delay", of_scene), (count,))
+    found = np.empty(count)
+    for delay in np.unique(delays).tolist():
+        rows = np.flatnonzero(delays == delay)
+        part = Loops(*(np.broadcast_to(value, (count,))[rows] for value in loops))
+        found[rows] = decay_per_hold(part, np.broadcast_to(period, (count,))[rows], int(delay))
+    return found
