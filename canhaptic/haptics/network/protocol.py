@@ -14,14 +14,15 @@ class GroupBalance(NamedTuple):
     """One step of a group: the torques to apply next, and the account of the hold that ended. Energies in [J].
 
     `account` keeps the identity of `canhaptic.haptics.balance` for the whole group. Its `h_i` is
-    sum(interactions) + supplied; its `torque` is the Euclidean norm of `torques`, for plots only; its `state` is the
-    first state of the network.
+    sum(interactions) + supplied - unsure; its `torque` is the Euclidean norm of `torques`, for plots only; its
+    `state` is the first state of the network.
     """
 
     torques: tuple[float, ...]  # command for the next free hold, one per motor axis [N*m or N]
     account: EnergyBalance  # of the whole group
     interactions: tuple[float, ...]  # h_i of each motor axis
     supplied: float = 0.0  # came in at ports of the network that no motor drives, as by the mover of a moving wall
+    unsure: float = 0.0  # taken off h_i because lost samples leave it open
     limit: int = 0  # `canhaptic.haptics.kinematics.protocol.Limit`: why the torques are zero although they might not be
 
 

@@ -1,0 +1,193 @@
+"""The account of a group between holds: one scalar balance for all its torques, and the certificates of the next."""
+
+import math
+from collections.abc import Sequence
+
+from canhaptic.haptics.network import bound
+from canhaptic.haptics.network.bound import Axes
+from canhaptic.haptics.network.commands import GroupCommands, Values
+
+
+class GroupAccount:
+    """Store, surplus and certificates.
+
+    Attributes:
+        h_s: Stored energy that the network may still give [J].
+        h_dis: Surplus still to be dissipated [J].
+        dissipated: By the devices for certain, and not forgotten [J].
+        unsure: How much less than booked may have come in so far [J]: encoder counts and lost samples.
+    """
+
+    def __init__(self, axes: Axes, commands: GroupCommands, credit: float) -> None:
+        """Makes an empty account.
+
+        Args:
+            axes: What the certificates know of the motor axes.
+            commands: Of the same group.
+            credit: Energy that may be given out before any came in [J].
+        """
+        self._axes, self._commands, self._credit = axes, commands, credit
+        self._coarse = any(axes.count)
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing stored, nothing owed, at rest."""
+        zeros: Values = (0.0,) * len(self._axes.count)
+        self.h_s = self.h_dis = self.dissipated = self.unsure = 0.0
+        self._unsure = self._kept_back = 0.0
+        self._displacement, self._torques, self._blur = zeros, zeros, zeros
+        self._still = zeros
+
+    def ended_hold(self, displacement: Values, torques: Values) -> None:
+        """Takes one hold: displacements [rad or m] and the torques applied in it [N*m or N]."""
+        axes = self._axes
+        if axes.by_damping or self._coarse:
+            unsure = 0.0
+            for i, torque in enumerate(torques):
+                count = axes.count[i]
+                certain = abs(displacement[i]) - count
+                if certain > 0.0:
+                    self.dissipated += axes.damping[i] * certain * certain
+                self._unsure += 0.5 * count * abs(torque - self._torques[i])
+                unsure += 0.5 * count * abs(torque)
+            self.unsure = self._unsure + unsure
+        self._blur = self._still
+        self._displacement, self._torques = displacement, torques
+
+    def ended_gap(self, displacement: Values, sent: tuple[Values, ...]) -> float:
+        """Takes several holds of which only the whole displacement is known; returns how much less may have come in.
+
+        In every hold but the last, whose torque was read back, each axis may have held any torque sent to it. The energy
+        is wrong by at most their difference times the excursion in the hold, which the reach of hand and torques
+        bounds - not the displacement: a reversal has next to none.
+        """
+        axes, holds, last = self._axes, len(sent), sent[-1]
+        largest = [max(abs(torques[i]) for torques in sent) for i in range(len(last))]
+        reached = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
+        push = math.sqrt(sum(r * t * t for r, t in zip(reached, largest, strict=True))) + axes.hand
+        unsure = 0.0
+        blur: list[float] = []
+        for i, moved in enumerate(displacement):
+            count = axes.count[i]
+            excursion = abs(moved) + count
+            if axes.by_hand:
+                step = math.sqrt(reached[i]) * push
+                start = abs(self._displacement[i]) + self._blur[i] + count
+                excursion += holds * (start + holds * step)
+                blur.append(0.5 * (holds - 1) * step + axes.lost[i] * holds * excursion)
+            elif axes.path:
+                excursion = axes.path
+            unsure += (holds - 1) * max(abs(torques[i] - last[i]) for torques in sent) * excursion
+            self._unsure += holds * count * largest[i]
+        self._blur = tuple(blur) or self._still
+        self.unsure = self._unsure + sum(0.5 * c * abs(t) for c, t in zip(axes.count, last, strict=True))
+        self._displacement, self._torques = tuple([d / holds for d in displacement]), last
+        return unsure
+
+    def book(self, h_i: float, h_pas: float, lost: float, ceiling: float) -> tuple[float, float, float, float]:
+        """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
+
+        Args:
+            h_i: Interaction energy of the hold, supplied energy included [J].
+            h_pas: Part of it taken by the modulated damper [J].
+            lost: What the dissipators of the network took [J]; below 0 counts as 0.
+            ceiling: What the network stores at its state [J]; more is not kept.
+        """
+        h_s, surplus = self.h_s + h_i - h_pas, self.h_dis - h_pas
+        h_r = deficit = leak = paid = slack = 0.0
+        if lost > 0.0 or h_s > ceiling:
+            slack = min(self._free(h_s - surplus + self._credit), h_s)
+        if lost > 0.0 and slack > 0.0:
+            h_r = lost if lost < slack else slack
+            h_s -= h_r
+            slack -= h_r
+        if h_s < 0.0:
+            deficit, h_s = -h_s, 0.0
+            surplus += deficit
+        elif h_s > ceiling:
+            paying = surplus if surplus > 0.0 else 0.0
+            above, allowed = h_s - ceiling, paying + slack if slack > 0.0 else paying
+            if above <= allowed:
+                leak, h_s = above, ceiling
+            else:
+                leak = allowed
+                h_s -= leak
+            paid = leak if leak < paying else paying
+            surplus -= paid
+        self.h_s, self.h_dis = h_s, surplus
+        self._kept_back += h_r + leak - paid
+        return h_r, deficit, leak, paid
+
+    def certain(self) -> float:
+        """Returns the energy [J] that the next torques may take out; see `Guarded`."""
+        energy = self.h_s - self.h_dis + self._credit
+        lacking = self.unsure - self._kept_back
+        return energy - lacking if lacking > 0.0 else energy
+
+    def keep(self, energy: float, enough: float) -> None:
+        """Forgets what the devices dissipated beyond `enough` [J] together with `energy`."""
+        if energy + self.dissipated > enough:
+            self.dissipated = max(0.0, enough - energy)
+
+    def fade(self, share: float) -> None:
+        """Keeps a share of what the devices dissipated and the account together, out of contact."""
+        if self.dissipated:
+            energy = self.h_s - self.h_dis
+            self.keep(energy, share * max(0.0, energy + self.dissipated))
+
+    def _base(self, torques: Sequence[float], under_way: list[Values]) -> float:
+        axes = self._axes
+        along = bound.along_last(axes, torques, self._displacement, self._blur)
+        return bound.base_of(axes, torques, self._displacement, along, self._torques, under_way)
+
+    def _extractions(self, under_way: list[Values]) -> list[float]:
+        """Returns the most energy [J] that each of the torques under way may take out in its hold."""
+        return [
+            self._base(torques, under_way[:k]) + bound.gain_of(self._axes, torques) if any(torques) else 0.0
+            for k, torques in enumerate(under_way)
+        ]
+
+    def _free(self, energy: float) -> float:
+        """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
+        axes, under_way = self._axes, self._commands.under_way
+        if not under_way:
+            return energy + self.dissipated
+        free = 0.0
+        if axes.by_hand:
+            worst = given = 0.0
+            for extraction in self._extractions(under_way):
+                given += extraction
+                worst = max(worst, given)
+            free = energy - worst
+        if axes.path:
+            free = max(free, energy - sum(bound.path_need(axes, torques) for torques in under_way))
+        if axes.by_damping:
+            needed = sum(bound.damping_need(axes, torques) for torques in under_way)
+            free = max(free, energy + self.dissipated - needed)
+        return free if free > 0.0 else 0.0
+
+    def shares(self, torques: Sequence[float], energy: float, moved: float = 0.0) -> tuple[float, float, float]:
+        """Returns how much of the torques each certificate admits: hand force, device damping, hand speed; may be > 1.
+
+        Args:
+            torques: W, for the next free hold [N*m or N].
+            energy: That may be taken out [J].
+            moved: What a mover will take out with W in its hold [J].
+        """
+        axes, under_way = self._axes, self._commands.under_way
+        by_force = by_damping = by_speed = 0.0
+        if axes.by_hand:
+            budget = energy
+            for acting, extraction in zip(under_way, self._extractions(under_way), strict=True):
+                same = sum(a * b for a, b in zip(acting, torques, strict=True)) >= 0.0
+                budget -= extraction if same else max(0.0, extraction)
+            base = self._base(torques, under_way) + moved
+            by_force = bound.share_within(budget, base, bound.gain_of(axes, torques))
+        if axes.by_damping:
+            budget = energy + self.dissipated - max(0.0, moved)
+            budget -= sum(bound.damping_need(axes, acting) for acting in under_way)
+            by_damping = math.sqrt(budget / bound.damping_need(axes, torques)) if budget > 0.0 else 0.0
+        if axes.path:
+            budget = energy - sum(bound.path_need(axes, acting) for acting in under_way)
+            by_speed = budget / (bound.path_need(axes, torques) + max(0.0, moved)) if budget > 0.0 else 0.0
+        return by_force, by_damping, by_speed

@@ -1,0 +1,233 @@
+"""From motor axes to the ports of a network and back: where the group is, and what its network would render there."""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from canhaptic.errors import ParameterError
+from canhaptic.haptics.kinematics.protocol import Kinematics, Limit
+from canhaptic.haptics.network.geometry import Rendered
+from canhaptic.haptics.network.protocol import NetworkEnvironment
+from canhaptic.haptics.network.sampled_network import SampledNetwork
+from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.haptics.velocity import AdaptiveWindow
+
+_LONGEST_WINDOW: Final = 0.02
+"""Of the velocity from a coarse encoder [s]."""
+
+Values = Sequence[float]
+
+
+class Wish(NamedTuple):
+    """Efforts that oppose the motion, at the motors [N*m or N] and at the ports of the network."""
+
+    spring: list[float]
+    lead: list[float]
+    damper: list[float]
+    port_spring: list[float]
+    port_lead: list[float]
+    port_damper: list[float]
+    velocity: list[float]  # of the motor axes, inside the contact [rad/s or m/s]
+    internal_speed: float  # at which the storages at the ports move by themselves [m/s or rad/s]
+
+
+class GroupMotion:
+    """Follows a group of axes.
+
+    Attributes:
+        ports: Of the network.
+        limit: Why nothing is rendered; `Limit`.
+        engaged: Whether anything can be felt.
+        energy: Stored in the network at its state [J]; 0 while a limit holds.
+        internal: Dissipated inside it in the last step, beyond what the dampers in the torques took [J].
+        entered: Share of the last motion that was inside a contact just entered, else 1.
+    """
+
+    def __init__(
+        self, environment: NetworkEnvironment, kinematics: Kinematics, loops: tuple[LoopProperties, ...]
+    ) -> None:
+        """Fits environment, mechanism and loops together.
+
+        Raises:
+            ParameterError: They do not fit.
+        """
+        check_loops(kinematics, loops)
+        rendered: Rendered = environment.build(kinematics.dimensions)
+        network, geometry = rendered
+        if geometry.ports != network.ports or geometry.dimensions != kinematics.dimensions:
+            raise ParameterError(
+                f"group: the network has {network.ports} ports in any space, its geometry {geometry.ports} in "
+                f"{geometry.dimensions} dimensions, the mechanism moves in {kinematics.dimensions}; expected them equal"
+            )
+        self._kinematics, self._geometry = kinematics, geometry
+        self._sample_time, self._delay = loops[0].sample_time, loops[0].delay
+        self._network = SampledNetwork(network, self._sample_time)
+        self.ports, self._axes = network.ports, kinematics.axes
+        self._moves = geometry.mover(0.0) is not None
+        self._windows = [
+            AdaptiveWindow(self._sample_time, loop.encoder_count, max(2, round(_LONGEST_WINDOW / self._sample_time)))
+            if loop.encoder_count
+            else None
+            for loop in loops
+        ]
+        self._smooth = any(window is not None for window in self._windows)
+        self._still = (0.0,) * network.ports
+        self.reset()
+
+    def reset(self) -> None:
+        """Nowhere yet."""
+        self.limit, self.engaged, self.energy, self.internal, self.entered = Limit.WORKSPACE.value, False, 0.0, 0.0, 1.0
+        self._holds, self._sample = 1, 0
+        self._velocity = [0.0] * self._axes
+        self._moved = self._still
+        self._coordinates: tuple[float, ...] | None = None
+
+    @property
+    def first_state(self) -> float:
+        """First state of the network."""
+        return self._network.state[0]
+
+    def begin(self, positions: Values) -> None:
+        """Takes the first positions."""
+        self.reset()
+        for window, position in zip(self._windows, positions, strict=True):
+            if window is not None:
+                window.restart(position)
+        self._locate(positions)
+        if self._coordinates is not None:
+            self._network.begin(self._coordinates)
+            self._settle()
+
+    def skip(self) -> None:
+        """Lets a sample pass that was lost."""
+        self._sample += 1
+
+    def follow(self, positions: Values, displacement: Values, holds: int) -> None:
+        """Takes positions and the motion since the last ones, over one hold or several."""
+        before, began = self._coordinates, self._sample - (holds - 1)
+        self._sample += 1
+        self._holds = holds
+        self._measure_velocity(positions, displacement, holds)
+        self._moved = self._mover_motion(began, self._sample)
+        self._locate(positions)
+        after = self._coordinates
+        self.internal, self.entered = 0.0, 1.0
+        if after is None:
+            self.engaged, self.energy = False, 0.0
+            return
+        if before is None:
+            self._network.begin(after)
+            self._displacement = self._still
+        else:
+            self._displacement = tuple([b - a for a, b in zip(before, after, strict=True)])
+            was_engaged = self._network.engaged
+            if not self._network.advance(after, self._displacement, holds * self._sample_time):
+                self.limit = Limit.UNSOLVED.value
+            self.internal = self._network.internal
+            if not was_engaged:
+                self.entered = self._network.entered_share()
+        self._settle()
+
+    def _settle(self) -> None:
+        self.energy = self._network.energy
+        self.engaged = self._network.engaged and self.limit == Limit.NONE.value
+
+    def _locate(self, positions: Values) -> None:
+        """Takes pose and coordinates, the mover's motion taken off."""
+        pose = self._kinematics.pose(positions)
+        self.limit = pose.limit
+        if pose.limit:
+            self._coordinates = None
+            return
+        values, rows = self._geometry.measure(pose.position)
+        if self._moves:
+            offset = self._geometry.mover(self._sample * self._sample_time) or self._still
+            values = tuple([c - w for c, w in zip(values, offset, strict=True)])
+        self._coordinates = values
+        self._rows = rows
+        self._at_motors = [
+            [sum([a * jac[axis] for a, jac in zip(row, pose.jacobian, strict=True)]) for axis in range(self._axes)]
+            for row in rows
+        ]
+
+    def _measure_velocity(self, positions: Values, displacement: Values, holds: int) -> None:
+        elapsed = holds * self._sample_time
+        velocity = [d / elapsed for d in displacement]
+        for axis, window in enumerate(self._windows):
+            if window is None:
+                continue
+            if holds == 1:
+                velocity[axis] = window.update(positions[axis])
+            else:
+                window.restart(positions[axis])
+                window.velocity = velocity[axis]
+        self._velocity = velocity
+
+    def _mover_motion(self, first: int, last: int) -> tuple[float, ...]:
+        if not self._moves:
+            return self._still
+        before = self._geometry.mover(first * self._sample_time) or self._still
+        after = self._geometry.mover(last * self._sample_time) or self._still
+        return tuple([b - a for a, b in zip(before, after, strict=True)])
+
+    def supplied(self, efforts: Values) -> float:
+        """Returns what the mover gave in the hold that ended [J], the ports having had given efforts."""
+        total = 0.0
+        if self._moves:
+            for effort, moved in zip(efforts, self._moved, strict=True):
+                total -= effort * moved
+        return total
+
+    def taken_next(self, efforts: Values) -> float:
+        """Returns what the mover takes [J] in the hold in which the next command acts with given port efforts."""
+        total = 0.0
+        if self._moves:
+            first = self._sample + self._delay
+            for effort, moved in zip(efforts, self._mover_motion(first, first + 1), strict=True):
+                total += effort * moved
+        return total
+
+    def efforts(self, lead: float) -> Wish:
+        """Returns what the network would have the motors do, with its springs `lead` holds ahead."""
+        network, ports = self._network, self._port_motion()
+        port_damper = network.dampers(ports, self._sample_time)
+        port_spring, port_lead = network.springs(lead, self._holds, ports)
+        velocity = [self.entered * v for v in self._velocity]
+        return Wish(
+            self._to_motors(port_spring), self._to_motors(port_lead), self._to_motors(port_damper),
+            port_spring, port_lead, port_damper, velocity,
+            network.internal_motion() / (self._holds * self._sample_time),
+        )  # fmt: skip
+
+    def _port_motion(self) -> list[float]:
+        """Returns the motion of the ports in one hold, from the smoothed velocity where an encoder is coarse."""
+        holds = self._holds
+        if not self._smooth:
+            return list(self._displacement) if holds == 1 else [d / holds for d in self._displacement]
+        return [
+            sum([a * v for a, v in zip(row, self._velocity, strict=True)]) * self._sample_time - moved / holds
+            for row, moved in zip(self._at_motors, self._moved, strict=True)
+        ]
+
+    def _to_motors(self, efforts: list[float]) -> list[float]:
+        found = [0.0] * self._axes
+        for effort, row in zip(efforts, self._at_motors, strict=True):
+            if effort != 0.0:
+                for axis, a in enumerate(row):
+                    found[axis] += a * effort
+        return found
+
+
+def check_loops(kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> None:
+    """Checks that there is one loop for each motor axis, and that all have one sample time and delay.
+
+    Raises:
+        ParameterError: Otherwise.
+    """
+    if len(loops) != kinematics.axes:
+        raise ParameterError(
+            f"group: got the loops of {len(loops)} axes, expected {kinematics.axes}, one for each motor"
+        )
+    for name in ("sample_time", "delay"):
+        values = sorted({getattr(loop, name) for loop in loops})
+        if len(values) > 1:
+            raise ParameterError(f"group: got {name} {values} on its axes, expected one value: they share one SYNC")

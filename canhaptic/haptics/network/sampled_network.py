@@ -1,0 +1,191 @@
+"""A network followed sample by sample with the measured motion of its ports: the model-consistent state."""
+
+from collections.abc import Sequence
+
+from canhaptic.haptics.network import step
+from canhaptic.haptics.network.model import Network
+from canhaptic.haptics.network.tables import extension, gradient, stored_energy
+
+
+def never_left(network: Network) -> bool:
+    """Returns True where some storage or dissipator can be felt at every position."""
+    tables = network.tables
+    if network.user is not None or tables.coupled:
+        return True
+    for k, low, high, row in zip(tables.stiffness, tables.lower, tables.upper, tables.gain, strict=True):
+        if k != 0.0 and low == high and any(row):
+            return True
+    return any(
+        beside < 0 and any(row) for beside, row in zip(tables.beside, tables.on_ports, strict=True)
+    )  # fmt: skip
+
+
+class SampledNetwork:
+    """State and efforts of a network.
+
+    Attributes:
+        state: x, (states,).
+        energy: H(x) [J].
+        internal: Energy dissipated on the states in the last step, without what its dissipators took at the ports [J].
+        dissipated: By all dissipators in the last step [J].
+        engaged: Whether any storage that can be left is engaged, or there is one that cannot.
+        evaluations: Of the equation in the last step; negative where it did not converge.
+    """
+
+    def __init__(self, network: Network, sample_time: float) -> None:
+        """Makes a follower at rest.
+
+        Args:
+            network: What is followed; not shared state.
+            sample_time: T [s].
+        """
+        tables, n = network.tables, network.states
+        self._network, self._sample_time = network, sample_time
+        self._tables = tables._replace(structure=[list(row) for row in tables.structure])
+        self._user = network.user
+        self._always = never_left(network)
+        self._edged = [i for i in range(n) if tables.lower[i] != tables.upper[i]]
+        self._room = step.new_room(n, len(tables.viscous))
+        self._next, self._ahead = [0.0] * n, [0.0] * n
+        self.begin((0.0,) * network.ports)
+
+    def begin(self, coordinates: Sequence[float]) -> None:
+        """Starts at given coordinates of the ports: walls where they are, masses at rest."""
+        self._first = tuple(coordinates)
+        self.state = [sum(a * c for a, c in zip(row, coordinates, strict=True)) for row in self._network.origin]
+        self._begun = list(self.state)
+        self._settle()
+        self.internal = self.dissipated = 0.0
+        self.evaluations = 0
+        for i in range(len(self.state)):
+            self._room.step[i] = 0.0
+
+    def advance(self, coordinates: Sequence[float], displacement: Sequence[float], elapsed: float) -> bool:
+        """Follows one motion of the ports; returns False where no solution was found: the state then moved by it alone.
+
+        Args:
+            coordinates: Of the ports at its end [m or rad].
+            displacement: Of the ports, relative to what is moved by itself [m or rad].
+            elapsed: One sample time, or several [s].
+        """
+        tables, room, user = self._tables, self._room, self._user
+        network = self._network
+        if network.structure_at is not None:
+            self._fill_structure()
+        self.evaluations = step.advance(tables, self.state, displacement, elapsed, room, user)
+        solved = self.evaluations >= 0
+        if not solved:
+            step.rest_on_ports(tables, self.state, displacement, elapsed, room, user)
+        if tables.moving:
+            for i, change in enumerate(room.step):
+                self.state[i] += change
+        else:
+            for i, row in enumerate(tables.gain):
+                total = self._begun[i]
+                for a, c, c0 in zip(row, coordinates, self._first, strict=True):
+                    total += a * (c - c0)
+                self.state[i] = total
+        total = inner = 0.0
+        for loss, flow, row in zip(room.losses, room.flows, tables.on_ports, strict=True):
+            at_ports = 0.0
+            for b, d in zip(row, displacement, strict=True):
+                at_ports += b * d
+            total += loss * flow * elapsed
+            inner += loss * (flow * elapsed - at_ports)
+        self.dissipated, self.internal = total, inner if solved and tables.moving else 0.0
+        self._settle()
+        return solved
+
+    def _fill_structure(self) -> None:
+        """Takes the skew part of J at the state, so that no function can create energy."""
+        found = self._network.structure_at(self.state)  # type: ignore[misc]
+        structure = self._tables.structure
+        for i in range(len(structure)):
+            for j in range(i + 1):
+                value = 0.5 * (float(found[i][j]) - float(found[j][i]))
+                structure[i][j], structure[j][i] = value, -value
+
+    def _settle(self) -> None:
+        self.energy = stored_energy(self._tables, self.state)
+        if self._user is not None:
+            self.energy += self._user.energy(self.state)
+        self.engaged = self._always
+        if not self._always:
+            for i in self._edged:
+                if extension(self._tables, i, self.state[i]) != 0.0:
+                    self.engaged = True
+                    break
+
+    def springs(self, lead: float, holds: int, displacement: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Returns the efforts of the storages at the ports now, and what `lead` more holds like the last would add.
+
+        A wall that is not engaged is not led into.
+
+        Args:
+            lead: [holds].
+            holds: That the last step spanned.
+            displacement: Of the ports in one hold [m or rad]; a smoothed one may differ from the last step's.
+        """
+        tables, room = self._tables, self._room
+        now, ahead, moved = room.efforts, self._ahead, self._next
+        for i, row in enumerate(tables.gain):
+            driven = 0.0
+            for a, d in zip(row, displacement, strict=True):
+                driven += a * d
+            moved[i] = self.state[i] + lead * ((room.step[i] - room.driven[i]) / holds + driven)
+        gradient(tables, self.state, now)
+        gradient(tables, moved, ahead)
+        if self._user is not None:
+            self._user.add_gradient(self.state, now)
+            self._user.add_gradient(moved, ahead)
+        for i in self._edged:
+            if now[i] == 0.0 or now[i] * ahead[i] < 0.0:
+                ahead[i] = 0.0
+        ports = range(self._network.ports)
+        spring, added = [0.0] * len(ports), [0.0] * len(ports)
+        for i, row in enumerate(tables.gain):
+            for j in ports:
+                if row[j] != 0.0:
+                    spring[j] += row[j] * now[i]
+                    added[j] += row[j] * (ahead[i] - now[i])
+        return spring, added
+
+    def dampers(self, displacement: Sequence[float], elapsed: float) -> list[float]:
+        """Returns the efforts of the dissipators at the ports for a motion of them; call it before `springs`."""
+        tables, room = self._tables, self._room
+        efforts = [0.0] * self._network.ports
+        if not room.losses:
+            return efforts
+        step.dissipate(tables, displacement, elapsed, room)
+        for j, row in enumerate(tables.on_ports):
+            storage = tables.beside[j]
+            if storage >= 0 and self._left(storage):
+                continue
+            for i, b in enumerate(row):
+                if b != 0.0:
+                    efforts[i] += b * room.losses[j]
+        return efforts
+
+    def _left(self, storage: int) -> bool:
+        tables = self._tables
+        return storage in self._edged and extension(tables, storage, self.state[storage]) == 0.0
+
+    def internal_motion(self) -> float:
+        """Returns how far the storages at the ports moved by themselves in the last step, as a norm [m or rad]."""
+        if not self._tables.moving:
+            return 0.0
+        total = 0.0
+        for s, driven, row in zip(self._room.step, self._room.driven, self._tables.gain, strict=True):
+            if any(row):
+                total += (s - driven) ** 2
+        return float(total**0.5)
+
+    def entered_share(self) -> float:
+        """Returns the largest share of the last step for which any storage was engaged."""
+        largest = 0.0
+        for i in self._edged:
+            changed = self._room.step[i]
+            share = step.engaged_share(self._tables, i, self.state[i] - changed, changed)
+            if share > largest:
+                largest = share
+        return largest if largest > 0.0 else 1.0
