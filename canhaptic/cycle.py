@@ -12,6 +12,7 @@ from typing import Protocol
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, LogWriteError, RigError
+from canhaptic.haptics.axis_group import AxisGroup, GroupedControllers
 from canhaptic.haptics.balance import EnergyBalance, Ledger
 from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.signals import CycleTiming, Sample, Truth
@@ -40,12 +41,13 @@ class Cycle:
 
     Args:
         rig: Started by `run`.
-        controllers: One per axis of the rig, in its order.
+        controllers: One per axis of the rig, in its order; none for the axes of groups.
         log: Where every cycle goes; None for none.
         truths: What the simulated axes really did, read right after their SYNC; None with real drives.
+        groups: Axes that render together, each group with one account.
 
     Attributes:
-        ledgers: The account of each axis.
+        ledgers: The account of each axis; of one in a group its part of the interaction.
         judge: What the simulated plant says of them; None without truth.
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
@@ -57,12 +59,16 @@ class Cycle:
         controllers: Sequence[Controller],
         log: CycleLog | None = None,
         truths: Callable[[], Sequence[Truth]] | None = None,
+        groups: Sequence[AxisGroup] = (),
     ) -> None:
         self.rig = rig
         self.controllers = tuple(controllers)
-        self.ledgers = [Ledger() for _ in self.controllers]
+        self.groups = tuple(groups)
+        self._grouped = GroupedControllers(self.controllers, self.groups) if groups else None
+        axes = self._grouped.axes if self._grouped else len(self.controllers)
+        self.ledgers = [Ledger() for _ in range(axes)]
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
-        self.judge = TruthJudge(len(self.controllers)) if truths is not None else None
+        self.judge = TruthJudge(axes, [group.axes for group in self.groups]) if truths is not None else None
         self.cycles = 0
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time stands still within a cycle
         self._log = log
@@ -77,10 +83,13 @@ class Cycle:
         rig = self.rig
         samples = rig.sync()  # SYNC out, position TPDOs in            [rad or m]
         truths = self._truths() if self._truths is not None else None
-        balances = [  # displacement -> energy balance                 [J]
-            controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
-            for controller, sample in zip(self.controllers, samples, strict=True)
-        ]
+        if self._grouped is None:
+            balances = [  # displacement -> energy balance             [J]
+                controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
+                for controller, sample in zip(self.controllers, samples, strict=True)
+            ]
+        else:
+            balances = self._grouped.step(samples)  # the same, where axes render together
         rig.write_torques([balance.torque for balance in balances])  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
 
@@ -104,6 +113,8 @@ class Cycle:
             ledger.add(balance, index)
         if self.judge is not None and truths is not None:
             self.judge.compare(self.ledgers, truths)
+        if self.groups:
+            samples, balances, truths = self._account_groups(samples, balances, truths)
         timing = self.rig.timing
         if self._is_timed:
             for histogram, duration in zip(self.timing.values(), timing, strict=True):
@@ -111,6 +122,22 @@ class Cycle:
         if self._log is not None:
             self._log.append(index, samples, balances, timing, truths)
         self.cycles += 1
+
+    def _account_groups(
+        self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
+    ) -> tuple[list[Sample], list[EnergyBalance], list[Truth] | None]:
+        """Books the accounts of the groups, and returns the rows of the log: the axes first, then the groups."""
+        rows, accounts = list(samples), list(balances)
+        for group in self.groups:
+            balance = group.balance
+            group.ledger.add(balance.account, rows[0].sync_index)
+            rows.append(group.sample(samples))
+            accounts.append(balance.account)
+            text = group.new_limit()
+            if text and self._log is not None:
+                self._log.event(rows[0].sync_index, "limit", group.name, text)
+        true = None if truths is None else [*truths, *(group.truth(truths) for group in self.groups)]
+        return rows, accounts, true
 
 
 class _FailedLog:
@@ -134,27 +161,37 @@ class _FailedLog:
 class TruthJudge:
     """Compares the energy each ledger believes in with the energy the simulated plant really took or gave.
 
+    Args:
+        axes: Of the rig.
+        groups: Places of the axes of each group.
+
     Attributes:
-        least: Least true sum of h_i after any hold, per axis [J].
-        interaction: True sum of h_i, per axis [J].
-        believed_error: Largest |believed - true| sum of h_i after any hold, per axis [J].
+        least: Least true sum of h_i after any hold, per axis, then per group: of its motors together [J].
+        interaction: True sum of h_i, per axis and group [J].
+        believed_error: Largest |believed - true| sum of h_i after any hold, per axis and group [J].
     """
 
-    def __init__(self, axes: int) -> None:
-        self.least = [0.0] * axes
-        self.interaction = [0.0] * axes
-        self.believed_error = [0.0] * axes
+    def __init__(self, axes: int, groups: Sequence[Sequence[int]] = ()) -> None:
+        self.least = [0.0] * (axes + len(groups))
+        self.interaction = [0.0] * (axes + len(groups))
+        self.believed_error = [0.0] * (axes + len(groups))
+        self._groups = [(axes + place, tuple(members)) for place, members in enumerate(groups)]
 
     def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth]) -> None:
         """Takes the truth of the SYNC whose balances the ledgers have just taken."""
         for axis, (ledger, truth) in enumerate(zip(ledgers, truths, strict=True)):
-            true = -truth.energy.motor
-            self.interaction[axis] = true
-            if true < self.least[axis]:
-                self.least[axis] = true
-            error = abs(ledger.interaction - true)
-            if error > self.believed_error[axis]:
-                self.believed_error[axis] = error
+            self._take(axis, -truth.energy.motor, ledger.interaction)
+        for place, axes in self._groups:
+            true = -sum([truths[axis].energy.motor for axis in axes])
+            self._take(place, true, sum([ledgers[axis].interaction for axis in axes]))
+
+    def _take(self, place: int, true: float, believed: float) -> None:
+        self.interaction[place] = true
+        if true < self.least[place]:
+            self.least[place] = true
+        error = abs(believed - true)
+        if error > self.believed_error[place]:
+            self.believed_error[place] = error
 
 
 def run(

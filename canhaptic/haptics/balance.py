@@ -1,6 +1,6 @@
 """EnergyBalance: what one step of a controller did with the energy of one hold. Ledger: the sums of a whole run.
 
-Identity of every step, whatever the algorithm (to 1e-12 of the largest term):
+Identity of every step, whatever the algorithm (to 1e-12 of the largest term); for axes in a group, of the group's step:
 
     h_s - h_s_before + h_r - h_i - gen + h_pas - deficit + leak = 0
     h_dis - h_dis_before = gen + deficit - h_pas - paid
@@ -22,6 +22,7 @@ class Branch(IntEnum):
     DEPLETED = 5  # the store is empty and more was taken: deficit
     EXIT = 6  # contact ended; what was left in the store is leaked
     HELD = 7  # no position arrived: the command is repeated, and the hold is booked with the next
+    GROUP = 8  # of an axis in a group: h_i is its part, and the account is the group's
 
 
 class Certificate(IntEnum):
@@ -54,7 +55,7 @@ class EnergyBalance(NamedTuple):
     state: float  # displacement of the storage after this step [m or rad]
 
 
-_OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value)
+_OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.GROUP.value)
 
 AT_REST: Final = EnergyBalance(
     torque=0.0,

@@ -6,6 +6,7 @@ with EnergyLog.open("run.h5") as log:
     print(handle.unit("h_i"), log.status, log.attributes["config_hash"])
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +16,7 @@ import numpy as np
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.hdf5 import Array, Hdf5File
-from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, Event
+from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
 
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
 
@@ -122,6 +123,13 @@ class EnergyLog:
     def close(self) -> None:
         """Closes the file; arrays already loaded stay valid."""
         self._file.close()
+
+    @property
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """Ports that are groups, and the names of their axes; the accounts of these are the group's."""
+        suffix = f".{GROUP_AXES}"
+        found = {name: text for name, text in self.attributes.items() if name.endswith(suffix)}
+        return {name.removesuffix(suffix): tuple(json.loads(str(text))) for name, text in found.items()}
 
     @property
     def sample_time(self) -> float:

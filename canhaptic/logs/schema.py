@@ -14,6 +14,9 @@ FORMAT_NAME: Final = "canhaptic energy log"
 
 Attribute = str | int | float
 
+GROUP_AXES: Final = "group_axes"
+"""`NAME.group_axes`: of a port that is a group, the names of its axes (JSON). It has the account and no position."""
+
 _EFFORT: Final[dict[Motion, str]] = {"m": "N", "rad": "N*m"}
 _DAMPING: Final[dict[Motion, str]] = {"m": "N*s/m", "rad": "N*m*s/rad"}
 _INTEGERS: Final = {"statusword": "u2", "fresh": "u1", "branch": "u1", "certificate": "u1"}
@@ -28,7 +31,7 @@ _MEANINGS: Final = {
 
 
 class PortDescription(NamedTuple):
-    """One port of the log: an axis."""
+    """One port of the log: an axis, or a group of axes with one account."""
 
     name: str
     unit: Motion  # of its position

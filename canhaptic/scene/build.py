@@ -25,7 +25,14 @@ from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.scene.bus import echoes, open_bus, private_channel, suffers, with_effects
 from canhaptic.scene.log_writers import open_bus_log, open_energy_log
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import build_axis_controller, build_servo_drive, build_simulated_drive
+from canhaptic.scene.parts import (
+    build_axis_controllers,
+    build_axis_groups,
+    build_mechanism_drive,
+    build_servo_drive,
+    build_simulated_drive,
+    shared_motors,
+)
 from canhaptic.signals import FarSide, Truth
 from canhaptic.sim.drive_group import DriveGroup, DriveGroups, Drives
 from canhaptic.sim.plant import Plant
@@ -72,7 +79,9 @@ class Experiment:
                 for n, (of, bus) in enumerate(zip(scene.buses, buses, strict=True))
             ]
             self.rig = _build_rig(scene, links)
-            self.cycle = Cycle(self.rig, build_controllers(scene), self.energy_log, _truths(self.far_side))
+            self.cycle = Cycle(
+                self.rig, build_controllers(scene), self.energy_log, _truths(self.far_side), build_axis_groups(scene)
+            )
             if self._log_failure:  # before there was a cycle to stop
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
@@ -147,8 +156,8 @@ def build(
 
 
 def build_controllers(scene: Scene) -> list[Controller]:
-    """Returns one controller per axis."""
-    return [build_axis_controller(axis) for axis in scene.axes]
+    """Returns one controller for each axis that renders by itself; those of groups are in `build_axis_groups`."""
+    return build_axis_controllers(scene)
 
 
 def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> DriveGroup:
@@ -162,12 +171,16 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     Raises:
         InputError: The scene has no `simulation`.
     """
-    simulated = [(axis, axis.simulation) for axis in _with_accuracy(scene).axes if name in (None, axis.bus)]
-    drives = [
-        build_simulated_drive(axis, simulation, bus, scene.bus.sample_time_ns)
-        for axis, simulation in simulated
-        if simulation is not None
-    ]
+    scene = _with_accuracy(scene)
+    period, drives = scene.bus.sample_time_ns, []
+    axes = [axis for axis in scene.axes if name in (None, axis.bus)]
+    motors = shared_motors(scene) if any(axis.simulated_drive is not None for axis in axes) else {}
+    for axis in axes:
+        if axis.simulation is not None:
+            drives.append(build_simulated_drive(axis, axis.simulation, bus, period))
+        elif axis.simulated_drive is not None:
+            motor = motors[axis.parameters.name]
+            drives.append(build_mechanism_drive(axis, axis.simulated_drive, motor, bus, period))
     if not drives:
         raise InputError(f"{scene.source}: has no `simulation`, so there is no drive to simulate; add one")
     return DriveGroup(bus, drives)

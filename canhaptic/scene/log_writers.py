@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.energy_log import EnergyLogWriter
-from canhaptic.logs.schema import Attribute, PortDescription
+from canhaptic.logs.schema import GROUP_AXES, Attribute, PortDescription
 from canhaptic.scene.models import AxisScene, Scene
 
 _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
@@ -23,6 +23,7 @@ def open_energy_log(
         LogWriteError: The file cannot be made.
     """
     ports = [PortDescription(axis.parameters.name, axis.parameters.unit) for axis in scene.axes]
+    ports += [PortDescription(group.name, scene.axis(group.axes[0]).parameters.unit) for group in scene.groups]
     return EnergyLogWriter(
         path,
         ports,
@@ -82,6 +83,13 @@ def run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Att
         attributes["buses"] = json.dumps([bus.name for bus in scene.buses])
     for axis in scene.axes:
         attributes |= _axis_attributes(axis)
+    for group in scene.groups:
+        attributes |= {
+            f"{group.name}.{GROUP_AXES}": json.dumps(group.axes),
+            f"{group.name}.environment": group.network.name,
+            f"{group.name}.kinematics": group.kinematics.name,
+            f"{group.name}.algorithm": group.passivity.name,
+        }
     return attributes
 
 

@@ -134,6 +134,10 @@ class Scene:
         further = (NamedBus(bus.name, bus.beside(self.bus)) for bus in self.further_buses)
         return (NamedBus(self.bus_name, self.bus), *further)
 
+    def axis(self, name: str) -> AxisScene:
+        """Returns the axis of that name."""
+        return next(axis for axis in self.axes if axis.parameters.name == name)
+
     def axes_on(self, bus: str) -> tuple[AxisScene, ...]:
         """Returns the axes on one bus, by its name."""
         return tuple(axis for axis in self.axes if axis.bus == bus)

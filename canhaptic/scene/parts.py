@@ -8,12 +8,20 @@ from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.errors import ParameterError
+from canhaptic.haptics.axis_group import AxisGroup
 from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.haptics.kinematics.protocol import Kinematics
+from canhaptic.haptics.network import build_group_controller
+from canhaptic.haptics.network.protocol import GroupController, NetworkEnvironment
 from canhaptic.haptics.passivity import build_controller
 from canhaptic.haptics.passivity.protocol import Controller
-from canhaptic.scene.models import AxisScene, AxisSimulation
+from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.sim.drive_node import SimulatedDrive
+from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import Effect
+from canhaptic.sim.mechanism import Mechanism, MechanismParameters
+from canhaptic.sim.mechanism.shared_mechanism import MechanismMotor, SharedMechanism
 from canhaptic.sim.plant import Plant
 
 
@@ -27,9 +35,58 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
 
 
 def build_axis_controller(axis: AxisScene) -> Controller:
-    """Returns the passivity algorithm of one axis around its environment."""
+    """Returns the passivity algorithm of one axis around its environment.
+
+    Raises:
+        ParameterError: The algorithm cannot do without a value that is not given, or a group renders on the axis.
+    """
+    if axis.group:
+        raise ParameterError(
+            f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected one that renders by itself"
+        )
     environment = cast(Environment, axis.environment.parameters)  # every class of ENVIRONMENTS is one
     return build_controller(environment, axis.passivity.name, axis.passivity.parameters, axis.loop)
+
+
+def build_axis_controllers(scene: Scene) -> list[Controller]:
+    """Returns one controller for each axis that is in no group, in the order of the axes."""
+    return [build_axis_controller(axis) for axis in scene.axes if not axis.group]
+
+
+def build_axis_groups(scene: Scene) -> list[AxisGroup]:
+    """Returns the groups of a scene, at rest."""
+    places = {axis.parameters.name: place for place, axis in enumerate(scene.axes)}
+    return [
+        AxisGroup(group.name, [places[name] for name in group.axes], build_group(scene, group))
+        for group in scene.groups
+    ]
+
+
+def build_group(scene: Scene, group: GroupScene) -> GroupController:
+    """Returns the controller of one group.
+
+    Raises:
+        ParameterError: Network, kinematics and axes do not fit together, or a value is missing.
+    """
+    loops = [scene.axis(name).loop for name in group.axes]
+    kinematics = cast(Kinematics, group.kinematics.parameters)  # every class of KINEMATICS is one
+    network = cast(NetworkEnvironment, group.network.parameters)  # every class of NETWORKS is one
+    if kinematics.axes != len(loops):
+        raise ParameterError(
+            f"kinematics {group.kinematics.name!r} has {kinematics.axes} motor axes, expected the {len(loops)} of the "
+            f"group: {', '.join(group.axes)}"
+        )
+    return build_group_controller(network, kinematics, group.passivity.name, group.passivity.parameters, loops)
+
+
+def build_mechanism(of: MechanismScene, sample_time_ns: int) -> Mechanism:
+    """Returns a simulated mechanism, at rest until the last of its drives is enabled.
+
+    Raises:
+        ParameterError: It cannot stand where its parameters say.
+    """
+    parameters = cast(MechanismParameters, of.mechanism.parameters)  # every class of MECHANISMS is one
+    return parameters.build(of.hand, sample_time_ns, of.substeps)
 
 
 def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters) -> ServoDrive:
@@ -45,3 +102,23 @@ def build_simulated_drive(
     plant = build_plant(simulation, sample_time_ns)
     node_id, eds = axis.parameters.node_id, axis.parameters.eds
     return SimulatedDrive(bus, node_id, eds, plant, simulation.drive, sample_time_ns)
+
+
+def build_mechanism_drive(
+    axis: AxisScene, parameters: SimulatedDriveParameters, motor: MechanismMotor, bus: can.BusABC, sample_time_ns: int
+) -> SimulatedDrive:
+    """Returns the drive of one axis that moves a mechanism with others."""
+    node_id, eds = axis.parameters.node_id, axis.parameters.eds
+    drive = SimulatedDrive(bus, node_id, eds, motor, parameters, sample_time_ns)
+    servo = drive.servo
+    motor.connect(lambda: servo.torque)
+    return drive
+
+
+def shared_motors(scene: Scene) -> dict[str, MechanismMotor]:
+    """Returns the motors of all simulated mechanisms, by the name of their axis."""
+    motors: dict[str, MechanismMotor] = {}
+    for of in scene.mechanisms:
+        shared = SharedMechanism(build_mechanism(of, scene.bus.sample_time_ns), len(of.axes))
+        motors.update(zip(of.axes, shared.motors, strict=True))
+    return motors
