@@ -87,6 +87,16 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)
 
 
+def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
+    """Whether each cycle has room for one SDO request behind its RPDOs, and the next for the answer.
+
+    The request takes the place of one EMCY, which would end the run, or needs room of its own. The answer has a lower
+    priority than every PDO: it is the blocking frame that each cycle reserves.
+    """
+    request = 0 if bus.emcy_reserve else worst_case_bits(_LONGEST_DATA)
+    return budget.worst_cycle + request / budget.bitrate <= budget.sample_time * (1.0 + 1e-12)
+
+
 def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """Returns the budget of a bus whose cycle fits.
 

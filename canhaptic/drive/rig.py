@@ -14,8 +14,9 @@ from types import TracebackType
 from typing import Final, NamedTuple, Self
 
 from canhaptic.drive import rig_start, rig_stop
+from canhaptic.drive.background_sdo import BackgroundSdo, SdoLine
 from canhaptic.drive.bring_up import BringUp
-from canhaptic.drive.bus_budget import BusBudget, require_budget
+from canhaptic.drive.bus_budget import BusBudget, has_room_for_sdo, require_budget
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.link import Link
@@ -63,6 +64,10 @@ class Rig:
         self.clock = self.links[0].clock
         self.budgets = [_budget([d for d in self.drives if d.link is link], bus) for link in self.links]
         self._exchange = Exchange(self.links, self.drives, bus)
+        self._sdo_lines = tuple(
+            SdoLine(link, has_room=has_room_for_sdo(budget, bus))
+            for link, budget in zip(self.links, self.budgets, strict=True)
+        )
         # At free pace the thread never sleeps: with real-time priority it would take its processor from everybody.
         self.realtime = Realtime(RealtimeParameters() if isinstance(self.clock, VirtualClock) else bus.realtime)
         self._reset()
@@ -94,6 +99,8 @@ class Rig:
         self.sync_index = 0
         self._is_running = True
         self._first_samples = [drive.sample(0) for drive in self.drives]
+        for line in self._sdo_lines:
+            line.open()
 
     # --- the cycle ----------------------------------------------------------------------------------------------------
 
@@ -146,6 +153,22 @@ class Rig:
             raise
         self.records.append(CycleRecord(self._samples, commands))
         self._sent = self.clock.now()
+        for line in self._sdo_lines:
+            if line.busy:
+                line.step()
+
+    def sdo(self, axis: str | int) -> BackgroundSdo:
+        """Returns SDO access to the drive of an axis, by name or number, beside the running cycle and from any thread.
+
+        Raises:
+            InputError: There is no such axis.
+        """
+        names = [drive.axis.name for drive in self.drives]
+        place = names.index(axis) if axis in names else axis
+        if not isinstance(place, int) or not 0 <= place < len(names):
+            raise InputError(f"no axis {axis!r}; expected one of: {', '.join(names)}, or 0 to {len(names) - 1}")
+        drive = self.drives[place]
+        return BackgroundSdo(drive, self._sdo_lines[self.links.index(drive.link)])
 
     def _require_running(self) -> None:
         if not self._is_running:
@@ -190,6 +213,8 @@ class Rig:
     def _disable(self) -> list[str]:
         """Sends zero and disables every drive, then gives back what the operating system granted."""
         try:
+            for line in self._sdo_lines:
+                line.close()
             return rig_stop.disable(self._exchange)
         finally:
             self.realtime.end()

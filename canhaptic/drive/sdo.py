@@ -24,6 +24,8 @@ _INITIATE_RESPONSES: Final = (0x60, 0x40)
 _SPECIFIER: Final = 0xE0
 _FRAME_LENGTH: Final = 8
 _TIMED_OUT: Final = 0x05040000
+ATTEMPTS: Final = 3
+"""How often an unanswered first request is sent."""
 
 
 class _PumpedClient(SdoClient):
@@ -40,7 +42,11 @@ class _PumpedClient(SdoClient):
         self._answer: bytes | None = None
         self._waits_for_initiate = False
         self._waits = False
-        link.subscribe(self.tx_cobid, self._take)
+        self.listen()
+
+    def listen(self) -> None:
+        """Takes the answers of the drive from now on, in place of whoever took them before."""
+        self._link.subscribe(self.tx_cobid, self._take)
 
     @contextmanager
     def patience(self, timeout: int, attempts: int) -> Iterator[None]:
@@ -56,8 +62,9 @@ class _PumpedClient(SdoClient):
         if len(data) != _FRAME_LENGTH:
             self._link.statistics.short += 1
             return
-        named = data[0] == _ABORT or (self._waits_for_initiate and data[0] & _SPECIFIER in _INITIATE_RESPONSES)
-        if not self._waits or (named and data[1:4] != self._object):
+        names_object = data[0] == _ABORT or data[0] & _SPECIFIER in _INITIATE_RESPONSES
+        is_ours = data[1:4] == self._object if names_object else not self._waits_for_initiate
+        if not self._waits or not is_ours:
             self._link.statistics.late += 1
             return
         self._answer = bytes(data)
@@ -106,7 +113,7 @@ class SdoChannel:
     """
 
     def __init__(
-        self, link: Link, node_id: int, dictionary: ObjectDictionary, name: str, timeout: int, attempts: int = 3
+        self, link: Link, node_id: int, dictionary: ObjectDictionary, name: str, timeout: int, attempts: int = ATTEMPTS
     ) -> None:
         self.dictionary = dictionary
         self._client = _PumpedClient(link, node_id, dictionary, timeout, attempts)
@@ -124,7 +131,7 @@ class SdoChannel:
         try:
             data = self._client.upload(index, subindex)
         except SdoAbortedError as error:
-            raise self._aborted("read", index, subindex, error) from error
+            raise self.aborted("read", index, subindex, error.code) from error
         except (SdoCommunicationError, LinkError) as error:
             raise self._unanswered("read", index, subindex, error) from error
         variable = self.dictionary.get_variable(index, subindex)
@@ -173,7 +180,7 @@ class SdoChannel:
                 subindex,
             ) from error
         except SdoAbortedError as error:
-            raise self._aborted("write", index, subindex, error) from error
+            raise self.aborted("write", index, subindex, error.code) from error
         except (SdoCommunicationError, LinkError) as error:
             raise self._unanswered("write", index, subindex, error) from error
 
@@ -182,10 +189,15 @@ class SdoChannel:
         variable = self.dictionary.get_variable(index, subindex)
         return f"{index:#06x}:{subindex:02x}" + (f" {variable.name}" if variable is not None else "")
 
-    def _aborted(self, verb: str, index: int, subindex: int, error: SdoAbortedError) -> SdoError:
-        text = SdoAbortedError.CODES.get(error.code, "unknown abort code")
-        message = f"{self._name}: {verb} {self.describe(index, subindex)}: aborted with {error.code:#010x}, {text}"
-        return SdoError(message, index, subindex, error.code)
+    def listen(self) -> None:
+        """Takes the answers of the drive from now on; somebody else may have done so beside a cycle."""
+        self._client.listen()
+
+    def aborted(self, verb: str, index: int, subindex: int, code: int) -> SdoError:
+        """Returns the error of a transfer that the drive has aborted."""
+        text = SdoAbortedError.CODES.get(code, "unknown abort code")
+        message = f"{self._name}: {verb} {self.describe(index, subindex)}: aborted with {code:#010x}, {text}"
+        return SdoError(message, index, subindex, code)
 
     def _unanswered(self, verb: str, index: int, subindex: int, error: Exception) -> SdoError:
         message = (

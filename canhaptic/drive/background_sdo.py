@@ -1,0 +1,330 @@
+"""SDO beside the running cycle, from any thread: what is asked goes out after the RPDOs, when the bus has room.
+
+    value = rig.sdo("handle").read(0x6079).result(timeout=1.0)
+
+A request is queued without a lock. The thread of the cycle sends at most one SDO frame per bus and cycle, after the
+RPDOs, and looks at answers only then; between SYNC and RPDO an answer is put aside by its COB-ID. Results are handed
+over by another thread, so that nothing hung on a future runs in the cycle. Each bus has one transfer under way.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from queue import SimpleQueue
+from typing import Any, Final
+
+from canopen.objectdictionary import datatypes
+
+from canhaptic import object_dictionary as od
+from canhaptic.drive import sdo_transfer
+from canhaptic.drive.link import Link
+from canhaptic.drive.sdo import ATTEMPTS
+from canhaptic.drive.sdo_transfer import ABORT, FRAME_LENGTH, ProtocolError, Transfer
+from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.errors import LinkError, SdoError
+from canhaptic.object_dictionary import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
+
+_MOST_WAITING: Final = 1000  # requests per bus
+_MOST_ANSWERS: Final = 16  # kept between two looks
+_INITIATE_ANSWERS: Final = (0x40, 0x60)
+_SPECIFIER: Final = 0xE0
+_OWNED: Final = frozenset(
+    {
+        # of the cycle and of the start that confirmed them: written by nobody else while the rig runs
+        od.SYNC_COB_ID,
+        od.COMMUNICATION_CYCLE_PERIOD,
+        0x1010,  # store parameters
+        0x1011,  # restore default parameters
+        od.EMCY_COB_ID,
+        od.CONSUMER_HEARTBEAT_TIME,
+        od.PRODUCER_HEARTBEAT_TIME,
+        0x1200,  # SDO server
+        od.ABORT_CONNECTION_OPTION,
+        od.CONTROLWORD,
+        od.MODES_OF_OPERATION,
+        od.TARGET_TORQUE,
+        od.MAX_TORQUE,
+        od.RATED_CURRENT,
+        od.RATED_TORQUE,
+        0x607C,  # home offset
+        0x607E,  # polarity
+        od.ENCODER_RESOLUTION,
+        0x6090,  # velocity encoder resolution
+        od.GEAR_RATIO,
+        0x6092,  # feed constant
+        od.INTERPOLATION_PERIOD,
+    }
+)
+_PDO_OBJECTS: Final = range(od.RPDO_COMMUNICATION, 0x1C00)
+
+
+class _Request:
+    """One transfer, from the thread that asked for it to the one that hands the result over."""
+
+    __slots__ = ("attempts", "convert", "drive", "frame", "future", "index", "subindex", "transfer", "verb")
+
+    def __init__(
+        self,
+        drive: ServoDrive,
+        verb: str,
+        index: int,
+        subindex: int,
+        transfer: Transfer,
+        convert: Callable[[bytes], Any],
+    ) -> None:
+        self.drive = drive
+        self.verb = verb
+        self.index = index
+        self.subindex = subindex
+        self.transfer = transfer
+        self.convert = convert
+        self.future: Future[Any] = Future()
+        self.frame = b""
+        self.attempts = 0
+
+    def failure(self, text: str) -> SdoError:
+        sdo = self.drive.sdo
+        what = f"{self.drive.axis.name}: {self.verb} {sdo.describe(self.index, self.subindex)}: {text}"
+        return SdoError(what, self.index, self.subindex)
+
+
+class BackgroundSdo:
+    """The objects of one drive while the rig runs; may be used from any thread."""
+
+    def __init__(self, drive: ServoDrive, line: "SdoLine") -> None:
+        self._drive = drive
+        self._line = line
+
+    def upload(self, index: int, subindex: int = 0) -> "Future[bytes]":
+        """Reads an object and returns the future of its bytes.
+
+        The future raises SdoError when the drive aborts, does not answer, or the rig stops before.
+
+        Raises:
+            SdoError: The rig does not run, the bus has no room, or too much waits already.
+        """
+        return self._ask("read", index, subindex, sdo_transfer.upload(*_checked(index, subindex)), bytes)
+
+    def download(self, index: int, subindex: int, data: bytes) -> "Future[None]":
+        """Writes the bytes of an object and returns the future of its confirmation, which raises as of `upload`.
+
+        Raises:
+            SdoError: As `upload`, or the object belongs to the cycle.
+        """
+        if index in _OWNED or index in _PDO_OBJECTS:
+            raise SdoError(
+                f"{self._drive.axis.name}: write {self._drive.sdo.describe(index, subindex)}: it belongs to the cycle "
+                "while the rig runs; stop the rig first",
+                index,
+                subindex,
+            )
+        transfer = sdo_transfer.download(*_checked(index, subindex), bytes(data))
+        return self._ask("write", index, subindex, transfer, lambda _: None)
+
+    def read(self, index: int, subindex: int = 0) -> "Future[int]":
+        """Reads an integer object, as long and with the sign that the dictionary says; raises as `upload`."""
+        variable = self._drive.dictionary.get_variable(index, subindex)
+        signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
+        size = len(variable) // 8 if variable is not None and variable.data_type in datatypes.INTEGER_TYPES else None
+        transfer = sdo_transfer.upload(*_checked(index, subindex))
+        return self._ask(
+            "read", index, subindex, transfer, lambda data: int.from_bytes(data[:size], "little", signed=signed)
+        )
+
+    def write(self, index: int, subindex: int, value: int, size: int | None = None) -> "Future[None]":
+        """Writes an integer object of `size` bytes, by default those of the dictionary; raises as `download`."""
+        variable = self._drive.dictionary.get_variable(index, subindex)
+        if size is None:
+            size = len(variable) // 8 if variable is not None else 4
+        try:
+            data = value.to_bytes(size, "little", signed=value < 0)
+        except OverflowError as error:
+            what = f"{self._drive.axis.name}: write {self._drive.sdo.describe(index, subindex)}"
+            raise SdoError(f"{what}: {value} does not fit {size} bytes", index, subindex) from error
+        return self.download(index, subindex, data)
+
+    def _ask(
+        self, verb: str, index: int, subindex: int, transfer: Transfer, convert: Callable[[bytes], Any]
+    ) -> "Future[Any]":
+        request = _Request(self._drive, verb, index, subindex, transfer, convert)
+        self._line.submit(request)
+        return request.future
+
+
+def _checked(index: int, subindex: int) -> tuple[int, int]:
+    if not (0 <= index <= 0xFFFF and 0 <= subindex <= 0xFF):
+        raise SdoError(f"object {index:#x}:{subindex:#x} does not exist, expected 0..0xFFFF, 0..0xFF", index, subindex)
+    return index, subindex
+
+
+class SdoLine:
+    """The SDO traffic of one bus beside the cycle.
+
+    Args:
+        link: The bus.
+        has_room: Whether each cycle has room for an SDO frame.
+
+    Attributes:
+        busy: Whether `step` is to be called in this cycle.
+    """
+
+    def __init__(self, link: Link, *, has_room: bool) -> None:
+        self.busy = False
+        self._link = link
+        self._has_room = has_room
+        self._is_open = False
+        self._waiting: deque[_Request] = deque()
+        self._answers: deque[bytes] = deque(maxlen=_MOST_ANSWERS)
+        self._under_way: _Request | None = None
+        self._deadline = 0
+        self._done: SimpleQueue[tuple[_Request, Any] | None] = SimpleQueue()
+        self._hander: threading.Thread | None = None
+
+    # --- any thread -------------------------------------------------------------------------------------------------
+
+    def submit(self, request: _Request) -> None:
+        """Queues a request.
+
+        Raises:
+            SdoError: It cannot be served.
+        """
+        if not self._has_room:
+            raise request.failure("the bus has no room for SDO beside its cycle; lower bus.rate, or ask before start")
+        if not self._is_open:
+            raise request.failure("the rig is not running; SDO beside the cycle needs a cycle")
+        if len(self._waiting) >= _MOST_WAITING:
+            raise request.failure(f"{_MOST_WAITING} requests wait already; await some of them first")
+        self._waiting.append(request)
+        self.busy = True
+        if not self._is_open:  # closed in between: whoever takes it out of the queue answers for it
+            with suppress(ValueError):
+                self._waiting.remove(request)
+                raise request.failure("the rig has stopped")
+
+    # --- the thread of the cycle --------------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Takes requests from now on."""
+        self.busy = False
+        if self._has_room:
+            self._hander = threading.Thread(target=_hand_over, args=(self._done,), name="SDO results", daemon=True)
+            self._hander.start()
+            self._is_open = True
+
+    def close(self) -> None:
+        """Takes no more requests and fails those that wait."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        if self._under_way is not None:
+            self._finish(self._under_way.failure("the rig has stopped before the drive answered"))
+        self._fail_waiting()
+        self._done.put(None)
+
+    def step(self) -> None:
+        """Takes an answer and sends one frame at most; called after the RPDOs while `busy`."""
+        request = self._under_way
+        if request is not None:
+            self._look(request)
+        elif self._waiting:
+            self._begin(self._waiting.popleft())
+        self.busy = False
+        if self._waiting or self._under_way is not None:
+            self.busy = True
+
+    def _begin(self, request: _Request) -> None:
+        if not request.future.set_running_or_notify_cancel():
+            return
+        self._under_way = request
+        self._answers.clear()
+        self._link.subscribe(SDO_RESPONSE_BASE + request.drive.axis.node_id, self._take)
+        self._advance(request, None)
+
+    def _take(self, data: bytearray) -> None:
+        """Puts an answer aside: all that happens to it between SYNC and RPDO."""
+        self._answers.append(bytes(data))
+
+    def _look(self, request: _Request) -> None:
+        """Goes on with the answer if it has come, or asks again when it is overdue."""
+        while self._answers:
+            answer = self._answers.popleft()
+            if len(answer) != FRAME_LENGTH:
+                self._link.statistics.short += 1
+            elif not _answers_to(answer, request.frame, request):
+                self._link.statistics.late += 1
+            elif answer[0] == ABORT:
+                code = int.from_bytes(answer[4:8], "little")
+                return self._finish(request.drive.sdo.aborted(request.verb, request.index, request.subindex, code))
+            else:
+                return self._advance(request, answer)
+        if self._link.clock.now() >= self._deadline:
+            self._ask_again(request)
+
+    def _advance(self, request: _Request, answer: bytes | None) -> None:
+        try:
+            request.frame = next(request.transfer) if answer is None else request.transfer.send(answer)
+        except StopIteration as end:
+            return self._finish(end.value)
+        except ProtocolError as error:
+            self._send(sdo_transfer.abort(request.index, request.subindex, SdoAbort.COMMAND_SPECIFIER))
+            return self._finish(request.failure(str(error)))
+        request.attempts = 0
+        self._ask(request)
+
+    def _ask_again(self, request: _Request) -> None:
+        """Repeats an unanswered first request; a segment is not repeated, for it may have been taken."""
+        if request.attempts < ATTEMPTS and request.frame[0] & _SPECIFIER in (0x20, 0x40):
+            return self._ask(request)
+        self._send(sdo_transfer.abort(request.index, request.subindex, SdoAbort.TIMEOUT))
+        timeout = f"{request.attempts} requests, {request.drive.axis.sdo_timeout:g} s each"
+        self._finish(request.failure(f"node {request.drive.axis.node_id}: no answer ({timeout})"))
+
+    def _ask(self, request: _Request) -> None:
+        request.attempts += 1
+        self._deadline = self._link.clock.now() + round(request.drive.axis.sdo_timeout * 1e9)
+        self._send(request.frame)
+
+    def _send(self, frame: bytes) -> None:
+        request = self._under_way
+        if request is None:
+            return
+        try:
+            self._link.send(SDO_REQUEST_BASE + request.drive.axis.node_id, frame)
+        except LinkError as error:  # the cycle finds out by itself whether the bus is gone
+            self._finish(request.failure(str(error)))
+
+    def _finish(self, result: Any) -> None:
+        request, self._under_way = self._under_way, None
+        if request is not None:
+            request.drive.sdo.listen()
+            self._done.put((request, result))
+
+    def _fail_waiting(self) -> None:
+        while True:
+            try:
+                request = self._waiting.popleft()
+            except IndexError:
+                return
+            self._done.put((request, request.failure("the rig has stopped before the request was sent")))
+
+
+def _answers_to(answer: bytes, frame: bytes, request: _Request) -> bool:
+    """Whether an answer may be one to the frame that was sent: of the same kind, and of the same object if it says."""
+    specifier, initiates = answer[0] & _SPECIFIER, frame[0] & _SPECIFIER in (0x20, 0x40)
+    if answer[0] == ABORT or (initiates and specifier in _INITIATE_ANSWERS):
+        return answer[1:4] == sdo_transfer.address(request.index, request.subindex)
+    return not initiates and specifier not in _INITIATE_ANSWERS
+
+
+def _hand_over(done: "SimpleQueue[tuple[_Request, Any] | None]") -> None:
+    """Sets results in a thread of its own, with whatever their owners hung on them."""
+    while (entry := done.get()) is not None:
+        request, result = entry
+        if request.future.done() or not (request.future.running() or request.future.set_running_or_notify_cancel()):
+            continue
+        if isinstance(result, SdoError):
+            request.future.set_exception(result)
+        else:
+            request.future.set_result(request.convert(result))

@@ -1,0 +1,85 @@
+"""One SDO transfer of a client as the frames it sends and takes (CiA 301, 7.2.4.3): no bus, no waiting, no clock.
+
+A transfer is a generator: it yields a request and is sent the answer to it, until it returns what was uploaded.
+"""
+
+from collections.abc import Generator
+from typing import Final
+
+ABORT: Final = 0x80  # command specifier of an abort, either way
+FRAME_LENGTH: Final = 8
+LARGEST: Final = 1 << 16  # [bytes] of one object; a server that goes on is broken
+_SPECIFIER: Final = 0xE0
+_TOGGLE: Final = 0x10
+_EXPEDITED: Final = 0x02
+_SIZE_INDICATED: Final = 0x01
+_LAST: Final = 0x01
+_UPLOAD, _DOWNLOAD = 0x40, 0x20  # requests to initiate; the answers have 0x40 and 0x60
+_UPLOAD_ANSWER, _DOWNLOAD_ANSWER = 0x40, 0x60
+_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT = 0x60, 0x00  # requests; the answers have 0x00 and 0x20
+
+Transfer = Generator[bytes, bytes, bytes]
+
+
+class ProtocolError(Exception):
+    """An answer that is none to the request; its text says what came."""
+
+
+def address(index: int, subindex: int) -> bytes:
+    """Returns an object as requests and answers name it."""
+    return index.to_bytes(2, "little") + bytes([subindex])
+
+
+def upload(index: int, subindex: int) -> Transfer:
+    """Returns the transfer that reads an object; its value is the bytes of the object."""
+    answer = yield bytes([_UPLOAD]) + address(index, subindex) + bytes(4)
+    _require(answer, _UPLOAD_ANSWER)
+    if answer[0] & _EXPEDITED:
+        unused = answer[0] >> 2 & 3 if answer[0] & _SIZE_INDICATED else 0
+        return answer[4 : 8 - unused]
+    size = int.from_bytes(answer[4:8], "little") if answer[0] & _SIZE_INDICATED else None
+    data, toggle = b"", 0
+    while True:
+        answer = yield bytes([_UPLOAD_SEGMENT | toggle]) + bytes(7)
+        _require(answer, 0x00, toggle)
+        data += answer[1 : 8 - (answer[0] >> 1 & 7)]
+        if answer[0] & _LAST:
+            break
+        if len(data) > LARGEST:
+            raise ProtocolError(f"more than {LARGEST} bytes")
+        toggle ^= _TOGGLE
+    if size is not None and size != len(data):
+        raise ProtocolError(f"{len(data)} bytes came of {size} that were announced")
+    return data
+
+
+def download(index: int, subindex: int, data: bytes) -> Transfer:
+    """Returns the transfer that writes an object; its value is empty."""
+    head = address(index, subindex)
+    if 1 <= len(data) <= 4:
+        unused = 4 - len(data)
+        answer = yield bytes([_DOWNLOAD | unused << 2 | _EXPEDITED | _SIZE_INDICATED]) + head + data.ljust(4, b"\0")
+        _require(answer, _DOWNLOAD_ANSWER)
+        return b""
+    answer = yield bytes([_DOWNLOAD | _SIZE_INDICATED]) + head + len(data).to_bytes(4, "little")
+    _require(answer, _DOWNLOAD_ANSWER)
+    toggle = 0
+    for start in range(0, max(1, len(data)), 7):
+        piece = data[start : start + 7]
+        is_last = start + 7 >= len(data)
+        answer = yield bytes([_DOWNLOAD_SEGMENT | toggle | 7 - len(piece) << 1 | is_last]) + piece.ljust(7, b"\0")
+        _require(answer, 0x20, toggle)
+        toggle ^= _TOGGLE
+    return b""
+
+
+def abort(index: int, subindex: int, code: int) -> bytes:
+    """Returns the frame that ends a transfer."""
+    return bytes([ABORT]) + address(index, subindex) + code.to_bytes(4, "little")
+
+
+def _require(answer: bytes, specifier: int, toggle: int | None = None) -> None:
+    if answer[0] & _SPECIFIER != specifier:
+        raise ProtocolError(f"the answer {answer.hex(' ')} is none to this request")
+    if toggle is not None and answer[0] & _TOGGLE != toggle:
+        raise ProtocolError(f"the toggle bit of the answer {answer.hex(' ')} is wrong")
