@@ -18,7 +18,17 @@ from canhaptic.study.batch import BATCH_KEYS, METRICS, run_batch, run_scalar, sp
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import batch_key
 from canhaptic.study.sweep.points import Column
-from canhaptic.study.sweep.recipe import RATE, Built, Recipe, Row, cycles_in, is_box_permitted, of_plant, scene_of
+from canhaptic.study.sweep.recipe import (
+    RATE,
+    Built,
+    Recipe,
+    Row,
+    cycles_in,
+    is_box_permitted,
+    of_plant,
+    scene_of,
+    seeded,
+)
 
 RADIUS: Final = "spectral_radius"
 """Metric of the linear sampled loop, from its eigenvalues; NaN where the loop is not linear."""
@@ -177,13 +187,13 @@ class _Chunk:
 
     def _one_by_one(self, rows: _Rows, reason: str) -> None:
         for row in rows.tolist():
-            built = scene_of(self._recipe, self._row(row), self._start + row)
+            built = scene_of(self._recipe, self._row(row))
             if built.scene is None:
                 self._note(row, _REFUSED, 0, built.remark)
                 continue
             status, remark = _COMPLETED, _joined(reason, built.remark)
             for index, name in enumerate(self._recipe.axes):
-                scene = _alone(built, index)
+                scene = seeded(self._recipe, _alone(built, index), self._start + row)
                 try:
                     figures = run_scalar(scene, cycles_in(self._recipe, scene))
                 except CanHapticError as error:

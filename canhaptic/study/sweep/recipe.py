@@ -113,25 +113,37 @@ def make_recipe(
     return recipe
 
 
-def scene_of(recipe: Recipe, row: Row, index: int | None = None) -> Built:
+@lru_cache(maxsize=256)
+def scene_of(recipe: Recipe, row: Row) -> Built:
     """Returns the scene of a row of values, checked as if it had been written so.
 
     Args:
         recipe: Of the sweep.
         row: Values of some or all keys.
-        index: Global, for the seed; None where nothing random matters.
     """
     values = dict(row)
     controller, rate = values.pop(CONTROLLER, None), None
     if recipe.beyond_bus and isinstance(values.get(RATE), float):
         rate = values.pop(RATE)
     try:
-        scene = scene_from_text(recipe.text, recipe.source, [*recipe.overrides, *_overrides(recipe, values, index)])
+        scene = scene_from_text(recipe.text, recipe.source, [*recipe.overrides, *_overrides(recipe, values)])
         if rate is not None:
             scene = at_rate(scene, float(rate))
     except InputError as error:
         return Built(None, _first_line(error))
     return Built(scene, "") if controller is None else _under(scene, str(controller))
+
+
+def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
+    """Returns a scene with everything random in it by its global index, unless the sweep varies the seed itself."""
+    if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
+        return scene
+    seed = scene_seed(recipe.seed, index)
+    axes = tuple(
+        replace(axis, simulation=axis.simulation and replace(axis.simulation, seed=seed + i))
+        for i, axis in enumerate(scene.axes)
+    )
+    return replace(scene, axes=axes, simulation=scene.simulation.model_copy(update={"seed": seed}))
 
 
 def cycles_in(recipe: Recipe, scene: Scene) -> int:
@@ -170,7 +182,7 @@ def _try_alone(recipe: Recipe, varied: Varied) -> None:
         chosen_algorithms([str(value) for value in varied.values])
         return
     for value in varied.ends:
-        texts = _overrides(recipe, {varied.key: value}, None, with_unit=True)
+        texts = _overrides(recipe, {varied.key: value}, with_unit=True)
         try:
             scene_from_text(recipe.text, recipe.source, [*recipe.overrides, *texts])
         except SceneConflictError:
@@ -179,14 +191,12 @@ def _try_alone(recipe: Recipe, varied: Varied) -> None:
             raise SceneError([fault.replace("--set ", "--vary ", 1) for fault in error.faults]) from error
 
 
-def _overrides(recipe: Recipe, values: Mapping[str, Value], index: int | None, *, with_unit: bool = False) -> list[str]:
+def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool = False) -> list[str]:
     texts = []
     for varied, places in zip(recipe.varied, recipe.places, strict=True):
         if varied.key in values:
             text = varied.yaml(values[varied.key], with_unit=with_unit)
             texts += [f"{place}={text}" for place in places]
-    if index is not None and _SEED not in values:
-        texts.append(f"{_SEED}={scene_seed(recipe.seed, index)}")
     return texts
 
 

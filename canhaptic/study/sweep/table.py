@@ -7,8 +7,9 @@
     /done                  one flag per chunk
 
 Every byte is laid out, filled and on the disk before a scene runs, so that a disk that is too small says so at once.
-From then on no part of HDF5 is written again: the rows of a chunk go to their places, are flushed to the disk, and only
-then the chunk's flag is set. A kill at any moment leaves a valid file in which each chunk is either there or not.
+HDF5 itself writes only the layout (it crashes where a disk is full), and that is not written again: the rows of a
+chunk go to their places, are flushed to the disk, and only then the chunk's flag is set. A kill at any moment leaves a
+valid file in which each chunk is either there or not.
 """
 
 import errno
@@ -32,6 +33,10 @@ from canhaptic.study.sweep.points import Column, Points
 FORMAT: Final = "canhaptic sweep"
 VERSION: Final = 1
 TEXT_BYTES: Final = 320
+_KEPT: Final = "what was finished is kept, --resume goes on"
+_NOTHING_RUN: Final = "nothing has been run"
+_ROOM_OF_LAYOUT: Final = 1 << 20
+"""Of names, attributes and remarks [bytes], at least."""
 _BLOCK: Final = 65_536
 """Rows written at once when a file is made."""
 
@@ -186,10 +191,10 @@ class SweepTable:
 class _Writer:
     """Writes rows at the places that HDF5 gave its columns, without HDF5."""
 
-    def __init__(self, path: Path, file: Any) -> None:
+    def __init__(self, path: Path, file: Any, place: Path | None = None) -> None:
         self.path = path
         try:
-            self._descriptor = os.open(path, os.O_RDWR)
+            self._descriptor = os.open(place or path, os.O_RDWR)
             fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(self._descriptor)
@@ -215,6 +220,12 @@ class _Writer:
                 content, offset = content[written:], offset + written
         except OSError as error:
             raise _write_error(self.path, error) from error
+
+    def fill(self, path: str, count: int, value: NDArray[Any]) -> None:
+        """Writes one value all over a column."""
+        block = np.full(min(count, _BLOCK), value)
+        for start in range(0, count, _BLOCK):
+            self.put(path, start, block[: count - start])
 
     def flush(self) -> None:
         """Waits until the disk has everything."""
@@ -244,51 +255,73 @@ def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replac
         raise InputError(f"{path}: is there already; --resume goes on with it, --force replaces it")
     beginning = path.with_name(f".{path.name}.{os.getpid()}")
     try:
+        _reserve(beginning, len(points) * (8 * (len(columns.figures) + len(points.varied)) + 3))
         with h5py.File(beginning, "w", libver=("earliest", "v110"), locking=False) as file:
-            _lay_out(file, points, chunk, columns)
-        descriptor = os.open(beginning, os.O_RDONLY)
-        os.fsync(descriptor)
-        os.close(descriptor)
+            fills = _lay_out(file, points, chunk, columns)
+        with h5py.File(beginning, "r", locking=False) as file:
+            writer = _Writer(path, file, beginning)
+        try:
+            for name, (count, fill) in fills.items():
+                writer.fill(name, count, fill)
+            _write_values(writer, points)
+        finally:
+            writer.close()
         beginning.replace(path)
+    except LogWriteError as error:
+        raise LogWriteError(str(error).replace(_KEPT, _NOTHING_RUN)) from error
     except (OSError, RuntimeError) as error:
-        raise _write_error(path, error, "nothing has been run") from error
+        raise _write_error(path, error, _NOTHING_RUN) from error
     finally:
         beginning.unlink(missing_ok=True)
 
 
-def _lay_out(file: Any, points: Points, chunk: int, columns: Columnset) -> None:
+def _reserve(path: Path, size: int) -> None:
+    """Asks the disk for the room of the whole file, before HDF5 would learn that there is none."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+    try:
+        os.posix_fallocate(descriptor, 0, size + _ROOM_OF_LAYOUT)
+    finally:
+        os.close(descriptor)
+
+
+_Fills = dict[str, tuple[int, NDArray[Any]]]
+
+
+def _lay_out(file: Any, points: Points, chunk: int, columns: Columnset) -> _Fills:
+    """Makes all columns, each in one piece with its room allotted; returns what each one begins with."""
     count, chunks = len(points), -(-len(points) // chunk)
     file.attrs["format"], file.attrs["format_version"], file.attrs["chunk"] = FORMAT, VERSION, chunk
     file.attrs["identity"] = json.dumps(columns.identity, sort_keys=True)
     for name, text in columns.notes.items():
         file.attrs[name] = text
-    for name in columns.figures:
-        _filled(file, _path_of(name), count, np.dtype("<f8"), np.nan)
-    for name in ("status", "engine", "remark"):
-        _filled(file, name, count, np.dtype("u1"), 0)
-    file["status"].attrs["names"] = json.dumps(STATUS)
-    file["engine"].attrs["names"] = json.dumps(ENGINES)
-    _filled(file, "texts", chunks * SLOTS, np.dtype(f"S{TEXT_BYTES}"), b"")
-    _filled(file, "done", chunks, np.dtype("u1"), 0)
+    nothing, zero = np.array(np.nan), np.array(0, dtype="u1")
+    fills: _Fills = {_path_of(name): (count, nothing) for name in columns.figures}
+    fills |= dict.fromkeys(("status", "engine", "remark"), (count, zero))
+    fills |= {"texts": (chunks * SLOTS, np.array(b"", dtype=f"S{TEXT_BYTES}")), "done": (chunks, zero)}
+    for name, (length, fill) in fills.items():
+        _column(file, name, length, fill.dtype)
+    file["status"].attrs["names"], file["engine"].attrs["names"] = json.dumps(STATUS), json.dumps(ENGINES)
     for varied in points.varied:
-        dtype = np.dtype("<f8") if varied.is_number else np.dtype("<i4")
-        dataset = file.create_dataset(f"values/{_name(varied.key)}", (count,), dtype=dtype)
+        dataset = _column(file, f"values/{_name(varied.key)}", count, np.dtype("<f8" if varied.is_number else "<i4"))
         if not varied.is_number:
             dataset.attrs["texts"] = json.dumps([varied.yaml(value) for value in varied.values])
-    for start in range(0, count, _BLOCK):
-        stop = min(count, start + _BLOCK)
+    return fills
+
+
+def _column(file: Any, path: str, count: int, dtype: np.dtype[Any]) -> Any:
+    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    layout.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    return file.create_dataset(path, (count,), dtype=dtype, dcpl=layout)
+
+
+def _write_values(writer: _Writer, points: Points) -> None:
+    for start in range(0, len(points), _BLOCK):
+        stop = min(len(points), start + _BLOCK)
         for (key, column), varied in zip(points.columns(start, stop).items(), points.varied, strict=True):
-            values = column if varied.is_number else [varied.values.index(value) for value in column]
-            file[f"values/{_name(key)}"][start:stop] = values
-
-
-def _filled(file: Any, path: str, count: int, dtype: np.dtype[Any], value: object) -> None:
-    """Makes a column of one piece and writes it all, so that its room on the disk is taken."""
-    dataset = file.create_dataset(path, (count,), dtype=dtype)
-    block = np.full(min(count, _BLOCK), value, dtype=dtype)
-    for start in range(0, count, _BLOCK):
-        stop = min(count, start + _BLOCK)
-        dataset[start:stop] = block[: stop - start]
+            numbers = {value: number for number, value in enumerate(varied.values)}
+            values = column if isinstance(column, np.ndarray) else [numbers[value] for value in column]
+            writer.put(f"values/{_name(key)}", start, np.asarray(values))
 
 
 def _opened(path: Path) -> Any:

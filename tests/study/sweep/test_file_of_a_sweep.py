@@ -1,0 +1,196 @@
+"""Nothing that was finished is lost: kill -9, Ctrl-C, a full disk, two sweeps at one file; and no file is mixed up."""
+
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from conftest_sweep import DEMO, VARY
+
+from canhaptic.errors import InputError, LogFormatError, LogWriteError
+from canhaptic.scene.load import load_scene
+from canhaptic.study.sweep import sweep
+from canhaptic.study.sweep.table import SweepTable
+
+LONG = [
+    "sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:12", "--vary", "simulation.seed=0:9:lin:10",
+    "--cycles", "200", "--chunk", "3", "--engine", "numpy",
+]  # fmt: skip
+CHUNKS = 40
+
+
+def begin(path, *options):
+    command = [sys.executable, "-c", "import sys; from canhaptic.cli.main import main; sys.exit(main())", *LONG]
+    return subprocess.Popen([*command, "--out", str(path), *options], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL,
+                            text=True, start_new_session=True)  # fmt: skip
+
+
+def finished(path):
+    try:
+        with SweepTable(path) as table:
+            return int(table.done().sum())
+    except LogFormatError:
+        return 0
+
+
+def wait_until(is_so, limit=40.0):
+    end = time.monotonic() + limit
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.01)  # noqa: TID251
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The file of a sweep that nothing disturbed."""
+    path = tmp_path_factory.mktemp("whole") / "whole.h5"
+    process = begin(path)
+    assert process.communicate()[0] is None
+    assert process.returncode == 0
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_after_kill_9_every_finished_chunk_is_there_and_the_rest_is_run(tmp_path, whole, workers):
+    path = tmp_path / "killed.h5"
+    process = begin(path, "--workers", workers)
+    wait_until(lambda: finished(path) >= 3)
+    process.kill()
+    process.communicate()
+    before = finished(path)
+    assert 3 <= before < CHUNKS
+    with h5py.File(path, "r") as killed:  # plain HDF5 opens it, nothing to repair
+        done = np.flatnonzero(killed["done"][:])
+        rows = np.concatenate([np.arange(3 * chunk, 3 * chunk + 3) for chunk in done])
+        kept = killed["figures/handle/travel"][:][rows]
+        assert (killed["status"][:][rows] == 1).all()
+    wait_until(lambda: not group_lives(process.pid))  # no worker outlives it
+    again = begin(path, "--resume", "--workers", workers)
+    again.communicate()
+    assert again.returncode == 0
+    assert path.read_bytes() == whole
+    with SweepTable(path) as table:
+        assert table.figure("handle", "travel")[rows].tobytes() == kept.tobytes()
+
+
+def group_lives(group):
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_ctrl_c_ends_after_the_chunk_under_way_and_says_how_to_go_on(tmp_path, whole):
+    path = tmp_path / "stopped.h5"
+    process = begin(path)
+    wait_until(lambda: finished(path) >= 2)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate()[1]
+    assert process.returncode == 130
+    assert f"--resume goes on with {path}" in said
+    assert 2 <= finished(path) < CHUNKS
+    again = begin(path, "--resume")
+    again.communicate()
+    assert path.read_bytes() == whole
+
+
+def test_a_disk_that_fills_up_costs_the_chunk_under_way_alone(demo, tmp_path, monkeypatch):
+    path, undisturbed = tmp_path / "full.h5", tmp_path / "whole.h5"
+    sweep(demo, VARY, undisturbed, cycles=40, chunk=4)
+    write, room = os.pwrite, [10**6]
+
+    def refuse(descriptor, content, offset):
+        room[0] -= 1
+        if room[0] < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, content[: 1 + len(content) // 2], offset)  # and short writes on the way
+
+    def fill_up(state):
+        if state.done == 8:
+            room[0] = 15
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", refuse)
+        with pytest.raises(LogWriteError, match=r"no room.*--resume"):
+            sweep(demo, VARY, path, cycles=40, chunk=4, progress=fill_up)
+    assert finished(path) == 2
+    assert sweep(demo, VARY, path, cycles=40, chunk=4, resume=True).done == 32
+    assert path.read_bytes() == undisturbed.read_bytes()
+
+
+def test_a_disk_without_room_for_all_results_is_found_out_before_a_scene_runs(demo, tmp_path):
+    path = tmp_path / "large.h5"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
+        with pytest.raises(LogWriteError, match="nothing has been run"):
+            sweep(demo, ["environment.stiffness=1:2:5000"], path, cycles=2)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_named(demo, tmp_path):
+    with pytest.raises(LogWriteError, match="nowhere"):
+        sweep(demo, VARY, tmp_path / "nowhere" / "a.h5")
+
+
+def test_two_sweeps_cannot_write_one_file(demo, tmp_path):
+    path = tmp_path / "a.h5"
+    sweep(demo, VARY, path, cycles=20)
+    code = f"from canhaptic.study.sweep.table import SweepTable; SweepTable({str(path)!r}, writable=True)"
+    with SweepTable(path, writable=True):
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "another sweep writes it" in found.stderr
+
+
+def test_a_file_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_path):
+    path = tmp_path / "a.h5"
+    sweep(demo, VARY, path, cycles=20)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="--resume goes on with it, --force replaces it"):
+        sweep(demo, VARY, path, cycles=20)
+    others = [
+        (demo, VARY[:1], {"cycles": 20}, "varied"),
+        (demo, VARY, {"cycles": 21}, "cycles"),
+        (demo, VARY, {"cycles": 20, "samples": 32}, "samples"),
+        (demo, VARY, {"cycles": 20, "metrics": ["margin"]}, "metrics"),
+        (load_scene(DEMO, ["environment.position=0"]), VARY, {"cycles": 20}, "configuration"),
+    ]
+    for scene, vary, options, what in others:
+        with pytest.raises(InputError, match=f"was made with {what}"):
+            sweep(scene, vary, path, resume=True, **options)
+    assert path.read_bytes() == before
+    sweep(demo, VARY[:1], path, cycles=20, force=True)
+    assert len(path.read_bytes()) < len(before)
+
+
+def test_a_finished_sweep_is_not_run_again(demo, tmp_path):
+    path = tmp_path / "a.h5"
+    sweep(demo, VARY, path, cycles=20)
+    state = sweep(demo, VARY, path, cycles=20, resume=True)
+    assert (state.done, state.begun) == (32, 32)
+
+
+@pytest.mark.parametrize("content", [b"", b"no HDF5 at all", None])
+def test_a_file_that_is_no_sweep_is_refused(tmp_path, content):
+    path = Path(tmp_path / "a.h5")
+    if content is None:
+        with h5py.File(path, "w") as file:
+            file.attrs["format"] = "something else"
+    else:
+        path.write_bytes(content)
+    with pytest.raises(LogFormatError, match=r"a\.h5"):
+        SweepTable(path)
+    with pytest.raises(LogFormatError, match="no such file"):
+        SweepTable(tmp_path / "b.h5")

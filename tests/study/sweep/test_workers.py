@@ -1,0 +1,93 @@
+"""Serial, threads, process pool and Dask give the same bits, also when a worker dies in the middle."""
+
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from conftest_sweep import VARY
+from dask_cluster import dask_cluster
+
+from canhaptic.errors import InputError, WorkersLostError
+from canhaptic.study.sweep import sweep
+from canhaptic.study.sweep.workers import Pool, dask_executor
+
+OPTIONS = {"cycles": 300, "chunk": 4, "controllers": ["direct", "guarded"], "engine": "numpy"}
+SCENES = 64
+
+
+@pytest.fixture
+def serial(demo, tmp_path):
+    path = tmp_path / "serial.h5"
+    sweep(demo, VARY, path, **OPTIONS)
+    return path.read_bytes()
+
+
+def test_any_executor_of_python_gives_the_same_bits(demo, tmp_path, serial):
+    with ThreadPoolExecutor(3) as executor:
+        sweep(demo, VARY, tmp_path / "threads.h5", executor, **OPTIONS)
+    assert (tmp_path / "threads.h5").read_bytes() == serial
+
+
+def test_a_pool_goes_on_with_new_processes_after_one_was_killed(demo, tmp_path, serial):
+    pool, killed = Pool(2), []
+
+    def kill(state):
+        if state.done >= SCENES // 4 and not killed:
+            killed.append(next(iter(pool.executor._processes)))
+            os.kill(killed[0], signal.SIGKILL)
+
+    try:
+        assert sweep(demo, VARY, tmp_path / "pool.h5", pool, progress=kill, **OPTIONS).done == SCENES
+    finally:
+        pool.close()
+    assert killed
+    assert (tmp_path / "pool.h5").read_bytes() == serial
+
+
+def test_workers_that_die_again_and_again_end_the_sweep_with_what_was_finished(demo, tmp_path, serial):
+    pool, path = Pool(1), tmp_path / "dying.h5"
+    before = dict(os.environ)
+
+    def poison(state):
+        if state.done >= SCENES // 4:
+            for process in list(pool.executor._processes or ()):
+                os.kill(process, signal.SIGKILL)
+            os.environ["PYTHONHOME"] = "/nowhere"  # no new worker can start
+
+    try:
+        with pytest.raises(WorkersLostError, match=r"3 times in a row.*--resume"):
+            sweep(demo, VARY, path, pool, progress=poison, **OPTIONS)
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+        pool.close()
+    assert sweep(demo, VARY, path, resume=True, **OPTIONS).begun >= SCENES // 4
+    assert path.read_bytes() == serial
+
+
+def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bits(demo, tmp_path, serial):
+    pytest.importorskip("distributed")
+    killed = []
+    with dask_cluster(tmp_path) as cluster:
+
+        def kill(state):
+            if state.done >= SCENES // 4 and not killed:
+                killed.append(cluster.workers[0].pid)
+                cluster.kill_worker()
+
+        cluster.wait_for_workers()
+        with dask_executor(cluster.address) as (executor, threads):
+            assert threads == 2
+            state = sweep(demo, VARY, tmp_path / "dask.h5", executor, progress=kill, **OPTIONS)
+            assert cluster.count_workers() == 1
+    assert killed
+    assert state.done == SCENES
+    assert (tmp_path / "dask.h5").read_bytes() == serial
+
+
+def test_an_address_where_no_scheduler_answers_is_named(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("canhaptic.study.sweep.workers._CONNECT", 0.5)
+    with pytest.raises(InputError, match="no scheduler answers"), dask_executor("tcp://127.0.0.1:9"):
+        pass
