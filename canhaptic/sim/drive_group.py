@@ -32,21 +32,38 @@ class DriveGroup:
     def __init__(self, bus: can.BusABC, drives: Sequence[SimulatedDrive]) -> None:
         self._bus = bus
         self.drives = tuple(drives)
+        self._asleep = list(self.drives)
+        self._hearers: dict[int, tuple[SimulatedDrive, ...]] = {}  # COB-ID -> those with a handler for it
+        for drive in self.drives:
+            drive.on_routes_changed = self._hearers.clear
 
     def process(self, now: int) -> None:
         """Handles every frame waiting on the bus and every timer due up to `now` [ns]."""
-        receive, drives = self._bus.recv, self.drives
-        for drive in drives:
-            drive.wake(now)
+        while self._asleep:
+            self._asleep.pop(0).wake(now)
+        receive, hearers = self._bus.recv, self._hearers
         while (message := receive(0)) is not None:
+            drives = hearers.get(message.arbitration_id)
+            if drives is None:
+                drives = self._find_hearers(message.arbitration_id)
             for drive in drives:
                 drive.take(message, now)
-        for drive in drives:
-            drive.run_timers(now)
+        for drive in self.drives:
+            if now >= drive.timers.earliest:
+                drive.run_timers(now)
+
+    def _find_hearers(self, cob_id: int) -> tuple[SimulatedDrive, ...]:
+        hearers = self._hearers[cob_id] = tuple(drive for drive in self.drives if drive.hears(cob_id))
+        return hearers
 
     def next_due(self) -> int:
         """Returns when the next timer of any drive is due [ns]."""
-        return min((drive.next_due() for drive in self.drives), default=NEVER)
+        earliest = NEVER
+        for drive in self.drives:
+            due = drive.timers.next_due()
+            if due < earliest:
+                earliest = due
+        return earliest
 
 
 class DriveGroups:

@@ -5,6 +5,7 @@ RPDOs received since the last SYNC. An event-driven RPDO acts on arrival. It sha
 of the object dictionary: its SDO server, codecs, scaling and state machine are its own.
 """
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -56,6 +57,8 @@ class SimulatedDrive:
         nmt_state: As its heartbeat tells it.
         store: Its objects.
         servo: Its power stage.
+        timers: What it does by itself, and when.
+        on_routes_changed: Called when it may listen to other COB-IDs than before.
         frames_lost: Frames that the bus refused to send.
 
     Raises:
@@ -81,7 +84,8 @@ class SimulatedDrive:
         self._reaction_time = sample_time_ns * 3 // 2  # so that exactly one SYNC shows it
         self.store = store = ObjectStore(dictionary, parameters.object_values())
         self.servo = Servo(store, motor, parameters)
-        self._timers = timers = Timers()
+        self.timers = timers = Timers()
+        self.on_routes_changed: Callable[[], None] = lambda: None
         self._emergency = emcy.Emergency(store, node_id, self._send_emergency)
         self._sdo = SdoServer(store, parameters.sdo_size_indicated)
         self._producer = HeartbeatProducer(store, timers, self._send_heartbeat, self._now)
@@ -93,6 +97,7 @@ class SimulatedDrive:
         )
         self._abort_option = store.find(ABORT_CONNECTION_OPTION)
         self._error_behaviour = store.entry(ERROR_BEHAVIOUR, datatypes.UNSIGNED8, 1)
+        self._frames: dict[int, can.Message] = {}  # by COB-ID; a bus copies what it is given
         self._routes: dict[int, Handler] = {}
         self._are_routes_stale = True
         self._settle_timer = timers.add(self._settle)
@@ -111,9 +116,15 @@ class SimulatedDrive:
 
     def wake(self, now: int) -> None:
         """Powers the drive on if this is its first moment; that comes before any frame."""
-        if self._timers.earliest == 0:
+        if self.timers.earliest == 0:
             self.servo.now = now
-            self._timers.fire(0)
+            self.timers.fire(0)
+
+    def hears(self, cob_id: int) -> bool:
+        """Returns whether it does anything on frames of this COB-ID."""
+        if self._are_routes_stale:
+            self._build_routes()
+        return cob_id in self._routes
 
     def take(self, message: can.Message, now: int) -> None:
         """Handles one frame at `now` [ns]."""
@@ -123,21 +134,22 @@ class SimulatedDrive:
             self._build_routes()
         handler = self._routes.get(message.arbitration_id)
         if handler is not None:
-            self.servo.now = now
+            servo = self.servo
+            servo.now = now
             handler(message.data)
-            if self.servo.has_event or self.servo.fault_code:
+            if servo.has_event or servo.fault_code:
                 self._follow_up()
 
     def run_timers(self, now: int) -> None:
         """Does what is due up to `now` [ns]."""
-        if now >= self._timers.earliest:
+        if now >= self.timers.earliest:
             self.servo.now = now
-            self._timers.fire(now)
+            self.timers.fire(now)
             self._follow_up()
 
     def next_due(self) -> int:
         """Returns when the next timer is due [ns]."""
-        return self._timers.next_due()
+        return self.timers.next_due()
 
     def truth(self) -> Truth:
         """Returns where the motor really is, and its energies, as of the last SYNC or change of torque."""
@@ -162,9 +174,11 @@ class SimulatedDrive:
         return self.servo.now
 
     def _send(self, cob_id: int, content: Content) -> None:
-        message = can.Message(
-            timestamp=self.servo.now * 1e-9, arbitration_id=cob_id, is_extended_id=False, data=content
-        )
+        message = self._frames.get(cob_id)
+        if message is None:
+            message = self._frames[cob_id] = can.Message(arbitration_id=cob_id, is_extended_id=False)
+        message.timestamp = self.servo.now * 1e-9
+        message.data, message.dlc = bytearray(content), len(content)
         try:
             self._bus.send(message)
         except can.CanError:
@@ -181,6 +195,7 @@ class SimulatedDrive:
 
     def _change_routes(self) -> None:
         self._are_routes_stale = True
+        self.on_routes_changed()
 
     def _build_routes(self) -> None:
         self._are_routes_stale = False
@@ -190,6 +205,7 @@ class SimulatedDrive:
         routes[SDO_REQUEST_BASE + self.node_id] = self._on_sdo
         routes[NMT_COB_ID] = self._on_nmt
         self._routes = routes
+        self.on_routes_changed()
 
     def _on_sdo(self, content: Content) -> None:
         if self.nmt_state is NmtState.STOPPED:
@@ -230,7 +246,7 @@ class SimulatedDrive:
 
     def _boot(self) -> None:
         """Starts communication: boot-up, then PRE-OPERATIONAL."""
-        self._timers.stop_all()
+        self.timers.stop_all()
         self._sdo.reset()
         self._consumer.restart()
         self.nmt_state = NmtState.BOOT_UP
@@ -238,7 +254,7 @@ class SimulatedDrive:
         self.nmt_state = NmtState.PRE_OPERATIONAL
         self._producer.restart()
         if self.servo.state in _TRANSIENT:
-            self._timers.start(self._settle_timer, self.servo.now + self._reaction_time)
+            self.timers.start(self._settle_timer, self.servo.now + self._reaction_time)
         self._build_routes()
 
     def _start(self) -> None:
@@ -292,8 +308,8 @@ class SimulatedDrive:
         if not servo.has_event:
             return
         servo.has_event = False
-        if servo.state in _TRANSIENT and not self._timers.is_running(self._settle_timer):
-            self._timers.start(self._settle_timer, servo.now + self._reaction_time)
+        if servo.state in _TRANSIENT and not self.timers.is_running(self._settle_timer):
+            self.timers.start(self._settle_timer, servo.now + self._reaction_time)
         if servo.was_reset:
             servo.was_reset = False
             self._emergency.withdraw()

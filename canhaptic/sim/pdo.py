@@ -111,7 +111,7 @@ class Pdo:
 
     def load(self, content: bytes | bytearray) -> None:
         """Takes over the values of an RPDO and lets the drive act on them."""
-        for (entry, low, high), value in zip(self._targets, self._unpack(content), strict=True):
+        for (entry, low, high), value in zip(self._targets, self._unpack(content)):  # noqa: B905 - one codec made both
             if low <= value <= high:
                 entry.value = value
         for hook in self._hooks:

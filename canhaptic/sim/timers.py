@@ -9,14 +9,18 @@ NEVER: Final = 1 << 62  # [ns], later than any clock
 class Timers:
     """Due times with an action each.
 
-    Restarting a timer costs a comparison: a deadline that every cycle pushes on is only looked at when the oldest
-    that it had would have come.
+    Restarting a timer costs a comparison or two: a deadline that every cycle pushes on is only looked at when the
+    oldest that it had would have come.
+
+    Attributes:
+        earliest: No timer is due before this [ns].
     """
 
     def __init__(self) -> None:
         self._due: list[int] = []
         self._actions: list[Callable[[int], None]] = []
-        self.earliest = NEVER  # no timer is due before this [ns]
+        self.earliest = NEVER
+        self._is_exact = True  # a timer is due at `earliest`, or none is set
 
     def add(self, action: Callable[[int], None]) -> int:
         """Returns the number of a new, stopped timer; the action is called with the time it was due [ns]."""
@@ -26,17 +30,21 @@ class Timers:
 
     def start(self, timer: int, due: int) -> None:
         """Sets a timer to `due` [ns], in place of what it was set to."""
+        if due <= self.earliest:
+            self.earliest, self._is_exact = due, True
+        elif self._due[timer] == self.earliest:
+            self._is_exact = False
         self._due[timer] = due
-        self.earliest = min(self.earliest, due)
 
     def stop(self, timer: int) -> None:
         """Sets a timer to never."""
         self._due[timer] = NEVER
+        self._is_exact = False
 
     def stop_all(self) -> None:
         """Sets every timer to never."""
         self._due = [NEVER] * len(self._due)
-        self.earliest = NEVER
+        self.earliest, self._is_exact = NEVER, True
 
     def is_running(self, timer: int) -> bool:
         """Returns whether the timer is set."""
@@ -44,12 +52,13 @@ class Timers:
 
     def next_due(self) -> int:
         """Returns when the next timer is due [ns]; `NEVER` when none is set."""
-        return min(self._due, default=NEVER)
+        if not self._is_exact:
+            self.earliest, self._is_exact = min(self._due, default=NEVER), True
+        return self.earliest
 
     def fire(self, now: int) -> None:
         """Calls the action of every timer due up to `now` [ns], in order of time; each timer is stopped first."""
         while (due := self.next_due()) <= now:
             timer = self._due.index(due)
-            self._due[timer] = NEVER
+            self.stop(timer)
             self._actions[timer](due)
-        self.earliest = self.next_due()

@@ -22,7 +22,7 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.state_machine import DriveState
-from tools.bench.cycle import CONFIG
+from tools.bench.peers import CONFIG
 from tools.bench.report import RESULTS, machine, versions
 
 BEGIN, CYCLES = 500, 1_500
