@@ -12,6 +12,7 @@ from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.scene.buses import bus_section
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
+from canhaptic.scene.group_checks import check_groups, check_mechanisms, passivity_section
 from canhaptic.scene.interfaces import interface_faults
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
@@ -25,18 +26,14 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
     _check_interfaces(scene, sections, faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
-        _check_loop(axis, _own_or_shared(entry, sections, "passivity"), scene, faults)
+        _check_loop(axis, passivity_section(axis, entry, sections, scene), scene, faults)
         maps[axis.bus].append(_check_parts(axis, entry, sections, scene, faults))
+    check_groups(scene, sections, faults)
+    check_mechanisms(scene, sections, faults)
     for index, bus in enumerate(scene.buses):
         on_bus = maps[bus.name]
         if None not in on_bus:
             _check_budget(bus.parameters, [m for m in on_bus if m is not None], bus_section(sections, index), faults)
-
-
-def _own_or_shared(entry: MarkedMapping, sections: MarkedMapping, name: str) -> MarkedMapping:
-    owner = entry if isinstance(entry.get(name), MarkedMapping) else sections
-    section: MarkedMapping = owner[name]
-    return section
 
 
 def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Faults) -> None:
@@ -114,9 +111,10 @@ def _check_parts(
     except ParameterError as error:
         faults.add(entry.value_at("drive"), str(error))
     try:
-        build_axis_controller(axis)
+        if not axis.group:
+            build_axis_controller(axis)
     except ParameterError as error:
-        faults.add(_own_or_shared(entry, sections, "passivity").mark, str(error))
+        faults.add(passivity_section(axis, entry, sections, scene).mark, str(error))
     if axis.simulation is not None:
         try:
             build_plant(axis.simulation, scene.bus.sample_time_ns)
