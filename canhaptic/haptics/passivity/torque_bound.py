@@ -1,6 +1,5 @@
 """The certified bound of one axis: what is known of it and of the hand, applied to the torques under way."""
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -40,11 +39,14 @@ class TorqueBound:
         "_declared",
         "_delay",
         "_displacement",
-        "_history",
+        "_displacements",
+        "_kept",
         "_known_outward",
+        "_newest",
         "_response",
         "_simple",
         "_torque",
+        "_torques",
         "_unsure",
         "dissipated",
         "unsure",
@@ -61,7 +63,8 @@ class TorqueBound:
         """Forgets the last hold and the energy dissipated by the device."""
         self._displacement = self._torque = self._blur = self._unsure = 0.0
         self.dissipated = self.unsure = 0.0
-        self._history: deque[tuple[float, float]] = deque(maxlen=WINDOW)
+        self._displacements, self._torques = [0.0] * WINDOW, [0.0] * WINDOW  # rings of the last holds
+        self._newest = self._kept = 0
         self._known_outward: dict[float, float] = {}  # by sign; of a coarse encoder, where finding it is work
 
     def ended_hold(self, displacement: float, torque: float) -> None:
@@ -74,7 +77,13 @@ class TorqueBound:
         if count:
             self._unsure += 0.5 * count * abs(torque - self._torque)
             self.unsure = self._unsure + 0.5 * count * abs(torque)
-            self._history.appendleft((displacement, torque))
+            newest = self._newest + 1
+            if newest == WINDOW:
+                newest = 0
+            self._newest = newest
+            self._displacements[newest], self._torques[newest] = displacement, torque
+            if self._kept < WINDOW:
+                self._kept += 1
             self._known_outward.clear()
         self._blur = 0.0
         self._displacement, self._torque = displacement, torque
@@ -92,7 +101,7 @@ class TorqueBound:
         last, candidates = torques[-1], torques if declared.losses < 2 else (self._torque, *torques)
         largest = max(abs(torque) for torque in candidates)
         count = self._count
-        self._history.clear()
+        self._kept = 0
         self._known_outward.clear()
         if declared.response is not None:
             response = declared.response
@@ -149,7 +158,7 @@ class TorqueBound:
         The displacement is known to one count. A mean over j holds is known to count / j, and the hand and the torques
         can have raised the last one above the mean only so far; the smallest of these bounds counts.
         """
-        if not self._count or self._response is None or len(self._history) < 2:
+        if not self._count or self._response is None or self._kept < 2:
             return sign * self._displacement + self._count + self._blur
         known = self._known_outward.get(sign)
         if known is None:
@@ -163,11 +172,10 @@ class TorqueBound:
         later = sign * self._torque if sign * self._torque > 0.0 else 0.0
         total = least = sign * self._displacement + count
         raised = raises = 0.0
-        holds, history = 1, iter(self._history)
-        next(history)  # the hold that ended, taken already
-        for displacement, torque in history:
-            holds += 1
-            along, push = sign * displacement, sign * torque
+        displacements, torques, newest = self._displacements, self._torques, self._newest
+        for back in range(1, self._kept):  # the hold that ended is taken already; an index below 0 wraps, as a ring does
+            holds = back + 1
+            along, push = sign * displacements[newest - back], sign * torques[newest - back]
             if push < 0.0:
                 push = 0.0
             raised += before * push + during * later + hand

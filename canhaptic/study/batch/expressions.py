@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
 from canhaptic.study.batch.heap import Heap, Maybe
+from canhaptic.study.batch.rings import DataRange, Ring
 
 if TYPE_CHECKING:
     from canhaptic.study.batch.lowering import Frame
@@ -47,6 +48,10 @@ _BY_NAME: Final[dict[Any, str]] = {
 }
 
 
+_LONG: Final = 8
+"""Entries from which a list is kept as the rows of an array."""
+
+
 class Expressions(ABC):
     """The half of the interpreter that has values.
 
@@ -82,7 +87,7 @@ class Expressions(ABC):
         functions: dict[Any, Callable[..., Any]] = {
             known: self._operation(known, name) for known, name in _BY_NAME.items()
         }
-        functions |= {min: self._least, max: self._most, int: self._whole, bool: self.graph.truth, sum: self._sum,
+        functions |= {min: self._least, max: self._most, int: self._whole, bool: self.graph.truth, sum: self._sum, range: self._range,
                       float: lambda x: x if isinstance(x, Node) else float(x), cast: lambda kind, x: x}  # fmt: skip
         self._functions = functions
 
@@ -117,13 +122,18 @@ class Expressions(ABC):
 
     def load(self, container: Any, key: Any) -> Any:
         """Returns an entry."""
+        if isinstance(container, Ring):
+            return container.load(key)
         if isinstance(key, Node):
             raise NotBatchableError("an entry at a place that data choose")
         return container[key]
 
     def store(self, container: Any, key: Any, value: Any) -> None:
         """Changes an entry."""
-        if isinstance(key, Node):
+        if isinstance(container, Ring):
+            container.store(key, value, self.path)
+            return
+        if isinstance(key, Node) and not isinstance(container, dict):
             raise NotBatchableError("an entry at a place that data choose")
         container[key] = value
 
@@ -138,10 +148,19 @@ class Expressions(ABC):
 
     def _binary(self, expression: ast.BinOp, frame: "Frame") -> Any:
         left, right = _bare(self.value(expression.left, frame)), _bare(self.value(expression.right, frame))
+        if isinstance(left, list) and (isinstance(right, Node) or right >= _LONG):
+            return self._ring(left, right)
         try:
             return _ARITHMETIC[type(expression.op)](left, right)
         except (TypeError, KeyError) as error:
             raise NotBatchableError(f"the expression {ast.unparse(expression)} ({error})") from error
+
+    def _ring(self, entries: list[Any], length: Any) -> Ring:
+        """Returns a list of equal entries."""
+        [value] = entries
+        ring = Ring(self.graph.made("fill", (self.graph.node(value), self.graph.node(length))), length)
+        self.heap.instances.append(ring)
+        return ring
 
     def _unary(self, expression: ast.UnaryOp, frame: "Frame") -> Any:
         value = _bare(self.value(expression.operand, frame))
@@ -262,6 +281,12 @@ class Expressions(ABC):
         for value in values:
             result = result + value
         return result
+
+    def _range(self, *ends: Any) -> Any:
+        if not any(isinstance(end, Node) for end in ends):
+            return range(*(int(end) for end in ends))
+        start, stop = ends if len(ends) == 2 else (0.0, *ends)
+        return DataRange(start, stop)
 
     def _whole(self, value: Any) -> Any:
         if not isinstance(value, Node):

@@ -58,6 +58,8 @@ TRUTH: Final[dict[str, Callable[..., bool]]] = {
 }
 """Operations with a truth value as their result."""
 
+_CHANGING: Final = ("state", "array", "var")
+_ROWS: Final = ("array", "store", "fill")
 _COMPARISONS: Final = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
 _SAME: Final = {"lt": False, "le": True, "gt": False, "ge": True, "eq": True, "ne": False}
 
@@ -66,7 +68,8 @@ class Node:
     """One operation; made by a `Graph` only.
 
     Attributes:
-        op: Name of `NUMBER` or `TRUTH`; "select", "const", "param" or "state".
+        op: Name of `NUMBER` or `TRUTH`; "select", "const", "param" or "state"; of lists and loops (`rings`) "fill",
+            "array", "store", "load", "loop", "var" and "out".
         args: Nodes it works on.
         value: Of a constant; name of a parameter or state.
         is_truth: Whether its result is a truth value.
@@ -78,7 +81,7 @@ class Node:
 
     def __init__(self, graph: "Graph", op: str, args: tuple["Node", ...], value: Any, is_truth: bool) -> None:
         self.graph, self.op, self.args, self.value, self.is_truth = graph, op, args, value, is_truth
-        self.changes = op == "state" or any(arg.changes for arg in args)
+        self.changes = op in _CHANGING or any(arg.changes for arg in args)
         self.number = graph.count()
 
     def __repr__(self) -> str:
@@ -94,6 +97,11 @@ class Node:
         raise NotBatchableError(f"the value of {self!r} is asked for outside of the source that is interpreted")
 
     __hash__ = object.__hash__
+
+    @property
+    def is_rows(self) -> bool:
+        """Whether it stands for the rows of a list and not for a number."""
+        return self.op in _ROWS
 
 
 def _binary(op: str, swapped: bool = False) -> Callable[[Node, Any], Any]:
@@ -164,6 +172,15 @@ class Graph:
     def state(self, name: str, is_truth: bool = False) -> Node:
         """Returns the node of a value that every cycle leaves to the next."""
         return self._node("state", (), name, is_truth)
+
+    def slot(self, name: str, like: Node) -> Node:
+        """Returns the state that is to hold what another node is."""
+        return self._node("array", (), name, False) if like.is_rows else self.state(name, like.is_truth)
+
+    def made(self, op: str, args: tuple[Node, ...], value: Any = None, is_truth: bool = False) -> Node:
+        """Returns the node of an operation that is never known beforehand."""
+        key = (op, id(value), *(arg.number for arg in args)) if op == "loop" else None
+        return self._node(op, args, value, is_truth, key)
 
     def node(self, value: Any) -> Node:
         """Returns a value as a node."""

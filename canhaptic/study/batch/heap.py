@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
 from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
+from canhaptic.study.batch.rings import latest
 
 _CONTAINERS: Final = (deque, list, dict)
 _MISSING: Final = object()
@@ -67,7 +68,7 @@ class Heap:
         for key, (container, copy) in yes.contents.items():
             other = no.contents.get(key, (container, copy))[1]
             if isinstance(copy, dict):
-                _fill(container, copy if copy == other else {})
+                container.clear()  # a memo: what is computed anew is the same
             else:
                 _fill(container, self._items(condition, list(copy), list(other), "a container"))
 
@@ -77,6 +78,8 @@ class Heap:
         Raises:
             NotBatchableError: They are of different kinds.
         """
+        if isinstance(a, Node) and isinstance(b, Node) and a.is_rows and b.is_rows:
+            return latest(a, b)
         if a is b or (type(a) is type(b) and isinstance(a, str | int | float) and a == b):
             return a
         if isinstance(a, Maybe) or isinstance(b, Maybe) or a is None or b is None:
@@ -117,6 +120,11 @@ class Heap:
                 changed = _changed(f"{index}.{type(instance).__name__}.{name}", value, replace)
                 if changed is not value:
                     object.__setattr__(instance, name, changed)
+
+
+def differs(a: Any, b: Any) -> bool:
+    """Returns whether two plain values are not the same for certain."""
+    return a is not b if isinstance(a, Node) or isinstance(b, Node) else bool(a != b)
 
 
 def _fill(container: Any, items: Any) -> None:

@@ -6,7 +6,8 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.study.batch.graph import NUMBER, Node
-from canhaptic.study.batch.program import Program, ordered
+from canhaptic.study.batch.program import Program
+from canhaptic.study.batch.rings import below
 from canhaptic.study.loop import Array
 
 _NUMPY: Final[dict[str, Any]] = {
@@ -17,6 +18,10 @@ _NUMPY: Final[dict[str, Any]] = {
     "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
     "not": np.logical_not, "finite": np.isfinite, "select": np.where,
 }  # fmt: skip
+
+
+_ALWAYS: Final = ("array", "fill", "store", "load", "loop", "out")
+"""Operations that are done for each scene, whatever they work on."""
 
 
 class Layout:
@@ -33,12 +38,12 @@ class Layout:
         self.program = program
         self.states = sorted(program.then)
         goals = [*(program.then[name] for name in self.states), program.out, *program.results.values()]
-        everything = ordered(goals)
-        self.steps = [node for node in everything if node.changes and node.op != "state"]
+        everything = below(goals)
+        self.steps = [node for node in everything if node.changes and node.op not in ("state", "array")]
         used = {arg for node in self.steps for arg in node.args} | set(goals)
         self.fixed = sorted((node for node in used if not node.changes), key=lambda node: node.number)
         self._lane_states = self._differing_states()
-        self.lanes = self._differing(ordered([*goals, *program.first.values()]))
+        self.lanes = self._differing(below([*goals, *program.first.values()]))
 
     def state_differs(self, name: str) -> bool:
         """Returns whether a state differs between scenes."""
@@ -48,7 +53,7 @@ class Layout:
         self._lane_states: set[str] = set()
         program = self.program
         while True:
-            lanes = self._differing(ordered([*program.then.values(), *program.first.values()]))
+            lanes = self._differing(below([*program.then.values(), *program.first.values()]))
             found = {n for n in self.states if program.then[n] in lanes or program.first[n] in lanes}
             if found == self._lane_states:
                 return found
@@ -61,6 +66,8 @@ class Layout:
                 differs = self.program.kinds[node.value].differs
             elif node.op == "state":
                 differs = node.value in self._lane_states
+            elif node.op in _ALWAYS:
+                differs = True
             else:
                 differs = any(arg in lanes for arg in node.args)
             if differs:
@@ -78,10 +85,10 @@ def known_values(nodes: list[Node], numbers: Mapping[str, Any], states: Mapping[
     """
     found: dict[Node, Any] = {}
     with np.errstate(all="ignore"):
-        for node in ordered(nodes):
+        for node in below(nodes):
             if node.op == "const":
                 found[node] = node.value
-            elif node.op in ("param", "state"):
+            elif node.op in ("param", "state", "array"):
                 found[node] = (numbers if node.op == "param" else states)[node.value]
             else:
                 found[node] = _evaluated(node, [found[arg] for arg in node.args])
@@ -89,6 +96,9 @@ def known_values(nodes: list[Node], numbers: Mapping[str, Any], states: Mapping[
 
 
 def _evaluated(node: Node, args: list[Any]) -> Any:
+    if node.op == "fill":
+        rows, count = int(np.max(args[1])), max(np.size(args[0]), np.size(args[1]))
+        return np.broadcast_to(args[0], (rows, count))
     result = _NUMPY[node.op](*args)
     if isinstance(result, np.ndarray) and result.ndim:
         return result
@@ -96,5 +106,7 @@ def _evaluated(node: Node, args: list[Any]) -> Any:
 
 
 def widened(value: Any, count: int, is_truth: bool) -> Array:
-    """Returns a value for each scene, as an array of its own."""
+    """Returns a value for each scene, as an array of its own; of a list all rows."""
+    if np.ndim(value) == 2:
+        return np.array(np.broadcast_to(value, (len(value), count)), dtype=float)
     return np.array(np.broadcast_to(value, (count,)), dtype=bool if is_truth else float)

@@ -19,7 +19,8 @@ from typing import Any, Final, NamedTuple
 
 from canhaptic.study.batch.expressions import Expressions
 from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
-from canhaptic.study.batch.heap import Maybe
+from canhaptic.study.batch.heap import Maybe, differs
+from canhaptic.study.batch.rings import Body, DataRange, loop_of
 
 _HERE: Final = "canhaptic."
 
@@ -110,7 +111,7 @@ class Lowering(Expressions):
             item, rest = rest
             if isinstance(item, Mark):
                 if item.kind == "join":
-                    return Ending("join")
+                    return Ending("join", item.value)
                 if item.kind == "assign":
                     self.give(item.target, item.value, frame)
             elif isinstance(item, ast.Return):
@@ -161,7 +162,7 @@ class Lowering(Expressions):
             if ends[one].kind == "raise":
                 self.heap.restore(saved[other])
                 frame.local = locals_of[other]
-                return (ends[other], None) if ends[other].kind != "join" else (None, rest)
+                return (ends[other], None) if leaves else (None, rest)
         self.heap.join(test, *saved)
         frame.local = self._joined_names(test, *locals_of)
         if leaves:
@@ -179,12 +180,52 @@ class Lowering(Expressions):
     def _loop(self, item: ast.For, rest: Continuation, frame: Frame) -> Continuation:
         """Returns the loop written out, one pass after the other, before what follows."""
         values = self.value(item.iter, frame)
+        if isinstance(values, DataRange):
+            self._loop_of_data(item, values, frame)
+            return rest
         if not isinstance(values, Iterable):
             raise NotBatchableError(f"a loop over {type(values).__name__}")
         rest = _pushed(item.orelse, (Mark("end"), rest))
         for value in reversed(list(values)):
             rest = (Mark("assign", item.target, value), _pushed(item.body, (Mark("next"), rest)))
         return rest
+
+    def _loop_of_data(self, item: ast.For, values: DataRange, frame: Frame) -> None:
+        """Runs one pass with variables in the place of all that passes leave to each other, and makes the loop of it."""
+        graph, before, local, path = self.graph, self.heap.save(), dict(frame.local), self.path
+        running, index = (graph.made("var", (), f"{name}{graph.count()}", name == "run") for name in ("run", "index"))
+        names = sorted({part.id for part in ast.walk(item) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)})
+        carried = {name: graph.made("var", (), f"{name}{graph.count()}") for name in names}
+        begin: dict[str, Any] = {}
+        leaves: dict[str, Node] = {}
+        while True:
+            self.heap.restore(before)
+            begin = dict(self.heap.leaves())
+            self.heap.change(lambda name, value, known=leaves: known.get(name, value))  # type: ignore[misc]
+            placed = dict(self.heap.leaves())
+            frame.local = {**local, **carried}
+            self.path = running
+            self.give(item.target, index, frame)
+            after = (Mark("next"), (Mark("join", value=False), (Mark("end"), (Mark("join", value=True), None))))
+            broke = self._run(_pushed(item.body, after), frame).value
+            then = dict(self.heap.leaves())
+            fresh = [n for n in then if n not in leaves and differs(then[n], placed[n])]
+            if not fresh:
+                break
+            leaves |= {name: graph.made("var", (), f"{name}{graph.count()}") for name in fresh}
+        again = graph.op("and", graph.op("not", broke), graph.op("lt", index + 1.0, values.stop))
+        first = graph.op("and", path, graph.op("lt", values.start, values.stop))
+        body = Body(
+            (running, index, *carried.values(), *leaves.values()),
+            tuple(graph.node(v) for v in (again, index + 1.0, *map(frame.local.get, names), *map(then.get, leaves))),
+        )
+        start = [first, values.start, *(local.get(name, 0.0) for name in names), *map(begin.get, leaves)]
+        outs = loop_of(graph, body, [graph.node(value) for value in start])
+        self.heap.restore(before)
+        ends = dict(zip(leaves, outs[2 + len(names) :], strict=True))
+        self.heap.change(lambda name, value: ends.get(name, value))
+        frame.local = local | dict(zip(names, outs[2 : 2 + len(names)], strict=True))
+        self.path = path
 
     def _assign(self, item: ast.Assign, frame: Frame) -> None:
         value = self.value(item.value, frame)

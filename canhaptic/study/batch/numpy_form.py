@@ -65,8 +65,25 @@ class NumpyForm:
             escaped(out, dict(zip(layout.states, now, strict=True)), cycle)
 
         with np.errstate(all="ignore"):
-            after = self._cycles(cycles, told, states, given, buffers)
+            after = self._cycles(cycles, told, states, given, buffers, *_rows(count))
         return dict(zip(layout.states, after, strict=True))
+
+
+def _rows(count: int) -> tuple[Callable[..., Any], ...]:
+    """Returns what copies a value, what reads and what changes entries of a list that every scene has of its own."""
+    lanes = np.arange(count)
+
+    def fresh(value: Any) -> Any:
+        return np.array(np.broadcast_to(value, (count,)))
+
+    def get(rows: Any, index: Any) -> Any:
+        return rows[np.clip(index, 0, len(rows) - 1).astype(np.intp), lanes]  # clipped where no scene looks
+
+    def put(rows: Any, index: Any, value: Any, path: Any) -> None:
+        places = np.broadcast_to(np.asarray(index).astype(np.intp), (count,))
+        rows[places, lanes] = np.where(path, value, rows[places, lanes])
+
+    return fresh, get, put
 
 
 class _Writer:
@@ -81,7 +98,7 @@ class _Writer:
         graph = program.out.graph
         self._state = [f"s{i}" for i in range(len(layout.states))]
         for name, own in zip(layout.states, self._state, strict=True):
-            self._name[graph.state(name, program.then[name].is_truth)] = own
+            self._name[graph.slot(name, program.then[name])] = own
         given = [node for node in layout.fixed if node.op != "const"]
         self._given = [f"p{i}" for i in range(len(given))]
         self._name |= dict(zip(given, self._given, strict=True))
@@ -96,14 +113,14 @@ class _Writer:
         for index, node in enumerate(layout.steps):
             args = [self._name[arg] for arg in node.args]
             for arg in dict.fromkeys(node.args):  # a result may take the place of an argument that is used up
-                if last.get(arg) == index and arg in layout.lanes and arg.op != "state" and arg.changes:
+                if last.get(arg) == index and self._name.get(arg) in self.buffers:
                     self._free[arg.is_truth].append(self._name[arg])
-            lines.append(self._line(node, args))
+            lines += self._lines(node, args)
         out = layout.program.out
         turned = self._turned(then)
         check = f"if {self._name[out]}.any(): told({self._name[out]}, ({', '.join(self._state)},), cycle)"
         body = [*lines, *turned, check if out in layout.lanes else "pass"]
-        head = ["def cycles(count, told, states, given, buffers):"]
+        head = ["def cycles(count, told, states, given, buffers, fresh, get, put):"]
         for names, source in ((self._state, "states"), (self._given, "given"), (self.buffers, "buffers")):
             if names:
                 head.append(f"    {', '.join(names)}, = {source}")
@@ -121,13 +138,46 @@ class _Writer:
         self.buffers.append(f"{'b' if is_truth else 'f'}{len(self.buffers)}")
         return self.buffers[-1]
 
+    def _lines(self, node: Node, args: list[str]) -> list[str]:
+        if node.op == "loop":
+            return self._loop(node, args)
+        if node.op == "out":
+            self._name[node] = f"{args[0]}_{node.value}"
+            return []
+        if node.op == "store":
+            rows, index, value, path = args
+            self._name[node] = rows
+            return [f"put({rows}, {index}, {value}, {path})"]
+        return [self._line(node, args)]
+
+    def _loop(self, node: Node, args: list[str]) -> list[str]:
+        """Returns the lines of a loop: passes for all scenes, until none has another; what ended keeps its values."""
+        body, own = node.value, f"q{node.number}"
+        self._name[node] = own
+        names = [f"{own}_{i}" for i in range(len(body.variables))]
+        inside = dict(zip(body.variables, names, strict=True))
+        lines = [f"{name} = fresh({value})" for name, value in zip(names, args, strict=False)]
+        lines.append(f"while {names[0]}.any():")
+        for part in body.inside():
+            operands = [inside.get(arg) or self._text(arg) for arg in part.args]
+            inside[part] = f"{own}t{part.number}"
+            call = f"get({', '.join(operands)})" if part.op == "load" else f"{_CALLS.get(part.op, 'where')}({', '.join(operands)})"
+            lines.append(f"    {inside[part]} = {call}")
+        then = [inside.get(value) or self._text(value) for value in body.then]
+        turned = [f"where({names[0]}, {value}, {name})" for name, value in zip(names[1:], then[1:], strict=True)]
+        lines.append(f"    {', '.join(names)}, = {names[0]} & {then[0]}, {', '.join(turned)},")
+        return lines
+
+    def _text(self, node: Node) -> str:
+        return _literal(node.value) if node.op == "const" else self._name[node]
+
     def _line(self, node: Node, args: list[str]) -> str:
         if node not in self._layout.lanes:
             self._name[node] = f"u{node.number}"
             return f"{self._name[node]} = {_one_for_all(node, args)}"
         target = self._name[node] = self._buffer(node.is_truth)
-        if node.op == "select":
-            return f"{target} = where({', '.join(args)})"
+        if node.op in ("select", "load"):
+            return f"{target} = {'where' if node.op == 'select' else 'get'}({', '.join(args)})"
         return f"{_CALLS[node.op]}({', '.join(args)}, out={target})"
 
     def _turned(self, then: list[Node]) -> list[str]:
@@ -150,10 +200,12 @@ class _Writer:
             gives.append(value)
             if differs:
                 freed.append((node.is_truth, own))
-        idle = [own for _, own in freed if own not in gives]
-        left = [value for value in gives if value[0] in "fb"]
-        takes += left
-        gives += idle
+        for kind, initial in ((False, "f"), (True, "b")):  # the arrays of the old values become buffers of their kind
+            idle = [own for is_truth, own in freed if is_truth == kind and own not in gives]
+            left = [value for value in gives if value in self.buffers and value.startswith(initial)]
+            both = min(len(left), len(idle))
+            takes += left[:both]
+            gives += idle[:both]
         if takes:
             lines.append(f"{', '.join(takes)}, = {', '.join(gives)},")
         return lines

@@ -14,10 +14,13 @@ from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.parameters import Parameters
 from canhaptic.study.batch.axis import SampledAxis
 from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
+from canhaptic.study.batch.heap import differs
 from canhaptic.study.batch.lowering import Lowering
+from canhaptic.study.batch.rings import Body, below, loop_of
 from canhaptic.study.loop import Array
 from canhaptic.tables import load
 
+_HELD: Final = ("state", "array")
 _MOST_ROUNDS: Final = 50
 
 
@@ -139,7 +142,7 @@ def build_program(case: BatchCase, sums: Sequence[str]) -> Program:
         moved = _moved(graph, numbers, case.size, axis.held)
         lowering.call(SampledAxis.sync, (axis, moved[0]), {})
         then = dict(lowering.heap.leaves())
-        changed = {name for name in then if name not in states and _differs(then[name], placed[name])}
+        changed = {name for name in then if name not in states and differs(then[name], placed[name])}
         if not changed:
             break
         states |= changed
@@ -186,13 +189,7 @@ def _moved(graph: Graph, numbers: _Numbers, size: int, torque: Any) -> list[Any]
 def _placed(graph: Graph, states: set[str], name: str, value: Any) -> Any:
     if name not in states:
         return value
-    return graph.state(name, isinstance(value, bool) or (isinstance(value, Node) and value.is_truth))
-
-
-def _differs(then: Any, placed: Any) -> bool:
-    if isinstance(then, Node) or isinstance(placed, Node):
-        return then is not placed
-    return bool(then != placed)
+    return graph.slot(name, graph.node(value))
 
 
 def _path_of(lowering: Lowering, owner: object, name: str) -> str:
@@ -211,7 +208,7 @@ def _reduced(
         if not (same or two_valued):
             break
         rewrite = Rewrite(graph, {**same, **two_valued})
-        thens = {name: rewrite(node) for name, node in thens.items() if graph.state(name, node.is_truth) not in same}
+        thens = {name: rewrite(node) for name, node in thens.items() if graph.slot(name, node) not in same}
         out, ends = rewrite(out), {name: rewrite(node) for name, node in ends.items()}
     live = _live(graph, thens, [out, *ends.values()])
     return Program({name: firsts[name] for name in live}, {name: thens[name] for name in live}, out, ends, kinds)
@@ -234,7 +231,7 @@ def _two_valued(graph: Graph, first: dict[str, Node], then: dict[str, Node]) -> 
 
 def _same_states(graph: Graph, first: dict[str, Node], then: dict[str, Node]) -> dict[Node, Node]:
     """Returns state -> the state or constant that it always equals, found by assuming it and looking for a contradiction."""
-    state = {name: graph.state(name, node.is_truth) for name, node in then.items()}
+    state = {name: graph.slot(name, node) for name, node in then.items()}
     groups: dict[str, int] = {name: first[name].number for name in then}
     while True:
         leader: dict[Any, str] = {}
@@ -267,12 +264,18 @@ class Rewrite:
         """Returns the node with everything below it replaced."""
         if not self._active or not node.changes:
             return node
-        for part in ordered([node]):
+        for part in below([node]):
             if part in self._known:
                 continue
             args = [self._known.get(arg, arg) for arg in part.args]
             if all(new is old for new, old in zip(args, part.args, strict=True)):
                 self._known[part] = part
+            elif part.op == "loop":
+                body = Body(part.value.variables, tuple(self(node) for node in part.value.then))
+                outs = loop_of(self._graph, body, args[: len(body.variables)])
+                self._known[part] = outs[0].args[0]
+            elif part.op in ("load", "store", "out", "fill"):
+                self._known[part] = self._graph.made(part.op, tuple(args), part.value, part.is_truth)
             elif part.op == "select":
                 self._known[part] = self._graph.node(self._graph.select(_value(args[0]), *args[1:]))
             else:
@@ -289,13 +292,13 @@ def _live(graph: Graph, then: dict[str, Node], wanted: Iterable[Node]) -> list[s
     found: dict[str, None] = {}
     waiting = list(wanted)
     while waiting:
-        for node in ordered(waiting):
-            if node.op == "state":
+        for node in below(waiting):
+            if node.op in _HELD:
                 found.setdefault(node.value)
         waiting = [then[name] for name in found if name in then]
         before = len(found)
-        for node in ordered(waiting):
-            if node.op == "state":
+        for node in below(waiting):
+            if node.op in _HELD:
                 found.setdefault(node.value)
         if len(found) == before:
             break
@@ -303,15 +306,3 @@ def _live(graph: Graph, then: dict[str, Node], wanted: Iterable[Node]) -> list[s
     if missing:
         raise NotBatchableError(f"states without a next value: {', '.join(missing)}")
     return sorted(found)
-
-
-def ordered(nodes: Iterable[Node]) -> list[Node]:
-    """Returns the nodes and all that they are made of, arguments before what uses them."""
-    seen: set[Node] = set()
-    waiting = list(nodes)
-    while waiting:
-        node = waiting.pop()
-        if node not in seen:
-            seen.add(node)
-            waiting += node.args
-    return sorted(seen, key=lambda node: node.number)
