@@ -17,6 +17,7 @@ from canhaptic.sim.propagator import TICKS
 _CLOSE: Final = 1e-13  # of the largest force seen in the substep
 _SECANT_STEPS: Final = 12  # then bisection
 _LARGEST_COUNT: Final = 90
+_SETTLED: Final = 1e-12  # of a step of the torque: what is left then says no more how fast it went
 _FLATTEST: Final = -0.05  # a residual flatter than that is taken as this steep
 
 
@@ -82,7 +83,7 @@ class Splitting:
 
     def _solve(self, ticks: int) -> float:
         """Returns F with F = sum of forces(travel(F)); the machine is left at the end of the substep with that F."""
-        saved = self._machine.save()
+        saved, begin = self._machine.save(), self._held
 
         def residual(force: float) -> float:
             self._machine.restore(saved)
@@ -90,10 +91,19 @@ class Splitting:
             state[self._effort], state[self._travel] = force, 0.0
             self._machine.run(ticks)
             travel = float(self._machine.state[self._travel])
+            self._held = mean_torque(begin, float(self._machine.state[self._torque]), float(state[-2]))
             return sum(e.force(self._start, travel, self._duration, self._held) for e in self._efforts) - force
 
         force, self._slope = fixed_point(residual, self._force, self._slope)
         return force
+
+
+def mean_torque(begin: float, end: float, held: float) -> float:
+    """Returns the mean of a torque that goes from `begin` to `end` as a first-order lag behind `held` does."""
+    gap, left = begin - held, end - held
+    if left == gap or not left / gap > _SETTLED:
+        return end
+    return held + (left - gap) / math.log1p((left - gap) / gap)
 
 
 def fixed_point(residual: Callable[[float], float], start: float, slope: float) -> tuple[float, float]:
