@@ -17,6 +17,7 @@ from canhaptic.errors import CanHapticError, InputError
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.method import method_line
+from canhaptic.scene.plant_price import plant_prices
 from canhaptic.scene.preflight import require_preflight
 
 
@@ -89,7 +90,9 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
         status=status,
         config_hash=scene.config_hash(),
         sample_time=scene.bus.sample_time,
-        method=method_line(scene, experiment.plants, cycle.cycles),
+        method=method_line(
+            scene, experiment.plants, cycle.cycles, plant_prices(scene, experiment.plants, cycle.cycles)
+        ),
     )
     names = [axis.parameters.name for axis in scene.axes]
     result["plants"] = {

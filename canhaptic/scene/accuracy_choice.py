@@ -144,16 +144,17 @@ def observed(plant: Plant, torques: Sequence[float]) -> Motion:
     return Motion(*table.T)
 
 
-def torque_history(axis: AxisScene, scene: Scene, holds: int) -> list[float]:
-    """Returns the torque of each hold [N or N*m] of the scene's own controller on a finely solved plant, without a bus.
+def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: AccuracyParameters = _FINE) -> list[float]:
+    """Returns the torque of each hold [N or N*m] of the scene's own controller on a simulated plant, without a bus.
 
     Args:
         axis: A simulated axis.
         scene: Its scene, for rate, delay and quantisation.
         holds: How many.
+        accuracy: Of the plant.
     """
     simulation, period = simulation_of(axis), scene.bus.sample_time_ns
-    plant = build_plant(replace(simulation, accuracy=_FINE, compiled=False), period)
+    plant = build_plant(replace(simulation, accuracy=accuracy, compiled=False), period)
     controller, limit = build_axis_controller(axis), axis.parameters.torque_limit
     rated = axis.parameters.rated_torque
 

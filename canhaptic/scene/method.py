@@ -3,16 +3,18 @@
 from collections.abc import Sequence
 
 from canhaptic.scene.models import Scene
+from canhaptic.scene.plant_price import PlantPrice
 from canhaptic.sim.plant import Plant
 
 
-def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0) -> str:
+def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, prices: Sequence[PlantPrice] = ()) -> str:
     """Returns the line that every run prints under `method`; empty with real drives.
 
     Args:
         scene: What is run.
         plants: The plants of its axes after the run, for what they spent.
         periods: Sample times that they were moved by.
+        prices: Time and estimated error of each.
     """
     if not scene.simulated:
         return ""
@@ -30,8 +32,20 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0) ->
         plant = f"plant exact between SYNCs but for {parts}"
     if plants and periods:
         plant = f"{plant}, {_spent(plants, periods)}"
+    if prices:
+        plant = f"{plant}, {_priced(prices)}"
     bus = "" if scene.bus_effects is None else f"; bus with {', '.join(scene.bus_effects.named)}"
     return f"{plant}; torque acts {acts}{bus}"
+
+
+def _priced(prices: Sequence[PlantPrice]) -> str:
+    """Returns time per period of all plants together and the largest estimated error."""
+    text = f"{sum(price.microseconds for price in prices):.3g} us per period"
+    errors = [(price.error, price.unit) for price in prices if price.error is not None]
+    if not errors:
+        return f"{text}, exact to rounding"
+    error, unit = max(errors)
+    return f"{text}, estimated error {error:.1g} {unit} over {min(price.periods for price in prices)} periods"
 
 
 def _spent(plants: Sequence[Plant], periods: int) -> str:
