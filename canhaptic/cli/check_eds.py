@@ -13,6 +13,7 @@ from canhaptic.cli.tables import plain_table
 from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.pdo_map import AxisMap, PdoPlan
 from canhaptic.drive.survey import Suitability, Survey, SurveyRow, survey, unconfigured_axis
+from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.view.energy_table import make_console
 
 _COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", Suitability.UNFIT: "red"}
@@ -28,22 +29,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Prints the verdict with its reasons; returns 1 when the drive cannot serve."""
-    found = survey_of(arguments.file)
+    found, profile = survey_of(arguments.file)
     if arguments.json:
-        write_json(_as_json(found))
+        write_json({**_as_json(found), "profile": profile})
     else:
-        _print(make_console(), found)
+        _print(make_console(), found, profile)
     return _UNFIT if found.suitability is Suitability.UNFIT else 0
 
 
-def survey_of(path: Path) -> Survey:
-    """Returns what a dictionary says of its drive.
+def survey_of(path: Path) -> tuple[Survey, str | None]:
+    """Returns what a dictionary says of its drive, and the name of the profile of its make, which it was judged with.
 
     Raises:
         DictionaryError: It cannot be read.
     """
     axis = unconfigured_axis(path)
-    return survey(read_dictionary(path, axis.node_id), axis)
+    dictionary = read_dictionary(path, axis.node_id)
+    found = survey(dictionary, axis)
+    name = profile_of_vendor(found.vendor_id)
+    if name is None or found.suitability is Suitability.UNFIT:
+        return found, None
+    return survey(dictionary, unconfigured_axis(path, **profile_values(name))), name
 
 
 def _as_json(found: Survey) -> dict[str, Any]:
@@ -83,9 +89,11 @@ def _map_as_json(axis_map: AxisMap) -> dict[str, Any]:
 # --- the tables ---------------------------------------------------------------------------------------------------
 
 
-def _print(console: Console, found: Survey) -> None:
+def _print(console: Console, found: Survey, profile: str | None) -> None:
     name = " ".join(part for part in (found.vendor, found.product) if part) or "a drive without a name"
     console.print(f"{found.path}: {name}", markup=False, style="bold")
+    if profile is not None:
+        console.print(f"judged with the drive profile of its make, drive: {profile}", markup=False)
     console.print()
     console.print(_object_table(found))
     if found.axis_map is not None:

@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Prints the scene; fails when the drive cannot serve."""
-    found = survey_of(arguments.file)
+    found, profile = survey_of(arguments.file)
     dictionary = read_dictionary(arguments.file, 1)
-    sys.stdout.write(starter_scene(found, dictionary, simulate=arguments.simulate))
+    sys.stdout.write(starter_scene(found, dictionary, simulate=arguments.simulate, drive=profile))
     return 0

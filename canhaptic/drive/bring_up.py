@@ -9,7 +9,7 @@ from canhaptic.drive.cia402 import TORQUE_FREE, DriveState, drive_state
 from canhaptic.drive.fitness import agreed_rated_torque
 from canhaptic.drive.pdo_map import is_writable
 from canhaptic.drive.pdo_setup import write_map
-from canhaptic.drive.scaling import AxisScaling, torque_limit_per_mille
+from canhaptic.drive.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 from canhaptic.object_dictionary import Controlword, NmtCommand, NmtState
@@ -21,17 +21,19 @@ REMEDIES: Final = {
     "device type": "only CiA 402 drives are supported; check node_id",
     "drive modes": "this drive has no cyclic synchronous torque mode; choose another drive or firmware",
     "drive state": "find and remove the cause, then reset the fault (reset_fault: true or the vendor's tool)",
-    "rated torque": "correct rated_torque and transmission, or the drive's 0x6076",
-    "torque limit": "lower torque_limit, or raise the drive's own limit with the vendor's tool",
-    "watchdog": "set watchdog: false only if a killed master may leave the torque on",
-    "interpolation period": "use a rate whose period the drive accepts, or drive: no_interpolation_period",
-    "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers)",
+    "rated torque": "correct rated_torque and transmission, or the drive's 0x6076 (quirks: rated_torque_...)",
+    "torque limit": "lower torque_limit, or raise the drive's own with the vendor's tool (quirks: max_torque_absent)",
+    "watchdog": "see the quirks abort_... for 0x6007; watchdog: false only if a killed master may leave the torque on",
+    "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
+    "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers; quirks: "
+    "demand_absent, manufacturer_event)",
     "mode of operation": "the drive refuses cyclic synchronous torque; check its licence, firmware and settings",
     "zero torque": "another master may be writing to this drive",
     "NMT operational": "the drive stays out of OPERATIONAL; check its EMCY and its configuration",
     "PDO exchange": "the drive sends no TPDO on SYNC; check 0x1005 and the transmission types",
     "position": "the map or counts may be wrong, or the axis was moved by force during the start",
-    "enable": "check the safety inputs (STO), the supply of the power stage and the drive's error code",
+    "enable": "check the safety inputs (STO), the supply of the power stage and the drive's error code; "
+    "quirks: slow_enable where it takes its time",
     "bus": "check the interface, cable and termination",
 }
 
@@ -211,18 +213,27 @@ class BringUp:
         drive = self._drive
         counts: int | None = None
         with self.step("rated torque", "a rated torque on which drive and configuration agree"):
-            if od.RATED_TORQUE in drive.dictionary:
-                counts = self._sdo.read(od.RATED_TORQUE)
+            if drive.quirks.reads_rated_torque and od.RATED_TORQUE in drive.dictionary:
+                counts = self._sdo.read(od.RATED_TORQUE) or self._write_rated_torque()
             rated_torque = agreed_rated_torque(drive.axis, counts, drive.quirks.rated_torque_resolution)
-        drive.scaling = AxisScaling(drive.axis.counts_per_unit, rated_torque, drive.axis.direction)
+        drive.scaling = axis_scaling(drive.axis, rated_torque)
+
+    def _write_rated_torque(self) -> int:
+        """Writes rated_torque to a 0x6076 that is 0, if the drive is of that kind; returns what the drive then has."""
+        drive, rated_torque = self._drive, self._drive.axis.rated_torque
+        if not drive.quirks.writes_rated_torque or rated_torque is None:
+            return 0
+        counts = round(rated_torque / drive.axis.transmission / drive.quirks.rated_torque_resolution)
+        self._write_confirmed("rated torque", od.RATED_TORQUE, 0, counts)
+        return counts
 
     def _torque_limit(self) -> None:
         drive = self._drive
         limit = drive.axis.torque_limit
         if limit > drive.scaling.largest_torque:
-            expected = f"at most {drive.scaling.largest_torque:g} (32767 per mille of the rated torque)"
+            expected = f"at most {drive.scaling.largest_torque:g} (32767 counts of 0x6071)"
             raise self.refusal("torque limit", f"torque_limit {limit:g}", expected)
-        if is_writable(drive.dictionary, od.MAX_TORQUE, 0):
+        if drive.quirks.writes_max_torque and is_writable(drive.dictionary, od.MAX_TORQUE, 0):
             per_mille = torque_limit_per_mille(limit, drive.scaling.rated_torque)
             self._write_confirmed("torque limit", od.MAX_TORQUE, 0, per_mille)
 

@@ -3,9 +3,11 @@
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.realtime import RealtimeParameters
+from canhaptic.errors import ParameterError
 from canhaptic.object_dictionary import RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from canhaptic.parameters import Parameters, quantity
 
@@ -95,8 +97,8 @@ class AxisParameters(Parameters):
     node_id: NodeId
     eds: Path
     """Object dictionary (EDS or DCF) of the drive."""
-    drive: str | None = None
-    """Name of a drive profile with known deviations (`canhaptic.drive.quirks`)."""
+    quirks: tuple[str, ...] = ()
+    """Named deviations of this drive from the standard (`canhaptic.drive.quirks`)."""
     unit: Literal["m", "rad"] = "rad"
     counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0)]
     """Position counts (0x6064) per metre or radian of the axis."""
@@ -135,6 +137,15 @@ class AxisParameters(Parameters):
     sdo_timeout: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.3
     step_timeout: Annotated[float, quantity("s", ge=1e-2, le=60.0)] = 1.0
     """Time in which the drive must confirm one step of the start."""
+
+    @field_validator("quirks")
+    @classmethod
+    def _check_quirks(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        try:
+            quirks_of(names)
+        except ParameterError as error:
+            raise ValueError(str(error)) from error
+        return names
 
     @model_validator(mode="after")
     def _check_cob_ids(self) -> "AxisParameters":

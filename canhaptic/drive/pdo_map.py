@@ -15,6 +15,7 @@ from canopen.objectdictionary import datatypes
 from canhaptic import object_dictionary as od
 from canhaptic.drive.parameters import AxisParameters
 from canhaptic.drive.pdo_codec import MappedObject, codec, decode_entry
+from canhaptic.drive.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
 _PDO_COUNT: Final = 512
@@ -130,14 +131,18 @@ def is_writable(dictionary: ObjectDictionary, index: int, subindex: int) -> bool
 
 
 def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
-    asked = axis.read_back
-    if asked in ("auto", "demand") and _is_mappable(dictionary, TORQUE_DEMAND):
+    asked, has_demand = axis.read_back, quirks_of(axis.quirks).maps_demand
+    if asked in ("auto", "demand") and has_demand and _is_mappable(dictionary, TORQUE_DEMAND):
         return "demand", TORQUE_DEMAND
     if asked in ("auto", "actual") and _is_mappable(dictionary, TORQUE_ACTUAL):
         return "actual", TORQUE_ACTUAL
     if asked in ("auto", "none"):
         return "none", None
     wanted = TORQUE_DEMAND if asked == "demand" else TORQUE_ACTUAL
+    if asked == "demand" and not has_demand:
+        raise DictionaryError(
+            f"{axis.name}: read_back is 'demand', but its quirks have demand_absent; use read_back: auto"
+        )
     raise DictionaryError(
         f"{axis.name}: read_back is {asked!r}, but {axis.eds} does not let {wanted} be mapped; use read_back: auto"
     )

@@ -15,6 +15,7 @@ from canhaptic.object_dictionary import (
     Controlword,
     NmtCommand,
     NmtState,
+    StatusBit,
 )
 
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
@@ -147,14 +148,25 @@ def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
             state, now = drive.state, exchange.clock.now()
             if state is not states[drive]:
                 states[drive], begin[drive] = state, now
-            if state is not DriveState.OPERATION_ENABLED and now - begin[drive] > round(drive.axis.step_timeout * 1e9):
+            if not _is_enabled(drive) and now - begin[drive] > _enable_time(drive):
                 raise bring_up.refusal("enable", _state_text(drive), _expected_after(drive))
             drive.controlword = int(next_controlword(state) or Controlword.DISABLE_VOLTAGE)
-        if all(drive.state is DriveState.OPERATION_ENABLED and drive.is_complete for drive in exchange.drives):
+        if all(_is_enabled(drive) and drive.is_complete for drive in exchange.drives):
             return
         with bring_ups[0].step("bus"):
             exchange.write_zero()
             exchange.sync()
+
+
+def _is_enabled(drive: ServoDrive) -> bool:
+    """Whether a drive is enabled and, if it tells late that it follows its target, has told so."""
+    follows = not drive.quirks.waits_for_following or drive.statusword & StatusBit.FOLLOWS_COMMAND
+    return drive.state is DriveState.OPERATION_ENABLED and bool(follows)
+
+
+def _enable_time(drive: ServoDrive) -> int:
+    """Returns how long one step of the enabling may take [ns]."""
+    return round(max(drive.axis.step_timeout, drive.quirks.enable_time) * 1e9)
 
 
 def _refuse_fault(drive: ServoDrive, bring_up: BringUp) -> None:

@@ -6,6 +6,8 @@ Positions are 32-bit counts that wrap; torques are per mille of the rated torque
 import math
 from typing import Final
 
+from canhaptic.drive.parameters import AxisParameters
+from canhaptic.drive.quirks import quirks_of
 from canhaptic.errors import ParameterError
 
 _WRAP: Final = 1 << 32  # 0x6064 is INTEGER32
@@ -78,6 +80,19 @@ class AxisScaling:
     def largest_torque(self) -> float:
         """Largest torque that 0x6071 can carry [N*m or N]."""
         return _LARGEST_PER_MILLE * self.torque_quantum
+
+
+def axis_scaling(axis: AxisParameters, rated_torque: float) -> AxisScaling:
+    """Returns the scaling of an axis.
+
+    Args:
+        axis: Its parameters; its quirks may change the unit of torque.
+        rated_torque: Of the axis [N*m or N], as drive and configuration agree.
+
+    Raises:
+        ParameterError: A factor is not positive and finite.
+    """
+    return AxisScaling(axis.counts_per_unit, rated_torque * quirks_of(axis.quirks).torque_scale, axis.direction)
 
 
 def torque_limit_per_mille(torque_limit: float, rated_torque: float) -> int:

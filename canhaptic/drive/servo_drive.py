@@ -15,7 +15,7 @@ from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.drive.pdo_codec import codec
 from canhaptic.drive.pdo_map import AxisMap, PdoPlan, choose_map
 from canhaptic.drive.quirks import quirks_of
-from canhaptic.drive.scaling import AxisScaling
+from canhaptic.drive.scaling import axis_scaling
 from canhaptic.drive.sdo import SdoChannel
 from canhaptic.signals import Sample
 
@@ -72,10 +72,10 @@ class ServoDrive:
         self.bus = bus
         self.dictionary = dictionary
         require_fit(dictionary, axis)
-        self.quirks = quirks_of(axis.drive)
+        self.quirks = quirks_of(axis.quirks)
         self.map: AxisMap = choose_map(dictionary, axis)
         self.sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
-        self.scaling = AxisScaling(axis.counts_per_unit, axis.rated_torque or 1.0, axis.direction)
+        self.scaling = axis_scaling(axis, axis.rated_torque or 1.0)
         self.limiter = TorqueLimiter(axis.torque_limit, bus.sample_time, axis.torque_rate_limit, axis.power_limit)
         self.policy = LinkPolicy(bus.hold_cycles, bus.stop_cycles)
         self.window = SyncWindow()  # shared by the drives of a bus; the rig sets it

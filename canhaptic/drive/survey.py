@@ -7,7 +7,7 @@ bring is a condition and no refusal. A refusal rests only on what the dictionary
 from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable, datatypes
@@ -146,9 +146,9 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
     )
 
 
-def unconfigured_axis(eds: str | Path, node_id: int = 1) -> AxisParameters:
-    """Returns an axis with nothing but its dictionary; scale and limit are 1 and mean nothing."""
-    return AxisParameters(name="drive", node_id=node_id, eds=Path(eds), counts_per_unit=1.0, torque_limit=1.0)
+def unconfigured_axis(eds: str | Path, node_id: int = 1, **values: Any) -> AxisParameters:
+    """Returns an axis with a dictionary and perhaps a profile; its scale and limit are 1 and mean nothing."""
+    return AxisParameters(name="drive", node_id=node_id, eds=Path(eds), counts_per_unit=1.0, torque_limit=1.0, **values)
 
 
 # --- what an object states --------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.scaling import AxisScaling
+from canhaptic.drive.scaling import axis_scaling
 from canhaptic.drive.servo_drive import ServoDrive
 
 
@@ -60,5 +60,5 @@ def _suppose_enabled(drive: ServoDrive) -> None:
     drive.controlword = int(od.Controlword.ENABLE_OPERATION)
     variable = drive.dictionary.get_variable(od.RATED_TORQUE, 0)
     stated = None if drive.axis.rated_torque or variable is None else variable.default
-    rated_torque = agreed_rated_torque(drive.axis, stated, quirks_of(drive.axis.drive).rated_torque_resolution)
-    drive.scaling = AxisScaling(drive.axis.counts_per_unit, rated_torque, drive.axis.direction)
+    rated_torque = agreed_rated_torque(drive.axis, stated, quirks_of(drive.axis.quirks).rated_torque_resolution)
+    drive.scaling = axis_scaling(drive.axis, rated_torque)

@@ -3,6 +3,7 @@
 from typing import Any, Final, get_args
 
 from canhaptic.drive.parameters import AxisParameters, BusParameters
+from canhaptic.drive.quirks import quirks_of
 from canhaptic.haptics.environments import ENVIRONMENTS
 from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.haptics.passivity.protocol import LoopProperties
@@ -13,7 +14,9 @@ from canhaptic.scene.eds_path import find_dictionary
 from canhaptic.scene.faults import Faults
 from canhaptic.scene.groups import GroupEntry, membership
 from canhaptic.scene.models import AxisScene, AxisSimulation, Typed
+from canhaptic.scene.profiles import PROFILE_KEY, with_profile
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type
+from canhaptic.scene.twins import lay_twin
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import EFFECTS
 from canhaptic.sim.plant import PlantParameters
@@ -21,10 +24,9 @@ from canhaptic.sim.user import UserParameters
 
 LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
-_MILLI: Final = 1e-3
 OWN_SECTIONS: Final = ("environment", "passivity")
 """Shared sections of which an axis may have its own."""
-SCALING_KEYS: Final = ("counts_per_unit", "rated_torque")
+SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")
 """Keys of an axis that its simulated drive takes over unless `simulation.drive` has its own."""
 SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects")
 """Parts of `simulation` that `simulation.axes.NAME` may have its own of."""
@@ -50,9 +52,10 @@ def read_axis(
         group: That renders on it; None when it renders for itself.
         moves_mechanism: Whether its simulated motor is one of a mechanism.
     """
+    section = with_profile(section, faults)
     motion = _motion(section)
     own = find_dictionary(section.without(*OWN_SECTIONS, BUS_KEY), faults)
-    parameters = read_section(AxisParameters, own, faults, motion, also=(*OWN_SECTIONS, BUS_KEY))
+    parameters = read_section(AxisParameters, own, faults, motion, also=(*OWN_SECTIONS, BUS_KEY, PROFILE_KEY))
     if group is None:
         environment = _environment(overlay(shared, section, "environment", "type", faults), faults, motion)
         passivity_section = overlay(shared, section, "passivity", "algorithm", faults)
@@ -181,7 +184,7 @@ def _loop(
         derived["encoder_count"] = 1.0 / abs(axis.counts_per_unit)
         derived["torque_limit"] = axis.torque_limit
         if axis.rated_torque is not None:
-            derived["torque_quantum"] = axis.rated_torque / 1000.0
+            derived["torque_quantum"] = axis.rated_torque * quirks_of(axis.quirks).torque_scale / 1000.0
     for key, value in derived.items():
         if loop.get(key) is None:
             loop.put(key, value, at, at)
@@ -240,10 +243,7 @@ def _drive(section: MarkedMapping, axis: MarkedMapping, faults: Faults) -> Marke
     for key in SCALING_KEYS:
         if key not in drive and axis.get(key) is not None:
             drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
-    ratio = axis.get("transmission")
-    if "rated_torque_resolution" not in drive and isinstance(ratio, int | float) and not isinstance(ratio, bool):
-        at = axis.values_at["transmission"]
-        drive.put("rated_torque_resolution", _MILLI * ratio, at, at)  # 0x6076 counts the motor's torque, not the axis's
+    lay_twin(drive, axis)
     return drive
 
 

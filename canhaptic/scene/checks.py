@@ -7,7 +7,6 @@ from canhaptic.drive.bus_budget import require_budget
 from canhaptic.drive.fitness import Verdict, check_dictionary
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.pdo_map import AxisMap, choose_map
-from canhaptic.drive.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.scene.buses import bus_section
 from canhaptic.scene.document import MarkedList, MarkedMapping
@@ -106,10 +105,6 @@ def _check_parts(
     axis: AxisScene, entry: MarkedMapping, sections: MarkedMapping, scene: Scene, faults: Faults
 ) -> AxisMap | None:
     """Makes the parts once and lets them say what they cannot do; returns the PDO map that the dictionary permits."""
-    try:
-        quirks_of(axis.parameters.drive)
-    except ParameterError as error:
-        faults.add(entry.value_at("drive"), str(error))
     try:
         if not axis.group:
             build_axis_controller(axis)

@@ -15,6 +15,7 @@ from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS, OWN_SECTIONS, SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.scene.buses import BUS_KEY, BusTitle, FurtherBus
 from canhaptic.scene.models import AutoAccuracy, RunParameters, SimulationParameters
+from canhaptic.scene.profiles import PROFILE_KEY
 from canhaptic.sim.bus_effects import BusEffects
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import EFFECTS
@@ -110,7 +111,8 @@ def _axis(definitions: Schema) -> Schema:
         "passivity": {"anyOf": [_without_required(s) for s in _passivity(definitions)["oneOf"]]},
     }
     sections = {name: own[name] for name in OWN_SECTIONS}
-    return {**schema, "properties": {**schema["properties"], BUS_KEY: {"type": "string"}, **sections}}
+    profile = {PROFILE_KEY: {"type": "string", "description": "A drive profile: a name of configs/drives, or a path."}}
+    return {**schema, "properties": {**schema["properties"], BUS_KEY: {"type": "string"}, **profile, **sections}}
 
 
 def _simulation(definitions: Schema) -> Schema:

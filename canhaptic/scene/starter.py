@@ -13,8 +13,10 @@ from canopen import ObjectDictionary
 
 from canhaptic import object_dictionary as od
 from canhaptic.drive.pdo_map import is_writable
+from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey
 from canhaptic.errors import DictionaryError
+from canhaptic.scene.profiles import profile_values
 
 TO_SET: Final = "TO SET"
 """Marks every value that the user has to replace."""
@@ -209,7 +211,8 @@ def _stated_torque(dictionary: ObjectDictionary, found: Survey, drive: str | Non
 
 
 def _resolution_of(drive: str | None) -> float:
-    return 1e-6 if drive == "epos4" else 1e-3
+    names = () if drive is None else tuple(profile_values(drive).get("quirks", ()))
+    return quirks_of(names).rated_torque_resolution
 
 
 def _rated_lines(dictionary: ObjectDictionary, stated: float | None) -> str:

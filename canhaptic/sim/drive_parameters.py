@@ -1,7 +1,7 @@
 """What the simulated drive needs to know beyond its dictionary. Nothing that a dictionary lacks is assumed."""
 
 import re
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, field_validator
 
@@ -39,6 +39,17 @@ class SimulatedDriveParameters(Parameters):
             `0x6502` or `"0x1018.1"` (index.subindex, hexadecimal).
         encoder: How the position becomes counts: to the nearest, or down to the last line passed.
         torque_read_back: Whether 0x6074 and 0x6077 of a SYNC show the hold that ended, or already the next torque.
+        torque_resolution: Part of the rated torque per count of 0x6071, 0x6072, 0x6074 and 0x6077.
+        torque_lag: Time constant with which 0x6077 follows the motor's torque, as a filter of the drive; none at 0.
+        torque_ripple: Part of the torque by which 0x6077 wavers with position, as a current sensor's error does.
+        torque_ripple_pitch: Period of that [rad or m].
+        direction: -1 for a drive mounted the other way round: position and torque both count against the axis.
+        reversed: A wrong wiring: only the encoder, or only the motor, counts against the axis.
+        rated_torque_stated: False for a drive whose 0x6076 is 0 until the master writes it.
+        absent: Objects that the dictionary lists and the drive lacks; keys as in `objects`, or a whole index.
+        refused: Object -> value that the drive does not take, though the dictionary allows it.
+        enable_delay: Time from the command to enable until OPERATION ENABLED (brake, commutation).
+        follow_delay: Time in OPERATION ENABLED until the torque follows; bit 12 of the statusword is 0 until then.
         sdo_size_indicated: False for a drive that leaves out the length of expedited answers.
         sync_losses_to_fault: Communication cycle periods (0x1006) without SYNC until the drive faults.
     """
@@ -50,6 +61,17 @@ class SimulatedDriveParameters(Parameters):
     objects: dict[str | int, int | float | str] = Field(default_factory=dict)
     encoder: Literal["round", "floor"] = "round"
     torque_read_back: Literal["before_update", "after_update"] = "before_update"
+    torque_resolution: Annotated[float, quantity("1", ge=1e-6, le=1.0)] = 1e-3
+    torque_lag: Annotated[float, quantity("s", ge=0.0, le=1.0)] = 0.0
+    torque_ripple: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0
+    torque_ripple_pitch: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)] = 1.0
+    direction: Literal[1, -1] = 1
+    reversed: Literal["none", "encoder", "torque"] = "none"
+    rated_torque_stated: bool = True
+    absent: tuple[str | int, ...] = ()
+    refused: dict[str | int, int] = Field(default_factory=dict)
+    enable_delay: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 0.0
+    follow_delay: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 0.0
     sdo_size_indicated: bool = True
     sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
 
@@ -59,6 +81,31 @@ class SimulatedDriveParameters(Parameters):
         for key in objects:
             parse_place(key)
         return objects
+
+    @field_validator("absent", "refused")
+    @classmethod
+    def _check_keys(cls, keys: Any) -> Any:
+        for key in keys:
+            parse_place(key)
+        return keys
+
+    @property
+    def position_sign(self) -> int:
+        """Sign of a count (0x6064) along the axis."""
+        return -self.direction if self.reversed == "encoder" else self.direction
+
+    @property
+    def torque_sign(self) -> int:
+        """Sign of a torque of the drive (0x6071) along the axis."""
+        return -self.direction if self.reversed == "torque" else self.direction
+
+    def absent_places(self) -> frozenset[tuple[int, int | None]]:
+        """Returns `absent` as (index, subindex); the subindex is None for a whole object."""
+        return frozenset((index, subindex or None) for index, subindex in map(parse_place, self.absent))
+
+    def refused_values(self) -> dict[tuple[int, int], int]:
+        """Returns `refused` by (index, subindex)."""
+        return {parse_place(key): value for key, value in self.refused.items()}
 
     def object_values(self) -> dict[tuple[int, int], int | float | str]:
         """Returns `objects` by (index, subindex)."""

@@ -5,7 +5,7 @@ Objects that the drive needs for itself but its dictionary does not list are kep
 """
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
@@ -51,11 +51,12 @@ class Entry:
         check: Called with a value before it is stored by SDO; returns the abort code or None.
         changed: Called after a value was stored by SDO.
         refresh: Called before a value is read by SDO.
+        refused: A value that SDO cannot store, whatever the range says; None for none.
     """
 
     __slots__ = (
         *("index", "subindex", "data_type", "size", "code", "readable", "writable", "receivable", "transmittable"),
-        *("low", "high", "initial", "value", "check", "changed", "refresh"),
+        *("low", "high", "initial", "value", "check", "changed", "refresh", "refused"),
     )
 
     def __init__(
@@ -82,6 +83,7 @@ class Entry:
         self.check: Callable[[int], SdoAbort | None] | None = None
         self.changed: Callable[[], None] | None = None
         self.refresh: Callable[[], None] | None = None
+        self.refused: int | None = None
 
     @property
     def number(self) -> int:
@@ -118,22 +120,35 @@ class ObjectStore:
     Args:
         dictionary: As read from its EDS or DCF.
         values: (index, subindex) -> value, for objects without value or in place of theirs.
+        absent: (index, subindex or None for all) that the dictionary lists and the drive lacks.
+        refused: (index, subindex) -> value that SDO cannot store.
 
     Raises:
         ParameterError: `values` names an object that the dictionary lacks, or a value that does not fit.
     """
 
-    def __init__(self, dictionary: ObjectDictionary, values: Mapping[tuple[int, int], int | float | str]) -> None:
+    def __init__(
+        self,
+        dictionary: ObjectDictionary,
+        values: Mapping[tuple[int, int], int | float | str],
+        absent: Set[tuple[int, int | None]] = frozenset(),
+        refused: Mapping[tuple[int, int], int] | None = None,
+    ) -> None:
         self._entries: dict[tuple[int, int], Entry] = {}
         self._hidden: dict[tuple[int, int], Entry] = {}
         for item in dictionary.values():
             members = (item,) if isinstance(item, ODVariable) else tuple(item.subindices.values())
             for variable in members:
-                self._entries[variable.index, variable.subindex] = _entry(variable)
+                place = (variable.index, variable.subindex)
+                if not absent or not {place, (variable.index, None)} & absent:
+                    self._entries[place] = _entry(variable)
         self._indices = {index for index, _ in self._entries}
         self._fill_counts()
         for place, value in values.items():
             self._override(place, value)
+        for place, number in (refused or {}).items():
+            if place in self._entries:
+                self._entries[place].refused = number
         self.reset()
 
     def entry(self, index: int, data_type: int, subindex: int = 0) -> Entry:
@@ -180,11 +195,8 @@ class ObjectStore:
             return SdoAbort.LENGTH_TOO_HIGH if len(content) > entry.size else SdoAbort.LENGTH_TOO_LOW
         value = entry.decode(content)
         if not isinstance(value, bytes):
-            if not value <= entry.high:
-                return SdoAbort.VALUE_TOO_HIGH
-            if value < entry.low:
-                return SdoAbort.VALUE_TOO_LOW
-            if entry.check is not None and (refusal := entry.check(int(value))) is not None:
+            refusal = _refusal(entry, value)
+            if refusal is not None:
                 return refusal
         entry.value = value
         if entry.changed is not None:
@@ -213,6 +225,17 @@ class ObjectStore:
             entry.encode(_require(entry.initial))
         except (ValueError, TypeError) as error:
             raise ParameterError(f"{name}: got {value!r}, expected a value of type 0x{entry.data_type:04X}") from error
+
+
+def _refusal(entry: Entry, value: int | float) -> SdoAbort | None:
+    """Returns why a number cannot be stored, or None."""
+    if not value <= entry.high:
+        return SdoAbort.VALUE_TOO_HIGH
+    if value < entry.low:
+        return SdoAbort.VALUE_TOO_LOW
+    if value == entry.refused:
+        return SdoAbort.VALUE_RANGE
+    return None if entry.check is None else entry.check(int(value))
 
 
 def _require(value: Value | None) -> Value:

@@ -162,6 +162,12 @@ class Plant:
         return self._machine.state.item(1)
 
     @property
+    def motor_torque(self) -> float | None:
+        """Torque of the motor behind its current loop [N*m or N]; None without one, when it is the torque held."""
+        names = self.scene.names
+        return self._machine.state.item(names.index("motor_torque")) if "motor_torque" in names else None
+
+    @property
     def encoder_position(self) -> float:
         """Position that the encoder reports [m or rad]; the same however often it is read at one instant."""
         position = self.position

@@ -28,11 +28,13 @@ from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.objects import ObjectStore
 from canhaptic.sim.state_machine import STATUSWORD as STATUSWORDS
-from canhaptic.sim.state_machine import DriveState, StateMachine
+from canhaptic.sim.state_machine import Command, DriveState, StateMachine, command_of
 from canhaptic.sim.torque import TorqueStage
+from canhaptic.sim.torque_meter import TorqueMeter
 
 _SENSOR_FAULT: Final = 0x7300  # error code of 0x603F: a position that is no number
 _COUNTS: Final = 1 << 32  # 0x6064 and 0x606C are 32 bits wide and wrap, as an encoder counter does
+_ENABLE_BIT: Final = 0x08  # of the controlword
 _ENABLED: Final = DriveState.OPERATION_ENABLED
 _POWERED: Final = frozenset(
     (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, _ENABLED, DriveState.QUICK_STOP_ACTIVE)
@@ -44,7 +46,8 @@ _LIMITED: Final = int(StatusBit.INTERNAL_LIMIT)
 class Motor(Protocol):
     """The plant that the drive moves: motor, load and user.
 
-    One that has `encoder_position` besides is read there; one that has not, has an encoder without effects.
+    One that has `encoder_position` or `motor_torque` besides is read there; one that has not, has an encoder, or a
+    current loop, without effects.
     """
 
     @property
@@ -89,7 +92,7 @@ class Servo:
         self.is_running = False
         self._moved_to = 0
         self.demand, self.torque = 0, 0.0
-        self._counts_per_unit = parameters.counts_per_unit
+        self._counts_per_unit = parameters.position_sign * parameters.counts_per_unit
         self._rounds = parameters.encoder == "round"
         self._read_encoder: Callable[[Motor], float] = attrgetter(
             "encoder_position" if hasattr(motor, "encoder_position") else "position"
@@ -108,6 +111,10 @@ class Servo:
         self.velocity_entry = store.entry(VELOCITY_ACTUAL, datatypes.INTEGER32)
         self.measures_velocity = False
         self._stage = TorqueStage(store, parameters, self._reload_limits)
+        self._meter = TorqueMeter(motor, parameters)
+        self._torque_sign = parameters.torque_sign
+        self._enable_delay = round(parameters.enable_delay * 1e9)
+        self._follow_delay = round(parameters.follow_delay * 1e9)
         self._connect()
         self.reset()
 
@@ -131,6 +138,8 @@ class Servo:
         self._mode_display.value = self._mode.number if self._check_mode(self._mode.number) is None else 0
         self._statusword.value = STATUSWORDS[self.machine.state]
         self._stage.reload()
+        self._meter.reset()
+        self._enabling_since = self._enabled_since = -1  # [ns]; -1: not
         self.has_event = True
         self.measure()
 
@@ -147,13 +156,32 @@ class Servo:
     def obey(self) -> None:
         """Acts on controlword, mode and target torque as they now stand."""
         before = self.machine.state
-        self.machine.obey(self._controlword.number, self._quick_stop_option.number)
+        self.machine.obey(self._delayed(self._controlword.number), self._quick_stop_option.number)
         if before is DriveState.FAULT and self.machine.state is not before:
             self.was_reset = True
         mode = self._mode.number
         if mode != self._mode_display.value and self._check_mode(mode) is None:
             self._mode_display.value = mode
         self.update(before)
+
+    def _delayed(self, controlword: int) -> int:
+        """Returns the controlword, without the command to enable until its time has come."""
+        if not self._enable_delay:
+            return controlword
+        is_asked = command_of(controlword) is Command.ENABLE_OPERATION
+        if not is_asked or self.machine.state not in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON):
+            self._enabling_since = -1
+            return controlword
+        if self._enabling_since < 0:
+            self._enabling_since = self.now
+        is_due = self.now - self._enabling_since >= self._enable_delay
+        return controlword if is_due else controlword & ~_ENABLE_BIT
+
+    def _follows(self) -> bool:
+        """Whether the torque follows its target already; only asked in OPERATION ENABLED."""
+        if self._enabled_since < 0:
+            self._enabled_since = self.now
+        return self.now - self._enabled_since >= self._follow_delay
 
     def update(self, before: DriveState | None = None) -> None:
         """Sets torque demand and statusword to what state, mode and target ask for.
@@ -163,13 +191,15 @@ class Servo:
         """
         state = self.machine.state
         demand, word = 0, STATUSWORDS[state]
-        if state is _ENABLED and self._mode_display.value == CYCLIC_SYNC_TORQUE:
+        if state is not _ENABLED:
+            self._enabled_since = -1
+        elif self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
             target = self._target.number
             demand = self._stage.limit(target)
             word |= _FOLLOWS if demand == target else _FOLLOWS | _LIMITED
         if demand != self.demand:
             self._move()
-            self.demand, self.torque = demand, demand * self._stage.quantum
+            self.demand, self.torque = demand, self._torque_sign * demand * self._stage.quantum
         if word != self._statusword.value or (before is not None and before is not state):
             self._statusword.value = word
             self.has_event = True
@@ -213,8 +243,10 @@ class Servo:
         self.show_torque()
 
     def show_torque(self) -> None:
-        """Lets 0x6074, 0x6077 and 0x6078 show the demand in force; the current is proportional to the torque."""
-        self._torque_demand.value = self._torque_actual.value = self._current_actual.value = self.demand
+        """Lets 0x6074 show the demand in force, 0x6077 and 0x6078 what is measured; the current is as the torque."""
+        self._torque_demand.value = self.demand
+        measured = self._meter.counts(self.now, self.torque, self._torque_sign * self._stage.quantum)
+        self._torque_actual.value = self._current_actual.value = measured
 
     def measure(self) -> None:
         """Measures now, for an SDO upload or an event-driven TPDO."""
@@ -245,5 +277,5 @@ class Servo:
     def _reload_limits(self) -> None:
         self._stage.reload()
         self._move()
-        self.torque = self.demand * self._stage.quantum
+        self.torque = self._torque_sign * self.demand * self._stage.quantum
         self.update()

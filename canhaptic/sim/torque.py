@@ -9,8 +9,6 @@ from canhaptic.object_dictionary import MAX_TORQUE, RATED_TORQUE, TARGET_TORQUE
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.objects import ObjectStore
 
-_PER_MILLE = 1000.0
-
 
 class TorqueStage:
     """Limits a target torque (0x6071) to a demand (0x6074) and scales it to the axis.
@@ -28,7 +26,7 @@ class TorqueStage:
         self._rated = store.find(RATED_TORQUE)
         self._parameters = parameters
         if parameters.rated_torque is not None and self._rated is not None:
-            self._rated.initial = self._rated.value = _counts(parameters)
+            self._rated.initial = self._rated.value = _counts(parameters) if parameters.rated_torque_stated else 0
         if store.find(TARGET_TORQUE) is not None and self._rated_torque() <= 0.0:
             seen = "no such object" if self._rated is None else f"value {self._rated.value!r}"
             raise ParameterError(
@@ -47,7 +45,8 @@ class TorqueStage:
 
     def reload(self) -> None:
         """Takes over rated torque and limits as the objects now state them."""
-        self.quantum = self._rated_torque() / _PER_MILLE  # [N or N*m] per count of 0x6071
+        # [N or N*m] per count of 0x6071
+        self.quantum = self._rated_torque() / round(1.0 / self._parameters.torque_resolution, 9)
         limit = float("inf")
         if self._max_torque is not None and self._max_torque.value is not None:
             limit = self._max_torque.number

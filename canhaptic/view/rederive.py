@@ -14,7 +14,7 @@ from canhaptic.drive.cia402 import is_enabled
 from canhaptic.drive.fitness import agreed_rated_torque
 from canhaptic.drive.parameters import AxisParameters
 from canhaptic.drive.quirks import quirks_of
-from canhaptic.drive.scaling import AxisScaling
+from canhaptic.drive.scaling import AxisScaling, axis_scaling
 from canhaptic.errors import InputError
 from canhaptic.haptics.balance import Ledger
 from canhaptic.logs.bus_reader import Frame, read_bus_log
@@ -86,9 +86,9 @@ class _ListenedAxis:
             self._last = self._last._replace(sync_index=sync_index, fresh=False)
             return self._last
         if self._scaling is None:
-            resolution = quirks_of(self.axis.drive).rated_torque_resolution
+            resolution = quirks_of(self.axis.quirks).rated_torque_resolution
             rated = agreed_rated_torque(self.axis, self._rated_counts, resolution)
-            self._scaling = AxisScaling(self.axis.counts_per_unit, rated, self.axis.direction)
+            self._scaling = axis_scaling(self.axis, rated)
         reported = next(self._stage[torque] for torque in _TORQUES if torque in self._stage)
         if self.axis.demand_reported == "after":
             reported, self._reported = self._reported, reported

@@ -6,7 +6,7 @@ import pytest
 from drive_bench import axis
 
 from canhaptic.drive.parameters import BusParameters
-from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.quirks import Quirks, quirks_of
 from canhaptic.errors import ParameterError
 
 
@@ -64,8 +64,13 @@ def test_bad_axis_parameters_are_refused_by_name(values: dict[str, Any], text: s
         axis(**values)
 
 
-def test_an_unknown_drive_profile_is_refused_with_the_known_ones() -> None:
-    assert quirks_of(None) == quirks_of("generic")
-    assert quirks_of("epos4").rated_torque_resolution == 1e-6
-    with pytest.raises(ParameterError, match="expected one of: epos4, generic"):
-        quirks_of("epos5")
+def test_quirks_add_up_and_those_that_are_unknown_or_contradict_are_refused() -> None:
+    assert quirks_of(()) == Quirks()
+    both = quirks_of(("rated_torque_micro", "max_torque_absent"))
+    assert (both.rated_torque_resolution, both.writes_max_torque, both.maps_demand) == (1e-6, False, True)
+    with pytest.raises(ParameterError, match="expected any of: abort_disable_voltage, .*did you mean 'slow_enable'"):
+        quirks_of(("slow_enabel",))
+    with pytest.raises(ParameterError, match="'torque_per_cent' and 'torque_per_ten_thousand' contradict each other"):
+        quirks_of(("torque_per_cent", "torque_per_ten_thousand"))
+    with pytest.raises(ParameterError, match="quirks: got 'nothing'"):
+        axis(quirks=("nothing",))

@@ -106,7 +106,7 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         (("counts_per_unit: 1e6", "counts_per_unit: 0"), "axes.0.counts_per_unit: got 0, expected 0 < counts_per_unit"),
         (
             ("unit: m\n", "unit: m\n    drive: eposs\n"),
-            "scene.yaml:8:12: axes.0.drive: drive: got 'eposs', expected one of",
+            "scene.yaml:8:12: axes.0.drive: got 'eposs', expected one of: copley, ",
         ),
         (
             ("  plant: {mass: 0.25,", "  plant: {mass: 0,"),

@@ -1,0 +1,99 @@
+"""Drive profiles: what is known of a make of drive, laid under the axis that names it by `drive: NAME`.
+
+A profile is a YAML file with keys of an axis, in `configs/drives/` or, given as a path that ends in .yaml, beside the
+scene. The axis's own keys win, key by key. What belongs to the rig and not to the make (name, node ID, dictionary,
+scale, limits) cannot be in a profile. Where a drive is simulated, its twin has the same deviations (`twins`).
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import canhaptic
+from canhaptic.drive.parameters import AxisParameters
+from canhaptic.errors import SceneError
+from canhaptic.scene.document import MarkedMapping, parse_yaml
+from canhaptic.scene.faults import Faults, Mark
+from canhaptic.scene.section import read_mapping, refuse_unknown_keys, shown
+
+PROFILES: Final = Path(canhaptic.__file__).resolve().parent.parent / "configs" / "drives"
+PROFILE_KEY: Final = "drive"
+"""Of an axis: its drive profile."""
+_OF_THE_RIG: Final = frozenset(
+    ("name", "node_id", "eds", "unit", "counts_per_unit", "direction", "transmission", "rated_torque", "torque_limit")
+)
+PROFILE_KEYS: Final = tuple(sorted(AxisParameters.model_fields.keys() - _OF_THE_RIG))
+"""Keys that a profile may have."""
+
+
+def profile_names() -> list[str]:
+    """Returns the names of all profiles that come with the package."""
+    return sorted(path.stem for path in PROFILES.glob("*.yaml"))
+
+
+def with_profile(section: MarkedMapping, faults: Faults) -> MarkedMapping:
+    """Returns an axis's section with its profile laid under it, and without the key that names the profile."""
+    name, at = section.get(PROFILE_KEY), section.value_at(PROFILE_KEY)
+    own = section.without(PROFILE_KEY)
+    if name is None:
+        return own
+    if not isinstance(name, str):
+        faults.add(at, f"got {shown(name)}, expected the name of a drive profile, one of: {', '.join(profile_names())}")
+        return own
+    path = _path(name, at)
+    if path is None:
+        names = ", ".join(profile_names())
+        faults.add(at, f"got {name!r}, expected one of: {names}; or the path of a profile of your own (.yaml)")
+        return own
+    for key, value, key_at, value_at in _entries(_read(path, faults)):
+        if key not in own:
+            own.put(key, value, key_at, value_at)
+    return own
+
+
+def profile_values(name: str) -> dict[str, Any]:
+    """Returns the keys of a profile that comes with the package.
+
+    Raises:
+        SceneError: There is none of this name, or it cannot be read.
+    """
+    faults = Faults()
+    if name not in profile_names():
+        raise SceneError([f"{name}: no such drive profile, expected one of: {', '.join(profile_names())}"])
+    profile = _read(PROFILES / f"{name}.yaml", faults)
+    faults.raise_if_any()
+    return dict(profile)
+
+
+def profile_of_vendor(vendor_id: int | None) -> str | None:
+    """Returns the profile whose vendor ID (0x1018:01) this is; None when there is none."""
+    if not vendor_id:
+        return None
+    return next((name for name in profile_names() if profile_values(name).get("vendor_id") == vendor_id), None)
+
+
+def _path(name: str, at: Mark) -> Path | None:
+    if not name.endswith((".yaml", ".yml")):
+        return PROFILES / f"{name}.yaml" if name in profile_names() else None
+    beside = Path(at.source).parent if at.line else Path()
+    path = beside / name
+    return path if path.is_file() else None
+
+
+def _read(path: Path, faults: Faults) -> MarkedMapping:
+    """Returns the keys of a profile; what is wrong with it is noted, and left out."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        faults.add(Mark(str(path), 0, 0, ()), f"cannot be read ({error}); give a profile in YAML, as UTF-8")
+        return MarkedMapping(Mark(str(path), 0, 0, ()))
+    top = Mark(str(path), 1, 1, ())
+    value = parse_yaml(text, str(path), faults)
+    profile = MarkedMapping(top) if value is None else read_mapping(value, top, faults, "keys of an axis")
+    if profile is None:
+        return MarkedMapping(top)
+    refuse_unknown_keys(profile, PROFILE_KEYS, faults)
+    return profile.without(*(key for key in profile if key not in PROFILE_KEYS))
+
+
+def _entries(profile: MarkedMapping) -> list[tuple[str, Any, Mark, Mark]]:
+    return [(key, value, profile.keys_at[key], profile.values_at[key]) for key, value in profile.items()]
