@@ -15,6 +15,7 @@ from canhaptic.cli.output import print_failure
 from canhaptic.errors import CanHapticError
 
 COMMANDS: Final = {
+    "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
     "run": "run a scene: bring the drives up, render, print the energy account",
     "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
     "check-eds": "say whether the drive of an EDS or DCF can serve, and what its configuration must bring",
@@ -22,6 +23,7 @@ COMMANDS: Final = {
     "preflight": "look at the SocketCAN interfaces of a scene: bit rate, state, queue, what follows a bus-off",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "compare": "compare every passivity algorithm on one scene with the continuous environment",
+    "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
     "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
     "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",

@@ -1,0 +1,148 @@
+"""From the ladder to advice: the Pareto front, the cheapest setting within a tolerance, what each effect is worth.
+
+All choices rest on errors and evaluations, which are the same in every run; times only sort the effects.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from canhaptic.study.accuracy.candidates import OURS
+
+_CLOCK: Final = 0.05
+"""Time per period below which a saving is not told from none [us]."""
+FLOOR: Final = 2e-13
+"""Of the travel: errors below it are those of the reference, or rounding: they count as equal, and tell no order."""
+_CEILING: Final = 3e-2
+"""Of the travel: errors above it are not yet in the range where an order shows."""
+
+Row = Mapping[str, Any]
+
+
+def meets(row: Row, tolerance: float) -> bool:
+    """Whether the position of a row keeps the tolerance [m or rad]."""
+    return row["status"] == "ok" and float(row["position_error"]) <= tolerance
+
+
+def cheapest(rows: Sequence[Row], tolerance: float) -> Row | None:
+    """Returns the row with the fewest evaluations that keeps the tolerance; of equals the more exact."""
+    good = [row for row in rows if meets(row, tolerance)]
+    return min(good, key=lambda row: (row["evaluations"], row["position_error"]), default=None)
+
+
+def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
+    """Returns for each row whether no other is both cheaper and at least as exact.
+
+    Args:
+        rows: Of the ladder.
+        price: Key of what they cost.
+        floor: Error of the position below which all are equal [m or rad].
+    """
+    points = [
+        (max(row["position_error"], floor), row[price])
+        for row in rows
+        if row["status"] == "ok" and row.get(price) is not None
+    ]
+    marks = []
+    for row in rows:
+        priced = row["status"] == "ok" and row.get(price) is not None
+        error, cost = (max(row["position_error"], floor), row[price]) if priced else (0.0, 0.0)
+        beaten = any(e <= error and c <= cost and (e < error or c < cost) for e, c in points)
+        marks.append(priced and not beaten)
+    return marks
+
+
+def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float) -> float | None:
+    """Returns the slope of log error over log size between the coarsest and the finest error that tell of it.
+
+    Args:
+        sizes: Of the steps, relative.
+        errors: Of the position [m or rad].
+        travel: Of the reference [m or rad].
+    """
+    points = [
+        (math.log(size), math.log(error))
+        for size, error in zip(sizes, errors, strict=True)
+        if FLOOR * travel < error < _CEILING * travel
+    ]
+    if len(points) < 2:
+        return None
+    count = len(points)
+    x, y = sum(p[0] for p in points) / count, sum(p[1] for p in points) / count
+    spread = sum((p[0] - x) ** 2 for p in points)
+    return sum((p[0] - x) * (p[1] - y) for p in points) / spread if spread else None
+
+
+def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float) -> dict[str, Any]:
+    """Returns what to write into the scene, and on what grounds.
+
+    Args:
+        rows: Of the ladder.
+        effects: Of the scene, each left out in turn.
+        tolerance: Of the position [m or rad].
+    """
+    ours = [row for row in rows if row["method"] == OURS]
+    chosen = cheapest(ours, tolerance)
+    cheaper = [
+        {"method": row["method"], "setting": row["setting"], "evaluations": row["evaluations"]}
+        for row in rows
+        if row["method"] != OURS and meets(row, tolerance) and chosen and row["evaluations"] < chosen["evaluations"]
+    ]
+    best = min(
+        (row for row in ours if row["status"] == "ok"), key=lambda row: float(row["position_error"]), default=None
+    )
+    return {
+        "tolerance": tolerance,
+        "chosen": chosen and dict(chosen),
+        "line": chosen and line(chosen["accuracy"]),
+        "most_exact": best and dict(best),
+        "cheaper_elsewhere": sorted(cheaper, key=lambda row: int(row["evaluations"])),
+        "effects": [dict(row) for row in sorted(effects, key=_worth, reverse=True)],
+    }
+
+
+def line(accuracy: Mapping[str, int]) -> str:
+    """Returns the line that sets an accuracy in a scene."""
+    return "accuracy: {" + ", ".join(f"{key}: {value}" for key, value in accuracy.items()) + "}"
+
+
+def _worth(row: Row) -> float:
+    worth = row.get("error_per_microsecond")
+    return -1.0 if worth is None else float(worth)
+
+
+def error_per_microsecond(error: float, saved: float | None) -> float | None:
+    """Returns the error that leaving an effect out causes for each microsecond that it saves.
+
+    Args:
+        error: Of the position [m or rad].
+        saved: Per period [us]; None where it was not measured. What the clock does not tell from none counts as that.
+    """
+    return None if saved is None else error / max(saved, _CLOCK)
+
+
+def rank_agreement(one: Sequence[float], other: Sequence[float]) -> float | None:
+    """Returns Spearman's rank correlation; None for fewer than three pairs."""
+    count = len(one)
+    if count < 3:
+        return None
+    a, b = _ranks(one), _ranks(other)
+    mean = 0.5 * (count - 1)
+    top = sum((x - mean) * (y - mean) for x, y in zip(a, b, strict=True))
+    size = math.sqrt(sum((x - mean) ** 2 for x in a) * sum((y - mean) ** 2 for y in b))
+    return top / size if size else None
+
+
+def _ranks(values: Sequence[float]) -> list[float]:
+    """Returns the rank of each value; equal values share the mean of theirs."""
+    order = sorted(range(len(values)), key=values.__getitem__)
+    ranks = [0.0] * len(values)
+    start = 0
+    while start < len(order):
+        end = start
+        while end + 1 < len(order) and values[order[end + 1]] == values[order[start]]:
+            end += 1
+        for place in range(start, end + 1):
+            ranks[order[place]] = 0.5 * (start + end)
+        start = end + 1
+    return ranks

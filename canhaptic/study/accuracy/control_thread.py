@@ -1,0 +1,86 @@
+"""What one cycle costs the control thread beside the algorithm: frames, checks and accounts, without the far side.
+
+The rig of the scene runs in lock-step with its simulated drives in one thread; the time that these take is measured
+on the way and taken off.
+"""
+
+from contextlib import ExitStack
+from itertools import pairwise
+from typing import Final
+
+from canhaptic.cycle import Cycle, run
+from canhaptic.drive.clock import VirtualClock, WallClock
+from canhaptic.drive.link import Link
+from canhaptic.drive.rig import Rig
+from canhaptic.haptics.balance import AT_REST, EnergyBalance
+from canhaptic.scene.build import build_drive_group
+from canhaptic.scene.bus import open_bus, private_channel
+from canhaptic.scene.models import Scene
+from canhaptic.scene.parts import build_servo_drive
+from canhaptic.signals import FarSide
+
+_CYCLES: Final = 600
+_BLOCK: Final = 50
+"""Cycles between two readings: the least block counts, so that interruptions do not."""
+_NS_PER_US: Final = 1e3
+
+
+def exchange_time(scene: Scene) -> float | None:
+    """Returns the time of a cycle in the control thread without its algorithms [us].
+
+    None where the scene has real drives, effects on its bus or several buses.
+    """
+    if not scene.simulated or scene.bus_effects is not None or len(scene.buses) != 1:
+        return None
+    with ExitStack() as stack:
+        channel = private_channel()
+        ends = [open_bus(scene.bus, channel) for _ in range(2)]
+        for end in ends:
+            stack.callback(end.shutdown)
+        far_side = _TimedFarSide(build_drive_group(scene, ends[0]))
+        link = Link(ends[1], VirtualClock([far_side]))
+        rig = Rig(link, [build_servo_drive(axis, link, scene.bus) for axis in scene.axes], scene.bus)
+        readings: list[int] = []
+
+        def read(cycles: int) -> None:
+            if cycles % _BLOCK == 0:
+                readings.append(far_side.clock.now() - far_side.spent)
+
+        run(Cycle(rig, [_Idle() for _ in scene.axes]), _CYCLES, progress=read)
+    return min(after - before for before, after in pairwise(readings)) / _BLOCK / _NS_PER_US
+
+
+class _TimedFarSide:
+    """A far side and the time it took [ns]."""
+
+    def __init__(self, far_side: FarSide) -> None:
+        self.clock, self.spent = WallClock(), 0
+        self._far_side = far_side
+
+    def process(self, now: int) -> None:
+        """Handles what is due."""
+        begin = self.clock.now()
+        self._far_side.process(now)
+        self.spent += self.clock.now() - begin
+
+    def next_due(self) -> int:
+        """Returns the time of the next timer [ns]."""
+        begin = self.clock.now()
+        due = self._far_side.next_due()
+        self.spent += self.clock.now() - begin
+        return due
+
+
+class _Idle:
+    """A controller that does nothing."""
+
+    def reset(self) -> None:
+        """Keeps nothing."""
+
+    def hold(self) -> EnergyBalance:
+        """Returns rest."""
+        return AT_REST
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Returns rest."""
+        return AT_REST

@@ -1,0 +1,204 @@
+"""The loop side: one thing changed at a time, sample rate, delay, algorithm, velocity filter, resolution, encoder.
+
+Every variant is rendered without a bus and held against the continuous environment; the bus load is arithmetic.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.dictionary import read_dictionary
+from canhaptic.drive.bus_budget import bus_budget
+from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.pdo_map import AxisMap, choose_map
+from canhaptic.errors import ParameterError
+from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.study.accuracy.continuous_loop import ContinuousLoop
+from canhaptic.study.compare import with_algorithm, with_known_plant
+from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
+from canhaptic.study.scenes import loop_case
+
+FINEST: Final = 4
+"""Highest rate over that of the scene; the reference is read at that rate."""
+_FURTHEST: Final = 10.0  # travels of the continuous axis
+_LEAST_TRAVEL: Final = 5e-3  # [m or rad]
+_ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One loop."""
+
+    group: str
+    setting: str
+    axis: AxisScene
+    bus: BusParameters
+    case: LoopCase
+    is_scene: bool = False
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopRow:
+    """What one variant did; errors are the largest over the run, None where it could not be run."""
+
+    variant: Variant
+    run: LoopRun
+    position_error: float
+    force_error: float
+    energy_error: float
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether it ran to its end."""
+        return not self.run.ended
+
+
+def variants(axis: AxisScene, scene: Scene) -> list[Variant]:
+    """Returns the scene itself and everything beside it, one change each."""
+    base = Variant("as it is", axis.passivity.name, axis, scene.bus, _case(axis, scene), is_scene=True)
+    found = [base, *_rates(base, scene), *_delays(base, scene), *_algorithms(base, scene), *_filters(base, scene)]
+    return [*found, *_torques(base), *_encoders(base), *_without_encoder_effects(base, scene)]
+
+
+def _case(axis: AxisScene, scene: Scene) -> LoopCase:
+    return loop_case(axis, scene)
+
+
+def _rates(base: Variant, scene: Scene) -> list[Variant]:
+    found = []
+    for factor in (0.25, 0.5, 2.0, float(FINEST)):
+        rate = base.bus.rate * factor
+        if not 1.0 <= rate <= 20_000.0 or (factor > 1.0 and base.bus.sample_time_ns % int(factor)):
+            continue
+        bus = BusParameters(**{**base.bus.model_dump(), "rate": rate})
+        loop = base.axis.loop.model_copy(update={"sample_time": bus.sample_time})
+        axis = replace(base.axis, loop=loop)
+        found.append(Variant("sample rate", _hertz(rate), axis, bus, loop_case(axis, replace(scene, bus=bus))))
+    return found
+
+
+def _hertz(rate: float) -> str:
+    return f"{rate / 1000.0:g} kHz" if rate >= 1000.0 else f"{rate:g} Hz"
+
+
+def _delays(base: Variant, scene: Scene) -> list[Variant]:
+    other = "event" if base.bus.rpdo == "synchronous" else "synchronous"
+    bus = base.bus.model_copy(update={"rpdo": other})
+    axis = replace(base.axis, loop=base.axis.loop.model_copy(update={"delay": 1 if other == "synchronous" else 0}))
+    return [Variant("RPDO", other, axis, bus, loop_case(axis, replace(scene, bus=bus)))]
+
+
+def _algorithms(base: Variant, scene: Scene) -> list[Variant]:
+    found = []
+    for name in ALGORITHMS:
+        if name == base.axis.passivity.name:
+            continue
+        axis, remark = with_algorithm(base.axis, name), ""
+        try:
+            loop_case(axis, scene).controller()
+        except ParameterError:
+            axis, remark = with_known_plant(axis)
+        try:
+            loop_case(axis, scene).controller()
+        except ParameterError:
+            continue
+        found.append(Variant("algorithm", name, axis, base.bus, loop_case(axis, scene), remark=remark))
+    return found
+
+
+def _filters(base: Variant, scene: Scene) -> list[Variant]:
+    parameters = base.axis.passivity.parameters
+    if "velocity" not in type(parameters).model_fields:
+        return []
+    other = "last" if getattr(parameters, "velocity", "last") == "windowed" else "windowed"
+    changed = parameters.model_copy(update={"velocity": other})
+    axis = replace(base.axis, passivity=base.axis.passivity._replace(parameters=changed))
+    return [Variant("velocity", other, axis, base.bus, loop_case(axis, scene))]
+
+
+def _torques(base: Variant) -> list[Variant]:
+    quantum = base.case.torque_quantum
+    if quantum is None:
+        return []
+    unit = "N" if base.axis.parameters.unit == "m" else "N*m"
+    found = []
+    for factor in (0.1, 10.0, None):
+        step = None if factor is None else quantum * factor
+        loop = base.case.loop.model_copy(update={"torque_quantum": step or 0.0})
+        setting = "ideal" if step is None else f"{step:g} {unit}"
+        case = replace(base.case, torque_quantum=step, loop=loop)
+        found.append(Variant("torque step", setting, base.axis, base.bus, case))
+    return found
+
+
+def _encoders(base: Variant) -> list[Variant]:
+    counts = base.case.counts_per_unit
+    if counts is None:
+        return []
+    found = []
+    for factor in (0.01, 0.1, 10.0, None):
+        scale = None if factor is None else abs(counts) * factor
+        loop = base.case.loop.model_copy(update={"encoder_count": 1.0 / scale if scale else 0.0})
+        setting = "ideal" if scale is None else f"{1.0 / scale:.3g} {base.axis.parameters.unit}"
+        case = replace(base.case, counts_per_unit=scale, loop=loop)
+        found.append(Variant("encoder count", setting, base.axis, base.bus, case))
+    return found
+
+
+def _without_encoder_effects(base: Variant, scene: Scene) -> list[Variant]:
+    simulation = base.axis.simulation
+    assert simulation is not None
+    found = []
+    for name in dict.fromkeys(effect.name for effect in simulation.effects if effect.name in _ENCODER_EFFECTS):
+        rest = tuple(effect for effect in simulation.effects if effect.name != name)
+        axis = replace(base.axis, simulation=replace(simulation, effects=rest))
+        found.append(Variant("effect", f"without {name}", axis, base.bus, loop_case(axis, scene)))
+    return found
+
+
+def loop_row(variant: Variant, exact: ContinuousLoop, duration_ns: int, tick: Callable[[], None]) -> LoopRow:
+    """Returns one variant run and judged.
+
+    Args:
+        variant: The loop.
+        exact: The continuous axis, read at least as often as the variant samples.
+        duration_ns: Length of the run [ns].
+        tick: Called once a cycle; may raise to give up.
+    """
+    period = variant.case.sample_time_ns
+    centre = 0.5 * float(exact.position.max() + exact.position.min())
+    travel = max(float(np.ptp(exact.position)), _LEAST_TRAVEL)
+    run = render(variant.case, duration_ns // period + 1, Recorder(_FURTHEST * travel, centre), tick)
+    stride = period // exact.step_ns
+    shown = min(len(run.position), (len(exact.position) - 1) // stride + 1)
+    rows = slice(0, (shown - 1) * stride + 1, stride)
+    mean = np.diff(exact.impulse[rows], prepend=0.0) / (period * 1e-9)
+    if run.ended:
+        infinite = float("inf")
+        return LoopRow(variant, run, infinite, infinite, infinite)
+    return LoopRow(
+        variant,
+        run,
+        _most(run.true_position[:shown] - exact.position[rows]),
+        _most(run.torque[:shown] - mean),
+        _most(run.interaction[:shown] - exact.interaction[rows]),
+    )
+
+
+def _most(values: Any) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def bus_figures(variant: Variant, scene: Scene) -> dict[str, Any]:
+    """Returns load and worst cycle of the bus that the axis is on, at the variant's rate."""
+    maps: Sequence[AxisMap] = [
+        choose_map(read_dictionary(a.parameters.eds, a.parameters.node_id), a.parameters)
+        for a in scene.axes
+        if a.bus == variant.axis.bus
+    ]
+    budget = bus_budget(variant.bus, maps)
+    return {"bus_load": budget.periodic_load, "worst_cycle": budget.worst_cycle, "bus_fits": budget.fits}

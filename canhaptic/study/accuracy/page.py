@@ -1,0 +1,110 @@
+"""A study of accuracy as one page that any browser opens without a network; drawn by Bokeh, imported on demand."""
+
+import html
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.errors import InputError
+from canhaptic.study.accuracy.picture import GROUPS, STYLES, price_of
+from canhaptic.study.accuracy.table import advice_lines, heading
+
+Row = Mapping[str, Any]
+
+_MISSING: Final = "an HTML report needs Bokeh; install it with: pip install 'canhaptic[report]'"
+_TOOLS: Final = "pan,wheel_zoom,box_zoom,reset,save"
+_MARKERS: Final = {"o": "circle", "v": "inverted_triangle", "s": "square", "^": "triangle", "D": "diamond"}
+
+
+def write_accuracy_page(result: Row, path: Path) -> None:
+    """Writes a study as one self-contained page with hover, zoom and a legend that hides methods.
+
+    Raises:
+        InputError: Nothing was measured, Bokeh is not installed, or the page cannot be written.
+    """
+    if not result["plant"]:
+        raise InputError("nothing was measured, there is nothing to draw")
+    try:
+        from bokeh.embed import file_html
+        from bokeh.layouts import column, row
+        from bokeh.models import Div
+        from bokeh.resources import INLINE
+    except ImportError as error:
+        raise InputError(_MISSING) from error
+    words = "".join(f"<p>{html.escape(line)}</p>" for line in (*heading(result), "", *advice_lines(result)))
+    price = price_of(result)
+    panels = [
+        _ladder(result, *price, "position_error", f"largest error of the position [{result['unit']}]"),
+        _ladder(result, "evaluations_per_period", "evaluations per period", "energy_error", "error of an energy [J]"),
+    ]
+    parts = [Div(text=words), row(*panels)]
+    if any(r["position_error"] for r in result["loop"]):
+        parts.append(_loop(result))
+    text = file_html(column(*parts), INLINE, title=f"{result['scene']} - accuracy")
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: the page cannot be written ({error.strerror})") from error
+
+
+def _ladder(result: Row, price: str, price_label: str, error: str, error_label: str) -> Any:
+    from bokeh.models import ColumnDataSource, HoverTool
+    from bokeh.plotting import figure
+
+    panel: Any = figure(
+        width=620, height=460, x_axis_type="log", y_axis_type="log", tools=_TOOLS, x_axis_label=price_label,
+        y_axis_label=error_label,
+    )  # fmt: skip
+    least = 1e-18
+    for method in dict.fromkeys(r["method"] for r in result["plant"]):
+        own = [r for r in result["plant"] if r["method"] == method and r["status"] == "ok" and r.get(price)]
+        if not own:
+            continue
+        colour, marker = STYLES[method]
+        source = ColumnDataSource(
+            {
+                "price": [r[price] for r in own],
+                "error": [max(r[error], least) for r in own],
+                "name": [f"{r['method']}, {r['setting']}" for r in own],
+                "edge": ["black" if r["pareto"] else colour for r in own],
+                "pareto": ["on the Pareto front" if r["pareto"] else "" for r in own],
+            }
+        )
+        panel.scatter(
+            "price", "error", source=source, marker=_MARKERS.get(marker, "hex"), size=9, color=colour,
+            line_color="edge", line_width=2, legend_label=method,
+        )  # fmt: skip
+    panel.add_tools(HoverTool(tooltips=[("", "@name"), ("error", "@error"), ("price", "@price"), ("", "@pareto")]))
+    panel.legend.click_policy = "hide"
+    panel.legend.location = "bottom_left"
+    panel.legend.background_fill_alpha = 0.6
+    return panel
+
+
+def _loop(result: Row) -> Any:
+    from bokeh.models import ColumnDataSource, HoverTool
+    from bokeh.plotting import figure
+
+    rows = [r for r in result["loop"] if r["position_error"]]
+    names = [f"{r['group']}: {r['setting']}" for r in rows]
+    panel: Any = figure(
+        width=1240, height=120 + 20 * len(rows), x_axis_type="log", y_range=names[::-1], tools=_TOOLS,
+        x_axis_label=f"largest difference from the continuous axis [{result['unit']}]",
+    )  # fmt: skip
+    source = ColumnDataSource(
+        {
+            "name": names,
+            "error": [r["position_error"] for r in rows],
+            "energy": [r["energy_error"] for r in rows],
+            "load": [100.0 * r["bus_load"] for r in rows],
+            "thread": [r.get("control_thread_us") or float("nan") for r in rows],
+            "colour": [GROUPS[r["group"]] for r in rows],
+        }
+    )
+    panel.scatter("error", "name", source=source, size=9, color="colour")
+    tips = [
+        ("", "@name"), ("position", "@error"), ("energy", "@energy J"), ("bus load", "@load{0.0} %"),
+        ("control thread", "@thread{0.0} us"),
+    ]  # fmt: skip
+    panel.add_tools(HoverTool(tooltips=tips))
+    return panel

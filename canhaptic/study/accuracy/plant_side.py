@@ -1,0 +1,163 @@
+"""The plant side: the whole ladder on the torques of the scene's own controller, and every effect left out in turn."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.errors import InputError, ParameterError
+from canhaptic.scene.accuracy_choice import ladder, simulation_of, textbook_model, torque_history
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.scene.parts import build_plant
+from canhaptic.sim.plant import AccuracyParameters
+from canhaptic.sim.textbook.located import reference
+from canhaptic.sim.textbook.motion import Motion, MotionError, difference
+from canhaptic.study.accuracy.advice import fitted_order
+from canhaptic.study.accuracy.candidates import OURS, Candidate, candidates, ours
+
+_FURTHEST: Final = 1.0
+"""Error of the position, in travels of the reference, from which a method counts as unstable."""
+
+Row = dict[str, Any]
+
+
+class PlantSide:
+    """One axis under recorded torques.
+
+    Args:
+        axis: Simulated.
+        scene: Its scene.
+        holds: How many.
+        stop: Asked now and then whether to give up.
+
+    Attributes:
+        torques: Of each hold, those that the scene's own controller asked for [N or N*m].
+        exact: The reference.
+        travel: Of the reference [m or rad].
+        rows: What was measured so far, one per rung of the ladder.
+        effects: What was measured so far, one per effect of the scene.
+    """
+
+    def __init__(self, axis: AxisScene, scene: Scene, holds: int, stop: Callable[[], bool]) -> None:
+        self._simulation: AxisSimulation = simulation_of(axis)
+        self._period = scene.bus.sample_time_ns
+        self.torques = torque_history(axis, scene, holds)
+        model = textbook_model(self._simulation)
+        self.exact: Motion = reference(model, self.torques, self._period, stop)
+        self.evaluations = model.evaluations
+        self.travel = max(float(np.ptp(self.exact.position)), 1e-9)
+        self.candidates: list[Candidate] = candidates(self._simulation, self.torques, self._period)
+        self.without: dict[str, Candidate] = {}
+        self.rows: list[Row] = []
+        self.effects: list[Row] = []
+
+    @property
+    def linear(self) -> bool:
+        """Whether nothing in it switches or has to be split off: there is one setting, and it is exact."""
+        return len(ladder(self._simulation, self._period)) == 1
+
+    def measure(self) -> Iterator[str]:
+        """Runs every rung once for its errors and evaluations; yields the name of each before it is run."""
+        for candidate in self.candidates:
+            yield candidate.name
+            self.rows.append(self._row(candidate))
+
+    def _row(self, candidate: Candidate) -> Row:
+        try:
+            motion, evaluations, events = candidate.observe()
+        except InputError as error:
+            return {**_named(candidate), "status": f"failed: {error}", "evaluations": None}
+        found = difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
+        stable = found.is_finite and found.position <= _FURTHEST * self.travel
+        errors = _errors(found) if stable else dict.fromkeys(("position_error", "force_error", "energy_error"))
+        return {
+            **_named(candidate),
+            "status": "ok" if stable else "unstable",
+            **errors,
+            "evaluations": evaluations,
+            "evaluations_per_period": evaluations / len(self.torques),
+            "events": events,
+        }
+
+    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
+        """Runs the plant without each effect at the chosen accuracy; yields the name of each before it is run.
+
+        Args:
+            accuracy: The one that the effects are priced at.
+        """
+        names = list(dict.fromkeys(effect.name for effect in self._simulation.effects))
+        whole = ours(self._simulation, accuracy, self.torques, self._period) if names else None
+        base = whole.observe()[1] if whole else 0
+        if whole and names:
+            self.without[""] = whole
+        for name in names:
+            yield f"without {name}"
+            self.effects.append(self._effect_row(name, accuracy, base))
+
+    def _effect_row(self, name: str, accuracy: AccuracyParameters, base: int) -> Row:
+        rest = tuple(effect for effect in self._simulation.effects if effect.name != name)
+        without = replace(self._simulation, effects=rest)
+        try:
+            build_plant(without, self._period)
+        except ParameterError as error:
+            return {"effect": name, "remark": f"cannot be left out alone: {error}"}
+        self.without[name] = candidate = ours(without, accuracy, self.torques, self._period)
+        motion, evaluations, _ = candidate.observe()
+        found = difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
+        order = next(getattr(e.parameters, "order", None) for e in self._simulation.effects if e.name == name)
+        return {
+            "effect": name,
+            "order": order,
+            "remark": "",
+            **_errors(found),
+            "evaluations_saved_per_period": (base - evaluations) / len(self.torques),
+        }
+
+    def orders(self) -> list[Row]:
+        """Returns the order of every method with a step, declared and as fitted to this very scene."""
+        found = []
+        for method in dict.fromkeys(candidate.method for candidate in self.candidates):
+            own = [
+                (candidate.size, row["position_error"])
+                for candidate, row in zip(self.candidates, self.rows, strict=False)
+                if candidate.method == method and candidate.size is not None and row["status"] == "ok"
+                and (candidate.accuracy is None or candidate.accuracy.event_bits == _most_bits(self.candidates))
+            ]  # fmt: skip
+            sizes, errors = [size for size, _ in own if size], [error for _, error in own]
+            if len(set(sizes)) < 2:
+                continue
+            found.append(
+                {
+                    "method": method,
+                    "declared": self._declared(method),
+                    "fitted": fitted_order(sizes, errors, self.travel),
+                }
+            )
+        return found
+
+    def _declared(self, method: str) -> int | None:
+        """Returns the order that a method has on this scene: 1 where modes switch, that of the effects for ours."""
+        own = next(candidate.order for candidate in self.candidates if candidate.method == method)
+        if method == OURS:
+            orders = [getattr(effect.parameters, "order", None) for effect in self._simulation.effects]
+            own = min((order for order in orders if order is not None), default=None)
+        switching = textbook_model(self._simulation).switches
+        return own if own is None or not switching else 1
+
+
+def _most_bits(found: Sequence[Candidate]) -> int:
+    return max(candidate.accuracy.event_bits for candidate in found if candidate.accuracy is not None)
+
+
+def _named(candidate: Candidate) -> Row:
+    accuracy = candidate.accuracy
+    return {
+        "method": candidate.method,
+        "setting": candidate.setting,
+        "accuracy": accuracy and {"event_bits": accuracy.event_bits, "substeps": accuracy.substeps},
+    }
+
+
+def _errors(found: MotionError) -> Row:
+    return {"position_error": found.position, "force_error": found.force, "energy_error": found.energy}

@@ -1,0 +1,265 @@
+"""The whole study of one axis: references, both ladders, times, advice; can be stopped with what is there so far.
+
+torques of the scene's own controller -> every method, every setting, every effect left out   beside DOP853
+every rate, delay, algorithm, filter and resolution                                           beside the continuous axis
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+from canhaptic.errors import InputError
+from canhaptic.scene.accuracy_choice import holds_of, simulation_of
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.sim.plant import AccuracyParameters
+from canhaptic.study.accuracy.advice import FLOOR, advice, error_per_microsecond, pareto, rank_agreement
+from canhaptic.study.accuracy.candidates import LSODA, remarks
+from canhaptic.study.accuracy.continuous_loop import continuous_loop
+from canhaptic.study.accuracy.control_thread import exchange_time
+from canhaptic.study.accuracy.loop_side import FINEST, LoopRow, bus_figures, loop_row, variants
+from canhaptic.study.accuracy.operations import executed_bytecodes
+from canhaptic.study.accuracy.plant_side import PlantSide, Row
+from canhaptic.study.accuracy.timing import WORKLOAD, WallTime, interleaved, workload
+from canhaptic.study.cost import microseconds_per_step
+
+DEFAULT_BUDGET: Final = 12.0
+"""Time for timings [s], the plant side's; runs for errors come on top."""
+UNITS: Final = 1000
+"""Units of progress in the whole study."""
+_SHARES: Final = {"references": 200, "ladder": 250, "times": 300, "loops": 250}
+_TENTH: Final = 0.1
+_REPEATS: Final = 3
+_TRACED: Final = 0.2
+"""Part of a run, in its middle, whose controller steps are counted in bytecodes."""
+_WORKLOAD: Final = "workload"
+
+
+class _StoppedError(InputError):
+    """The study was asked to stop."""
+
+
+class AccuracyStudy:
+    """Measures, and keeps what was measured.
+
+    Args:
+        scene: Simulated.
+        axis: Name of the axis; the first by default.
+        tolerance: Largest error of the position [m or rad]; by default what the scene's `accuracy: {auto: ...}` says,
+            else a tenth of an encoder count.
+        duration: Of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
+        budget: Time for timings [s]; 0 for none.
+        progress: Told the number of units done, of `UNITS`.
+        stop: Asked often whether to stop.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        axis: str | None = None,
+        *,
+        tolerance: float | None = None,
+        duration: float | None = None,
+        budget: float = DEFAULT_BUDGET,
+        progress: Callable[[int], None] | None = None,
+        stop: Callable[[], bool] | None = None,
+    ) -> None:
+        self.scene, self.axis = scene, _chosen_axis(scene, axis)
+        counts = abs(self.axis.parameters.counts_per_unit)
+        self.tolerance = tolerance or scene.accuracy_tolerance or _TENTH / counts
+        self.holds = holds_of(scene, duration)
+        self._budget, self._progress, self._stop = budget, progress, stop or (lambda: False)
+        self._done = 0
+        self._plant: PlantSide | None = None
+        self._loops: list[LoopRow] = []
+        self._loop_rows: list[Row] = []
+        self._times: dict[str, WallTime] = {}
+        self._remarks: list[str] = []
+        self._status = "not begun"
+
+    def run(self) -> dict[str, Any]:
+        """Returns the result; `status` is "completed", or "stopped" with everything up to there."""
+        self._status = "stopped"
+        try:
+            self._measure()
+            self._status = "completed"
+        except InputError:
+            if not self._stop():
+                raise
+        return self.result()
+
+    def _measure(self) -> None:
+        self._plant = plant = PlantSide(self.axis, self.scene, self.holds, self._stop)
+        self._remarks = remarks(simulation_of(self.axis))
+        exact = continuous_loop(self.axis, self.scene.bus.sample_time_ns // FINEST, self.holds * FINEST, self._stop)
+        self._advance("references", 1.0)
+        self._each(plant.measure(), len(plant.candidates), "ladder")
+        self._each(plant.measure_effects(self._accuracy()), len(self.axis_effects), "")
+        every = variants(self.axis, self.scene)
+        for number, variant in enumerate(every):
+            self._loops.append(loop_row(variant, exact, self.holds * self.scene.bus.sample_time_ns, self._check))
+            self._loop_rows.append(self._loop_row(self._loops[-1]))
+            self._advance("loops", (number + 1) / len(every) * 0.7)
+        if self._budget > 0.0:
+            self._time()
+
+    @property
+    def axis_effects(self) -> list[str]:
+        """Names of the effects of the axis, each once."""
+        assert self.axis.simulation is not None
+        return list(dict.fromkeys(effect.name for effect in self.axis.simulation.effects))
+
+    def _each(self, steps: Iterator[str], count: int, part: str) -> None:
+        for number, _name in enumerate(steps):
+            self._check()
+            if part:
+                self._advance(part, number / count)
+
+    def _check(self) -> None:
+        if self._stop():
+            raise _StoppedError("stopped")
+
+    def _advance(self, part: str, share: float) -> None:
+        names = list(_SHARES)
+        before = sum(_SHARES[name] for name in names[: names.index(part)])
+        self._done = max(self._done, min(UNITS, round(before + _SHARES[part] * share)))
+        if self._progress is not None:
+            self._progress(self._done)
+
+    def _accuracy(self) -> AccuracyParameters:
+        """Returns the accuracy that effects are priced at: the advised one, else the most exact."""
+        assert self._plant is not None
+        found = advice(self._plant.rows, [], self.tolerance)
+        row = found["chosen"] or found["most_exact"]
+        return AccuracyParameters(**row["accuracy"]) if row else AccuracyParameters()
+
+    def _time(self) -> None:
+        plant = self._plant
+        assert plant is not None
+        stable = [c for c, row in zip(plant.candidates, plant.rows, strict=True) if row["status"] == "ok"]
+        jobs: dict[str, Callable[[], object]] = {_WORKLOAD: workload}
+        jobs |= {f"without {name}": candidate.spend for name, candidate in plant.without.items()}
+        jobs |= {candidate.name: candidate.spend for candidate in stable}
+        self._times = interleaved(jobs, self._budget, self._stop, lambda share: self._advance("times", share))
+        self._check()
+        cases = {str(i): (row.variant.case, row.run) for i, row in enumerate(self._loops) if len(row.run.position) > 1}
+        each = microseconds_per_step(cases, _REPEATS)
+        exchange = exchange_time(self.scene)
+        for index, row in enumerate(self._loop_rows):
+            step = each.get(str(index))
+            row["controller_us"] = step
+            row["control_thread_us"] = None if step is None or exchange is None else step + exchange
+        self._advance("loops", 1.0)
+
+    def _loop_row(self, row: LoopRow) -> Row:
+        variant, stable = row.variant, row.is_stable
+        count = len(row.run.position)
+        part = slice(round((0.5 - 0.5 * _TRACED) * count), round((0.5 + 0.5 * _TRACED) * count) + 1)
+        positions, torques = row.run.position[part].tolist(), row.run.torque[part].tolist()
+        controller = variant.case.controller()
+
+        def work() -> None:
+            for position, torque in zip(positions, torques, strict=True):
+                controller.step(position, torque)
+
+        return {
+            "group": variant.group,
+            "setting": variant.setting,
+            "is_scene": variant.is_scene,
+            "remark": variant.remark,
+            "status": "ok" if stable else "unstable" if row.run.ended == "diverged" else row.run.ended,
+            "position_error": row.position_error if stable else None,
+            "force_error": row.force_error if stable else None,
+            "energy_error": row.energy_error if stable else None,
+            "energy_uncertainty": row.run.believed_error,
+            "energy_given_out": -row.run.least_interaction,
+            "bytecodes_per_second": round(executed_bytecodes(work) / len(positions) * variant.bus.rate),
+            **bus_figures(variant, self.scene),
+        }
+
+    def result(self) -> dict[str, Any]:
+        """Returns everything that was measured so far, as plain values."""
+        bus = self.scene.bus
+        found: dict[str, Any] = {
+            "scene": self.scene.source,
+            "config_hash": self.scene.config_hash(),
+            "axis": self.axis.parameters.name,
+            "unit": self.axis.parameters.unit,
+            "status": self._status,
+            "rate": 1.0 / bus.sample_time,
+            "holds": self.holds,
+            "duration": self.holds * bus.sample_time,
+            "tolerance": self.tolerance,
+            "workload": self._workload(),
+            "remarks": self._remarks,
+        }
+        plant = self._plant
+        if plant is None:
+            return {**found, "reference": None, "plant": [], "orders": [], "loop": [], "advice": None}
+        rows = self._plant_rows(plant)
+        return {
+            **found,
+            "reference": self._reference(plant, rows),
+            "plant": rows,
+            "orders": plant.orders(),
+            "loop": self._loop_rows,
+            "advice": advice(rows, self._effect_rows(plant), self.tolerance),
+        }
+
+    def _workload(self) -> dict[str, Any] | None:
+        time = self._times.get(_WORKLOAD)
+        return time and {"what": WORKLOAD, "seconds": time.least, "spread": time.spread}
+
+    def _reference(self, plant: PlantSide, rows: list[Row]) -> dict[str, Any]:
+        witness = next((row for row in rows if row["method"] == LSODA and row["setting"] == "tolerance 1e-09"), None)
+        timed = [row for row in rows if row.get("us_per_period") is not None]
+        return {
+            "method": "DOP853, events located, relative tolerance 1e-12",
+            "evaluations": plant.evaluations,
+            "travel": plant.travel,
+            "witness": witness
+            and {"method": "LSODA, events located, tolerance 1e-9", "apart": witness["position_error"]},
+            "rank_agreement": rank_agreement(
+                [row["evaluations"] for row in timed], [row["us_per_period"] for row in timed]
+            ),
+        }
+
+    def _plant_rows(self, plant: PlantSide) -> list[Row]:
+        rows = [{**row, **self._wall(f"{row['method']}, {row['setting']}")} for row in plant.rows]
+        for price, key in (("evaluations", "pareto"), ("us_per_period", "pareto_in_time")):
+            for row, mark in zip(rows, pareto(rows, price, FLOOR * plant.travel), strict=True):
+                row[key] = mark
+        return rows
+
+    def _wall(self, name: str) -> Row:
+        """Returns the time columns of one candidate; None where it was not timed."""
+        time, fixed = self._times.get(name), self._times.get(_WORKLOAD)
+        if time is None:
+            return dict.fromkeys(("us_per_period", "wall_per_second", "spread", "ratio"))
+        return {
+            "us_per_period": time.least / self.holds * 1e6,
+            "wall_per_second": time.least / (self.holds * self.scene.bus.sample_time),
+            "spread": time.spread,
+            "ratio": time.least / fixed.least if fixed else None,
+        }
+
+    def _effect_rows(self, plant: PlantSide) -> list[Row]:
+        base, rows = self._wall("without ")["us_per_period"], []
+        for row in plant.effects:
+            mine = self._wall(f"without {row['effect']}")["us_per_period"]
+            saved = None if base is None or mine is None else base - mine
+            error = row.get("position_error")
+            worth = None if error is None else error_per_microsecond(error, saved)
+            rows.append({**row, "us_saved_per_period": saved, "error_per_microsecond": worth})
+        return rows
+
+
+def _chosen_axis(scene: Scene, name: str | None) -> AxisScene:
+    """Returns an axis by name, the first by default.
+
+    Raises:
+        InputError: There is none of that name.
+    """
+    axis = next((axis for axis in scene.axes if name in (None, axis.parameters.name)), None)
+    if axis is None:
+        names = ", ".join(axis.parameters.name for axis in scene.axes)
+        raise InputError(f"{scene.source}: got axis {name!r}, expected one of: {names}")
+    return axis

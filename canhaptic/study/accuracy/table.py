@@ -1,0 +1,189 @@
+"""A study of accuracy as tables, for a terminal and as Markdown for a page of documentation."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from canhaptic.study.accuracy.advice import FLOOR
+from canhaptic.view.si import si
+
+Row = Mapping[str, Any]
+_Table = tuple[str, Sequence[str], list[list[str]], list[bool]]
+
+PLANT_HEADS: Final = (
+    "method", "setting", "position", "force", "energy", "evals /\nperiod", "events", "us /\nperiod", "times\nwork", "",
+)  # fmt: skip
+LOOP_HEADS: Final = (
+    "changed", "to", "position", "force", "energy", "energy\nunsure", "control\nthread", "codes\nper s", "bus\nload",
+)  # fmt: skip
+EFFECT_HEADS: Final = (
+    "left out", "order", "position", "force", "energy", "evals\nsaved", "us\nsaved", "error\nper us",
+)  # fmt: skip
+
+_LOOK: Final[Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False, "padding": (0, 1, 0, 0)}
+
+
+def accuracy_report(result: Row) -> RenderableType:
+    """Returns heading, tables and advice for a terminal."""
+    parts: list[RenderableType] = [Text(f" {line}") for line in heading(result)]
+    for title, heads, rows, marked in _tables(result):
+        table = Table(title=f" {title}", title_justify="left", title_style="bold", **_LOOK)
+        for index, head in enumerate(heads):
+            table.add_column(head, justify="left" if index < 2 else "right", no_wrap=True)
+        for cells, mark in zip(rows, marked, strict=True):
+            table.add_row(*cells, style="bold" if mark else "")
+        parts.append(table)
+    parts.extend(Text(f" {line}") for line in advice_lines(result))
+    return Group(*parts)
+
+
+def markdown(result: Row) -> str:
+    """Returns the same as Markdown."""
+    lines = [*(f"{line}  " for line in heading(result)), ""]
+    for title, heads, rows, marked in _tables(result):
+        titles = [head.replace("\n", " ") for head in heads]
+        lines += [f"### {title}", "", "| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
+        for cells, mark in zip(rows, marked, strict=True):
+            lines.append(
+                "| " + " | ".join(f"**{c}**" if mark and i < 2 and c else c for i, c in enumerate(cells)) + " |"
+            )
+        lines.append("")
+    return "\n".join([*lines, "### Advice", "", *(f"- {line}" for line in advice_lines(result))]) + "\n"
+
+
+def heading(result: Row) -> list[str]:
+    """Returns what was studied, against what."""
+    unit = result["unit"]
+    lines = [
+        f"{result['scene']}, axis {result['axis']}: {result['holds']} sample times at {si(result['rate'], 'Hz', 3)}, "
+        f"{result['status']}"
+    ]
+    reference = result["reference"]
+    if reference:
+        witness = reference["witness"]
+        apart = "" if witness is None else f"; {witness['method']}: {length(witness['apart'], unit)} apart"
+        lines.append(f"reference: {reference['method']}; travel {length(reference['travel'], unit)}{apart}")
+        agreement = reference["rank_agreement"]
+        if agreement is not None:
+            lines.append(f"evaluations of the equations of motion rank like time: Spearman {agreement:.2f}")
+    if result["workload"]:
+        work = result["workload"]
+        lines.append(f"fixed workload of this run: {si(work['seconds'], 's', 3)} ({work['what']})")
+    return [*lines, *result["remarks"]]
+
+
+def advice_lines(result: Row) -> list[str]:
+    """Returns the advice in sentences; none before there is any."""
+    advice, unit = result["advice"], result["unit"]
+    if advice is None:
+        return ["no advice: nothing was measured"]
+    within = f"within {length(advice['tolerance'], unit)}"
+    chosen = advice["chosen"]
+    if chosen is None:
+        best = advice["most_exact"]
+        reached = "" if best is None else f"; the most exact setting reaches {length(best['position_error'], unit)}"
+        lines = [f"{within}: no setting of the plant keeps it{reached}"]
+    else:
+        lines = [
+            f"{within}, cheapest: {chosen['setting']} ({chosen['evaluations_per_period']:.3g} evaluations a period, "
+            f"error {length(chosen['position_error'], unit)}, {si(chosen['energy_error'], 'J', 2)}); in the scene:",
+            f"    {advice['line']}",
+            f"or leave it to the build:    accuracy: {{auto: {advice['tolerance']:g}}}",
+        ]
+    for other in advice["cheaper_elsewhere"][:1]:
+        lines.append(f"no scene can name it, but fewer evaluations: {other['method']}, {other['setting']}")
+    worth = [effect for effect in advice["effects"] if effect.get("position_error") is not None]
+    if worth:
+        names = ", ".join(f"{effect['effect']} ({length(effect['position_error'], unit)})" for effect in worth)
+        lines.append(f"effects, most error per microsecond saved first: {names}")
+    lines += [f"{effect['effect']}: {effect['remark']}" for effect in advice["effects"] if effect["remark"]]
+    return lines
+
+
+def length(value: float, unit: str) -> str:
+    """Returns a position with its unit."""
+    return si(value, "m", 3) if unit == "m" else f"{value:.3g} rad"
+
+
+def _tables(result: Row) -> list[_Table]:
+    unit = result["unit"]
+    floor = FLOOR * result["reference"]["travel"] if result["reference"] else 0.0
+    found: list[_Table] = []
+    if result["plant"]:
+        rows = [_plant_cells(row, unit, floor) for row in result["plant"]]
+        title = f"plant: largest error at any SYNC; bold and *: Pareto front of evaluations, {_NUMBERS}"
+        found.append((title, PLANT_HEADS, rows, [bool(row["pareto"]) for row in result["plant"]]))
+    if result["orders"]:
+        orders = [[row["method"], _plain(row["declared"]), _fixed(row["fitted"], 2)] for row in result["orders"]]
+        found.append(
+            ("order of the error in the step", ("method", "declared", "fitted"), orders, [False] * len(orders))
+        )
+    effects = result["advice"]["effects"] if result["advice"] else []
+    if effects:
+        rows = [_effect_cells(row, unit) for row in effects]
+        found.append(("effects: what leaving one out does", EFFECT_HEADS, rows, [False] * len(rows)))
+    if result["loop"]:
+        rows = [_loop_cells(row, unit) for row in result["loop"]]
+        title = "loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit"
+        found.append((title, LOOP_HEADS, rows, [bool(row["is_scene"]) for row in result["loop"]]))
+    return found
+
+
+_NUMBERS: Final = "the same on every machine"
+
+
+def _plant_cells(row: Row, unit: str, floor: float) -> list[str]:
+    if row["status"] != "ok":
+        return [row["method"], row["setting"], row["status"].partition(":")[0], *[""] * 7]
+    position = f"<= {length(floor, unit)}" if row["position_error"] <= floor else length(row["position_error"], unit)
+    return [
+        row["method"], row["setting"], position, _force(row["force_error"], unit), si(row["energy_error"], "J", 3),
+        _fixed(row["evaluations_per_period"], 2), str(row["events"]) if row["accuracy"] else "",
+        _short(row["us_per_period"], 4), _short(row["ratio"], 3),
+        "*" if row["pareto"] else "",
+    ]  # fmt: skip
+
+
+def _effect_cells(row: Row, unit: str) -> list[str]:
+    if row.get("position_error") is None:
+        return [row["effect"], "-", *[""] * 6]
+    worth = row["error_per_microsecond"]
+    order = "exact" if row["order"] is None else str(row["order"])
+    return [
+        row["effect"], order, length(row["position_error"], unit), _force(row["force_error"], unit),
+        si(row["energy_error"], "J", 3), _fixed(row["evaluations_saved_per_period"], 2),
+        _short(row["us_saved_per_period"], 3), "" if worth is None else length(worth, unit),
+    ]  # fmt: skip
+
+
+def _loop_cells(row: Row, unit: str) -> list[str]:
+    thread = row.get("control_thread_us")
+    load = f"{100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ' !'}"
+    errors = [row["status"].partition(":")[0], "", ""]
+    if row["status"] == "ok":
+        energy = si(row["energy_error"], "J", 3)
+        errors = [length(row["position_error"], unit), _force(row["force_error"], unit), energy]
+    return [
+        row["group"], row["setting"], *errors, si(row["energy_uncertainty"], "J", 3),
+        "" if thread is None else f"{thread:.1f} us", f"{row['bytecodes_per_second'] / 1e3:.0f} k", load,
+    ]  # fmt: skip
+
+
+def _force(value: float, unit: str) -> str:
+    return si(value, "N" if unit == "m" else "N*m", 3)
+
+
+def _fixed(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def _short(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}g}"
+
+
+def _plain(value: int | None) -> str:
+    return "exact" if value is None else str(value)
