@@ -82,7 +82,9 @@ class SimulatedDrive:
         self.nmt_state = NmtState.BOOT_UP
         self._bus = bus
         self._reaction_time = sample_time_ns * 3 // 2  # so that exactly one SYNC shows it
-        self.store = store = ObjectStore(dictionary, parameters.object_values())
+        self.store = store = ObjectStore(
+            dictionary, parameters.object_values(), parameters.absent_places(), parameters.refused_values()
+        )
         self.servo = Servo(store, motor, parameters)
         self.timers = timers = Timers()
         self.on_routes_changed: Callable[[], None] = lambda: None
