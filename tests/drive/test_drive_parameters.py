@@ -68,7 +68,7 @@ def test_quirks_add_up_and_those_that_are_unknown_or_contradict_are_refused() ->
     assert quirks_of(()) == Quirks()
     both = quirks_of(("rated_torque_micro", "max_torque_absent"))
     assert (both.rated_torque_resolution, both.writes_max_torque, both.maps_demand) == (1e-6, False, True)
-    with pytest.raises(ParameterError, match="expected any of: abort_disable_voltage, .*did you mean 'slow_enable'"):
+    with pytest.raises(ParameterError, match=r"expected any of: abort_disable_voltage, .*did you mean 'slow_enable'"):
         quirks_of(("slow_enabel",))
     with pytest.raises(ParameterError, match="'torque_per_cent' and 'torque_per_ten_thousand' contradict each other"):
         quirks_of(("torque_per_cent", "torque_per_ten_thousand"))
