@@ -131,7 +131,7 @@ class _Chunk:
         if self._recipe.metrics == (RADIUS,):
             self._note_all(rows, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, built.remark))
             return
-        reason = self._in_arrays(built, rows, batched)
+        reason = self._recipe.alone or self._in_arrays(built, rows, batched)
         if reason:
             self._one_by_one(rows, reason)
 

@@ -47,6 +47,7 @@ class Recipe:
         engine: "numpy" or "numba", for scenes that fit a batch.
         beyond_bus: Whether a rate is judged that the bus could not carry.
         seed: From which every scene's own follows.
+        alone: Why every scene runs by itself although it might fit a batch; "" where batches pay.
     """
 
     source: str
@@ -61,6 +62,7 @@ class Recipe:
     engine: str
     beyond_bus: bool
     seed: int
+    alone: str = ""
 
 
 class Built(NamedTuple):

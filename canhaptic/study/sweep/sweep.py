@@ -7,6 +7,7 @@ bits; only the order in which chunks become ready differs.
 import hashlib
 import importlib.util
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from dataclasses import replace
@@ -22,7 +23,7 @@ from canhaptic.study.batch import why_not_batchable
 from canhaptic.study.compare import with_algorithm
 from canhaptic.study.sweep.chunk import FIGURES, ChunkResult, is_batch_key, run_chunk
 from canhaptic.study.sweep.points import Points, make_points
-from canhaptic.study.sweep.recipe import Recipe, make_recipe
+from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe
 from canhaptic.study.sweep.table import Columnset, SweepTable, create
 from canhaptic.study.sweep.vary import Varied, parse_vary
 from canhaptic.study.sweep.workers import Pool, SerialExecutor
@@ -32,6 +33,8 @@ Engine = Literal["auto", "numpy", "numba"]
 _BATCH_CHUNK: Final = 5000
 _SCALAR_CHUNK: Final = 50
 _FEWEST_CHUNKS: Final = 16
+_FEWEST_TOGETHER: Final = 8
+"""Scenes of one kind in a sweep, below which making their batch costs more than running them."""
 _LOOK: Final = 0.2
 """Time between two looks at a request to stop [s]."""
 _MOST_LOSSES: Final = 3
@@ -146,7 +149,11 @@ def make_sweep(
         cycles=cycles,
         beyond_bus=beyond_bus,
     )
-    usual = _SCALAR_CHUNK if _runs_alone(scene, recipe, controllers) else _BATCH_CHUNK
+    together = _together(recipe, points)
+    if together < _FEWEST_TOGETHER:
+        reason = f"only {together} of the scenes differ in nothing but keys of a batch, expected {_FEWEST_TOGETHER}"
+        recipe = replace(recipe, alone=reason)
+    usual = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
     chunk = chunk or max(1, min(usual, -(-len(points) // _FEWEST_CHUNKS)))
     return Sweep(recipe, points, chunk, _identity(scene, recipe, points))
 
@@ -248,10 +255,16 @@ def _varied(one: str | Varied) -> Varied:
     return parse_vary(one) if isinstance(one, str) else one
 
 
-def _runs_alone(scene: Scene, recipe: Recipe, controllers: Sequence[str]) -> bool:
-    """Whether many scenes of a sweep will have to run one by one."""
-    if any(v.spacing != "list" and not is_batch_key(recipe, v.key) for v in recipe.varied):
-        return True
+def _together(recipe: Recipe, points: Points) -> int:
+    """Returns how many scenes of the whole sweep differ in nothing but keys that may differ inside a batch."""
+    apart = [v for v in points.varied if not is_batch_key(recipe, v.key) or (v.key == RATE and recipe.cycles is None)]
+    if points.samples and any(v.spacing != "list" for v in apart):
+        return 1
+    return len(points) // math.prod(len(v.values) for v in apart)
+
+
+def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
+    """Whether some of the scenes will have to run one by one."""
     for axis in scene.axes:
         for name in controllers or (axis.passivity.name,):
             if why_not_batchable(replace(scene, axes=(with_algorithm(axis, name),))):

@@ -9,6 +9,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+_REPOSITORY = Path(__file__).resolve().parents[3]
 _START = 30.0  # [s]
 _WORKER = ("--nthreads", "1", "--nworkers", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0")
 
@@ -30,7 +31,7 @@ class Cluster:
         command = [sys.executable, "-m", f"distributed.cli.dask_{what}", "--scheduler-file", str(self._file), *options]
         if what == "worker":
             command += ["--local-directory", str(self._folder)]
-        environment = {**os.environ, "DASK_DISTRIBUTED__ADMIN__EVENT_LOOP_MONITOR_INTERVAL": "60s"}
+        environment = {**os.environ, "PYTHONPATH": str(_REPOSITORY)}
         with (self._folder / f"{what}.log").open("ab") as log:
             return subprocess.Popen(command, stdout=log, stderr=log, cwd=self._folder, env=environment)
 

@@ -5,21 +5,28 @@ import signal
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from conftest_sweep import VARY
+from conftest_sweep import DEMO, VARY
 from dask_cluster import dask_cluster
 
 from canhaptic.errors import InputError, WorkersLostError
+from canhaptic.scene.load import load_scene
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.workers import Pool, dask_executor
 
-OPTIONS = {"cycles": 300, "chunk": 4, "controllers": ["direct", "guarded"], "engine": "numpy"}
+OPTIONS = {
+    "cycles": 200,
+    "chunk": 8,
+    "controllers": ["direct", "guarded"],
+    "engine": "numpy",
+    "metrics": ["travel", "force_variation", "margin", "spectral_radius"],
+}
 SCENES = 64
 
 
-@pytest.fixture
-def serial(demo, tmp_path):
-    path = tmp_path / "serial.h5"
-    sweep(demo, VARY, path, **OPTIONS)
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory):
+    path = tmp_path_factory.mktemp("serial") / "serial.h5"
+    sweep(load_scene(DEMO), VARY, path, **OPTIONS)
     return path.read_bytes()
 
 
