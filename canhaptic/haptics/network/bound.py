@@ -13,8 +13,8 @@ is the same number. What the axes share is only the energy: motion across the to
 For symmetric 0 <= M^-1 <= P the largest value of W' M^-1 f is (W'Pf + |W|_P |f|_P) / 2: never more than the product of
 the norms, and 0 for opposed torques. For one axis it is max(0, W f) / m.
 
-**Hand.** W' M^-1 u <= F_h |W|_P |1|_P, u the torque of the hand at the motors: it accelerates the axes ALONG THE TORQUE
-no more than F_h would accelerate the lightest of them. For equal, uncoupled axes this is the component of the
+**Hand.** W' M^-1 u <= F_h |W|_P |1|_P, u the torque of the hand at the motors: it accelerates the axes ALONG THE
+TORQUE no more than F_h would accelerate the lightest of them. For equal, uncoupled axes this is the component of the
 hand's force along the torque. Forces that come from an inertia changing with the pose count with the hand's.
 
 **Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d is enough for every user.

@@ -1,7 +1,6 @@
 """The torques of a group from their computation to the end of the hold in which they acted, with what was in them."""
 
 from collections import deque
-from collections.abc import Sequence
 from math import isfinite
 from typing import NamedTuple
 
@@ -17,6 +16,7 @@ class GroupCommand(NamedTuple):
     damper: Values  # of the network's dissipators at the ports
     modulated: Values  # of eq. 19
     ports: Values  # effort at each port of the network, for what a mover gives
+    power: float = 0.0  # of the dampers at the velocities they came from, times the sample time (eq. 18) [J]
 
 
 class EndedHold(NamedTuple):
@@ -26,6 +26,7 @@ class EndedHold(NamedTuple):
     damper: Values  # inside the torques applied in it [N*m or N]
     modulated: Values
     ports: Values
+    power: float  # [J]
     skipped: tuple[Values, ...]  # torques sent for the holds whose samples were lost
 
 
@@ -73,11 +74,10 @@ class GroupCommands:
             return None
         command = self._queue.popleft()
         displacement = tuple([q - q0 for q, q0 in zip(positions, last, strict=True)])
-        damper, modulated, ports = command.damper, command.modulated, command.ports
         if torques_applied != command.torques:
-            damper, modulated, ports = _as_applied(command, torques_applied)
+            command = _as_applied(command, torques_applied)
         skipped, self._skipped = self._skipped, ()
-        return EndedHold(displacement, damper, modulated, ports, skipped)
+        return EndedHold(displacement, command.damper, command.modulated, command.ports, command.power, skipped)
 
     def send(self, command: GroupCommand) -> None:
         """Takes the command that was just computed.
@@ -107,13 +107,16 @@ class GroupCommands:
         return [command.torques for command in self._queue] if self._delay else []
 
 
-def _as_applied(command: GroupCommand, applied: Sequence[float]) -> tuple[Values, Values, Values]:
+def _as_applied(command: GroupCommand, applied: Values) -> GroupCommand:
     """Returns the efforts inside torques that were not applied as sent: in proportion, axis by axis."""
     shares = [min(1.0, max(0.0, a / t)) if t else 0.0 for a, t in zip(applied, command.torques, strict=True)]
     sent = sum(t * t for t in command.torques)
-    whole = (
-        min(1.0, max(0.0, sum(a * t for a, t in zip(applied, command.torques, strict=True)) / sent)) if sent else 0.0
+    along = sum(a * t for a, t in zip(applied, command.torques, strict=True))
+    whole = min(1.0, max(0.0, along / sent)) if sent else 0.0
+    return GroupCommand(
+        applied,
+        tuple([s * d for s, d in zip(shares, command.damper, strict=True)]),
+        tuple([s * m for s, m in zip(shares, command.modulated, strict=True)]),
+        tuple([whole * p for p in command.ports]),
+        whole * whole * command.power,
     )
-    damper = tuple([s * d for s, d in zip(shares, command.damper, strict=True)])
-    modulated = tuple([s * d for s, d in zip(shares, command.modulated, strict=True)])
-    return damper, modulated, tuple([whole * p for p in command.ports])

@@ -40,6 +40,10 @@ class GroupMotion:
         energy: Stored in the network at its state [J]; 0 while a limit holds.
         internal: Dissipated inside it in the last step, beyond what the dampers in the torques took [J].
         entered: Share of the last motion that was inside a contact just entered, else 1.
+        network: Followed sample by sample.
+        displacement: Of the ports in the last motion [m or rad].
+        elapsed: Time of the last motion [s].
+        began: Whether the last positions were the first inside the limits of the mechanism.
     """
 
     def __init__(
@@ -60,7 +64,7 @@ class GroupMotion:
             )
         self._kinematics, self._geometry = kinematics, geometry
         self._sample_time, self._delay = loops[0].sample_time, loops[0].delay
-        self._network = SampledNetwork(network, self._sample_time)
+        self.network = SampledNetwork(network, self._sample_time)
         self.ports, self._axes = network.ports, kinematics.axes
         self._moves = geometry.mover(0.0) is not None
         self._windows = [
@@ -80,11 +84,13 @@ class GroupMotion:
         self._velocity = [0.0] * self._axes
         self._moved = self._still
         self._coordinates: tuple[float, ...] | None = None
+        self.displacement: tuple[float, ...] = self._still
+        self.elapsed, self.began = self._sample_time, True
 
     @property
     def first_state(self) -> float:
         """First state of the network."""
-        return self._network.state[0]
+        return self.network.state[0]
 
     def begin(self, positions: Values) -> None:
         """Takes the first positions."""
@@ -94,7 +100,7 @@ class GroupMotion:
                 window.restart(position)
         self._locate(positions)
         if self._coordinates is not None:
-            self._network.begin(self._coordinates)
+            self.network.begin(self._coordinates)
             self._settle()
 
     def skip(self) -> None:
@@ -102,34 +108,47 @@ class GroupMotion:
         self._sample += 1
 
     def follow(self, positions: Values, displacement: Values, holds: int) -> None:
-        """Takes positions and the motion since the last ones, over one hold or several."""
+        """Takes positions and the motion since the last ones, and lets the network follow them."""
+        self.move(positions, displacement, holds)
+        self.internal, self.entered = 0.0, 1.0
+        if self._coordinates is None:
+            self.engaged, self.energy = False, 0.0
+            return
+        network = self.network
+        if self.began:
+            network.begin(self._coordinates)
+        else:
+            was_engaged = network.engaged
+            if not network.advance(self._coordinates, self.displacement, self.elapsed):
+                self.limit = Limit.UNSOLVED.value
+            self.internal = network.internal
+            if not was_engaged:
+                self.entered = network.entered_share()
+        self._settle()
+
+    def move(self, positions: Values, displacement: Values, holds: int) -> None:
+        """Takes positions and the motion since the last ones, over one hold or several; the network stays.
+
+        Args:
+            positions: Of the motor axes [rad or m].
+            displacement: Of the motor axes since the last ones [rad or m].
+            holds: Sample times since then.
+        """
         before, began = self._coordinates, self._sample - (holds - 1)
         self._sample += 1
-        self._holds = holds
+        self._holds, self.elapsed = holds, holds * self._sample_time
         self._measure_velocity(positions, displacement, holds)
         self._moved = self._mover_motion(began, self._sample)
         self._locate(positions)
         after = self._coordinates
-        self.internal, self.entered = 0.0, 1.0
-        if after is None:
-            self.engaged, self.energy = False, 0.0
-            return
-        if before is None:
-            self._network.begin(after)
-            self._displacement = self._still
-        else:
-            self._displacement = tuple([b - a for a, b in zip(before, after, strict=True)])
-            was_engaged = self._network.engaged
-            if not self._network.advance(after, self._displacement, holds * self._sample_time):
-                self.limit = Limit.UNSOLVED.value
-            self.internal = self._network.internal
-            if not was_engaged:
-                self.entered = self._network.entered_share()
-        self._settle()
+        self.began = before is None
+        self.displacement = self._still
+        if before is not None and after is not None:
+            self.displacement = tuple([b - a for a, b in zip(before, after, strict=True)])
 
     def _settle(self) -> None:
-        self.energy = self._network.energy
-        self.engaged = self._network.engaged and self.limit == Limit.NONE.value
+        self.energy = self.network.energy
+        self.engaged = self.network.engaged and self.limit == Limit.NONE.value
 
     def _locate(self, positions: Values) -> None:
         """Takes pose and coordinates, the mover's motion taken off."""
@@ -169,6 +188,11 @@ class GroupMotion:
         after = self._geometry.mover(last * self._sample_time) or self._still
         return tuple([b - a for a, b in zip(before, after, strict=True)])
 
+    @property
+    def coordinates(self) -> tuple[float, ...] | None:
+        """Of the ports [m or rad]; None outside the limits of the mechanism."""
+        return self._coordinates
+
     def supplied(self, efforts: Values) -> float:
         """Returns what the mover gave in the hold that ended [J], the ports having had given efforts."""
         total = 0.0
@@ -188,12 +212,12 @@ class GroupMotion:
 
     def efforts(self, lead: float) -> Wish:
         """Returns what the network would have the motors do, with its springs `lead` holds ahead."""
-        network, ports = self._network, self._port_motion()
+        network, ports = self.network, self._port_motion()
         port_damper = network.dampers(ports, self._sample_time)
         port_spring, port_lead = network.springs(lead, self._holds, ports)
         velocity = [self.entered * v for v in self._velocity]
         return Wish(
-            self._to_motors(port_spring), self._to_motors(port_lead), self._to_motors(port_damper),
+            self.to_motors(port_spring), self.to_motors(port_lead), self.to_motors(port_damper),
             port_spring, port_lead, port_damper, velocity,
             network.internal_motion() / (self._holds * self._sample_time),
         )  # fmt: skip
@@ -202,13 +226,14 @@ class GroupMotion:
         """Returns the motion of the ports in one hold, from the smoothed velocity where an encoder is coarse."""
         holds = self._holds
         if not self._smooth:
-            return list(self._displacement) if holds == 1 else [d / holds for d in self._displacement]
+            return list(self.displacement) if holds == 1 else [d / holds for d in self.displacement]
         return [
             sum([a * v for a, v in zip(row, self._velocity, strict=True)]) * self._sample_time - moved / holds
             for row, moved in zip(self._at_motors, self._moved, strict=True)
         ]
 
-    def _to_motors(self, efforts: list[float]) -> list[float]:
+    def to_motors(self, efforts: list[float]) -> list[float]:
+        """Returns the efforts at the motors [N*m or N] of efforts at the ports."""
         found = [0.0] * self._axes
         for effort, row in zip(efforts, self._at_motors, strict=True):
             if effort != 0.0:

@@ -29,6 +29,11 @@ class SampledNetwork:
         internal: Energy dissipated on the states in the last step, without what its dissipators took at the ports [J].
         dissipated: By all dissipators in the last step [J].
         engaged: Whether any storage that can be left is engaged, or there is one that cannot.
+        tables: Of the network, with its structure at the state.
+        room: What the last step found.
+        user: Energies given as functions.
+        always: Whether some storage or dissipator is felt everywhere.
+        edged: States whose storage can be left.
         evaluations: Of the equation in the last step; negative where it did not converge.
     """
 
@@ -41,11 +46,11 @@ class SampledNetwork:
         """
         tables, n = network.tables, network.states
         self._network, self._sample_time = network, sample_time
-        self._tables = tables._replace(structure=[list(row) for row in tables.structure])
-        self._user = network.user
-        self._always = never_left(network)
-        self._edged = [i for i in range(n) if tables.lower[i] != tables.upper[i]]
-        self._room = step.new_room(n, len(tables.viscous))
+        self.tables = tables._replace(structure=[list(row) for row in tables.structure])
+        self.user = network.user
+        self.always = never_left(network)
+        self.edged = [i for i in range(n) if tables.lower[i] != tables.upper[i]]
+        self.room = step.new_room(n, len(tables.viscous))
         self._next, self._ahead = [0.0] * n, [0.0] * n
         self.begin((0.0,) * network.ports)
 
@@ -54,11 +59,11 @@ class SampledNetwork:
         self._first = tuple(coordinates)
         self.state = [sum(a * c for a, c in zip(row, coordinates, strict=True)) for row in self._network.origin]
         self._begun = list(self.state)
-        self._settle()
+        self.settle()
         self.internal = self.dissipated = 0.0
         self.evaluations = 0
         for i in range(len(self.state)):
-            self._room.step[i] = 0.0
+            self.room.step[i] = 0.0
 
     def advance(self, coordinates: Sequence[float], displacement: Sequence[float], elapsed: float) -> bool:
         """Follows one motion of the ports; returns False where no solution was found: the state then moved by it alone.
@@ -68,51 +73,62 @@ class SampledNetwork:
             displacement: Of the ports, relative to what is moved by itself [m or rad].
             elapsed: One sample time, or several [s].
         """
-        tables, room, user = self._tables, self._room, self._user
-        network = self._network
-        if network.structure_at is not None:
-            self._fill_structure()
-        self.evaluations = step.advance(tables, self.state, displacement, elapsed, room, user)
-        solved = self.evaluations >= 0
-        if not solved:
-            step.rest_on_ports(tables, self.state, displacement, elapsed, room, user)
-        if tables.moving:
-            for i, change in enumerate(room.step):
+        solved = self.propose(displacement, elapsed)
+        if self.tables.moving:
+            for i, change in enumerate(self.room.step):
                 self.state[i] += change
         else:
-            for i, row in enumerate(tables.gain):
-                total = self._begun[i]
-                for a, c, c0 in zip(row, coordinates, self._first, strict=True):
-                    total += a * (c - c0)
-                self.state[i] = total
+            self.state[:] = self.at(coordinates)
+        self.settle()
+        return solved
+
+    def propose(self, displacement: Sequence[float], elapsed: float) -> bool:
+        """Finds the state change of one motion of the ports without taking it; see `advance`."""
+        room = self.room
+        if self._network.structure_at is not None:
+            self._fill_structure()
+        self.evaluations = step.advance(self.tables, self.state, displacement, elapsed, room, self.user)
+        solved = self.evaluations >= 0
+        if not solved:
+            step.rest_on_ports(self.tables, self.state, displacement, elapsed, room, self.user)
         total = inner = 0.0
-        for loss, flow, row in zip(room.losses, room.flows, tables.on_ports, strict=True):
+        for loss, flow, row in zip(room.losses, room.flows, self.tables.on_ports, strict=True):
             at_ports = 0.0
             for b, d in zip(row, displacement, strict=True):
                 at_ports += b * d
             total += loss * flow * elapsed
             inner += loss * (flow * elapsed - at_ports)
-        self.dissipated, self.internal = total, inner if solved and tables.moving else 0.0
-        self._settle()
+        self.dissipated, self.internal = total, inner if solved and self.tables.moving else 0.0
         return solved
+
+    def at(self, coordinates: Sequence[float]) -> list[float]:
+        """Returns the state that only the ports have moved, free of rounding: where they are."""
+        found = []
+        for begun, row in zip(self._begun, self.tables.gain, strict=True):
+            total = begun
+            for a, c, c0 in zip(row, coordinates, self._first, strict=True):
+                total += a * (c - c0)
+            found.append(total)
+        return found
 
     def _fill_structure(self) -> None:
         """Takes the skew part of J at the state, so that no function can create energy."""
         found = self._network.structure_at(self.state)  # type: ignore[misc]
-        structure = self._tables.structure
+        structure = self.tables.structure
         for i in range(len(structure)):
             for j in range(i + 1):
                 value = 0.5 * (float(found[i][j]) - float(found[j][i]))
                 structure[i][j], structure[j][i] = value, -value
 
-    def _settle(self) -> None:
-        self.energy = stored_energy(self._tables, self.state)
-        if self._user is not None:
-            self.energy += self._user.energy(self.state)
-        self.engaged = self._always
-        if not self._always:
-            for i in self._edged:
-                if extension(self._tables, i, self.state[i]) != 0.0:
+    def settle(self) -> None:
+        """Takes energy and engagement of the state."""
+        self.energy = stored_energy(self.tables, self.state)
+        if self.user is not None:
+            self.energy += self.user.energy(self.state)
+        self.engaged = self.always
+        if not self.always:
+            for i in self.edged:
+                if extension(self.tables, i, self.state[i]) != 0.0:
                     self.engaged = True
                     break
 
@@ -126,7 +142,7 @@ class SampledNetwork:
             holds: That the last step spanned.
             displacement: Of the ports in one hold [m or rad]; a smoothed one may differ from the last step's.
         """
-        tables, room = self._tables, self._room
+        tables, room = self.tables, self.room
         now, ahead, moved = room.efforts, self._ahead, self._next
         for i, row in enumerate(tables.gain):
             driven = 0.0
@@ -135,10 +151,10 @@ class SampledNetwork:
             moved[i] = self.state[i] + lead * ((room.step[i] - room.driven[i]) / holds + driven)
         gradient(tables, self.state, now)
         gradient(tables, moved, ahead)
-        if self._user is not None:
-            self._user.add_gradient(self.state, now)
-            self._user.add_gradient(moved, ahead)
-        for i in self._edged:
+        if self.user is not None:
+            self.user.add_gradient(self.state, now)
+            self.user.add_gradient(moved, ahead)
+        for i in self.edged:
             if now[i] == 0.0 or now[i] * ahead[i] < 0.0:
                 ahead[i] = 0.0
         ports = range(self._network.ports)
@@ -150,42 +166,54 @@ class SampledNetwork:
                     added[j] += row[j] * (ahead[i] - now[i])
         return spring, added
 
-    def dampers(self, displacement: Sequence[float], elapsed: float) -> list[float]:
-        """Returns the efforts of the dissipators at the ports for a motion of them; call it before `springs`."""
-        tables, room = self._tables, self._room
+    def dampers(
+        self, displacement: Sequence[float], elapsed: float, touched: Sequence[float] | None = None
+    ) -> list[float]:
+        """Returns the efforts of the dissipators at the ports for a motion of them; call it before `springs`.
+
+        Args:
+            displacement: Of the ports [m or rad].
+            elapsed: Time of it [s].
+            touched: State that says which storages are engaged, and then for the whole motion; None: as it is.
+        """
+        tables, room = self.tables, self.room
         efforts = [0.0] * self._network.ports
         if not room.losses:
             return efforts
+        if touched is not None:
+            for j in range(len(room.engaged)):
+                room.engaged[j] = 1.0
         step.dissipate(tables, displacement, elapsed, room)
+        state = self.state if touched is None else touched
         for j, row in enumerate(tables.on_ports):
             storage = tables.beside[j]
-            if storage >= 0 and self._left(storage):
+            if storage in self.edged and extension(tables, storage, state[storage]) == 0.0:
                 continue
             for i, b in enumerate(row):
                 if b != 0.0:
                     efforts[i] += b * room.losses[j]
         return efforts
 
-    def _left(self, storage: int) -> bool:
-        tables = self._tables
-        return storage in self._edged and extension(tables, storage, self.state[storage]) == 0.0
-
     def internal_motion(self) -> float:
         """Returns how far the storages at the ports moved by themselves in the last step, as a norm [m or rad]."""
-        if not self._tables.moving:
+        if not self.tables.moving:
             return 0.0
         total = 0.0
-        for s, driven, row in zip(self._room.step, self._room.driven, self._tables.gain, strict=True):
+        for s, driven, row in zip(self.room.step, self.room.driven, self.tables.gain, strict=True):
             if any(row):
                 total += (s - driven) ** 2
         return float(total**0.5)
 
     def entered_share(self) -> float:
-        """Returns the largest share of the last step for which any storage was engaged."""
+        """Returns the largest share of the last step, already taken, for which any storage was engaged."""
+        return self.share_inside(self.state)
+
+    def share_inside(self, after: Sequence[float]) -> float:
+        """Returns the largest share of the last step, ending at a state, for which any storage was engaged."""
         largest = 0.0
-        for i in self._edged:
-            changed = self._room.step[i]
-            share = step.engaged_share(self._tables, i, self.state[i] - changed, changed)
+        for i in self.edged:
+            changed = self.room.step[i]
+            share = step.engaged_share(self.tables, i, after[i] - changed, changed)
             if share > largest:
                 largest = share
         return largest if largest > 0.0 else 1.0
