@@ -2,10 +2,11 @@
 
     {status, config_hash, cycles, ports: {NAME: {...}}, truth: {NAME: {...}}, timing, link, method}
 
-Energies in [J], times in [s].
+A port is an axis or a group of axes. An axis in a group has `group` and what came in and went out by it; the account,
+whether it is passive included, is that of the group, which has `axes`. Energies in [J], times in [s].
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from canhaptic.cycle import Cycle
@@ -28,17 +29,33 @@ def run_result(
         name: {"unit": unit, **ledger.summary().as_json(sample_time)}
         for (name, unit), ledger in zip(ports, cycle.ledgers, strict=True)
     }
+    for group in cycle.groups:
+        members = [ports[axis] for axis in group.axes]
+        for name, _ in members:
+            accounts[name] = part_in_group(accounts[name], group.name)
+        accounts[group.name] = {
+            "unit": members[0][1],
+            "axes": [name for name, _ in members],
+            **group.ledger.summary().as_json(sample_time),
+            "limits": dict(group.limits),
+        }
     return {
         "status": status,
         "config_hash": config_hash,
         "cycles": cycle.cycles,
         "duration": cycle.cycles * sample_time,
         "ports": accounts,
-        "truth": _truth(cycle, [name for name, _ in ports]),
+        "truth": _truth(cycle, [*(name for name, _ in ports), *(group.name for group in cycle.groups)]),
         "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
         "link": cycle.rig.link_statistics(),
         "method": method,
     }
+
+
+def part_in_group(account: Mapping[str, Any], group: str) -> dict[str, Any]:
+    """Returns what is left of the account of an axis when a group renders on it: alone it proves nothing."""
+    kept = ("unit", "in", "out", "peak_torque", "limited_cycles")
+    return {"group": group, **{name: account[name] for name in kept if name in account}}
 
 
 def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, dict[str, float]]:

@@ -35,6 +35,7 @@ class PortDescription(NamedTuple):
 
     name: str
     unit: Motion  # of its position
+    state_unit: Motion | None = None  # of the storage's displacement; None: the same
 
 
 class Column(NamedTuple):
@@ -126,7 +127,7 @@ def _balance_columns(port: PortDescription) -> list[Column]:
     units = {
         "torque": _EFFORT[port.unit],
         "damping_rendered": _DAMPING[port.unit],
-        "state": port.unit,
+        "state": port.state_unit or port.unit,
         "branch": "1",
         "certificate": "1",
     }

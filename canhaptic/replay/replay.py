@@ -22,7 +22,7 @@ from canhaptic.scene.build import build_controllers
 from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import build_servo_drive
+from canhaptic.scene.parts import build_axis_groups, build_servo_drive
 
 _BUS: Final[dict[str, Any]] = {"interface": "virtual", "channel": None, "options": {}}
 
@@ -77,7 +77,8 @@ class _Replay:
         self._wall = WallClock()
         self._side = RecordedSide(far_buses, recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
-        self._cycle = Cycle(self._rig([Link(bus, clock) for bus in near_buses]), build_controllers(scene))
+        rig = self._rig([Link(bus, clock) for bus in near_buses])
+        self._cycle = Cycle(rig, build_controllers(scene), groups=build_axis_groups(scene))
 
     def _rig(self, links: list[Link]) -> Rig:
         scene, side = self._scene, self._side

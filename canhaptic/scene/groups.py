@@ -11,7 +11,7 @@ What a scene says of the loop of all axes stands in `passivity` of the group; an
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 from canhaptic.haptics.kinematics import KINEMATICS
 from canhaptic.haptics.network import GROUP_ALGORITHMS, NETWORKS
@@ -28,6 +28,8 @@ from canhaptic.scene.section import (
     refuse_unknown_keys,
     shown,
 )
+
+UnitT = TypeVar("UnitT", Motion, Motion | None)
 
 GROUPS_KEY: Final = "groups"
 KEYS: Final = ("name", "axes", "kinematics", "network", "passivity")
@@ -98,6 +100,11 @@ def membership(entry: GroupEntry) -> Typed:
     return Typed("group", GroupMembership(group=entry.name))
 
 
+def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Motion:
+    """Returns in what task space is measured, by the name of the kinematics and the unit of the motor axes."""
+    return "m" if kinematics in _MOVES_IN_METRES else motor_unit
+
+
 def read_groups(
     entries: Sequence[GroupEntry], axes: Sequence[AxisScene], loop_keys: Sequence[str], faults: Faults
 ) -> tuple[GroupScene, ...]:
@@ -135,8 +142,7 @@ def _read_group(
     entry: GroupEntry, motion: Motion | None, loop_keys: Sequence[str], faults: Faults
 ) -> GroupScene | None:
     kinematics = _read_kinematics(entry, motion, faults)
-    in_metres = kinematics is not None and kinematics.name in _MOVES_IN_METRES
-    task: Motion | None = "m" if in_metres else motion
+    task = motion if kinematics is None else task_unit(kinematics.name, motion)
     network = _read_part(entry.section, "network", "type", NETWORKS, "network", task, faults)
     passivity = _read_part(
         entry.section, "passivity", "algorithm", GROUP_ALGORITHMS, "group algorithm", motion, faults, loop_keys
@@ -159,8 +165,8 @@ def _read_kinematics(entry: GroupEntry, motion: Motion | None, faults: Faults) -
         counted.put("axes", max(1, len(entry.axes)), written.mark, written.mark)
         section = section.copy()
         section.put("kinematics", counted, written.mark, written.mark)
-    in_metres = isinstance(written, MarkedMapping) and written.get("type") in _MOVES_IN_METRES
-    return _read_part(section, "kinematics", "type", KINEMATICS, "kinematics", "m" if in_metres else motion, faults)
+    task = task_unit(str(written.get("type")), motion) if isinstance(written, MarkedMapping) else motion
+    return _read_part(section, "kinematics", "type", KINEMATICS, "kinematics", task, faults)
 
 
 def _read_part(

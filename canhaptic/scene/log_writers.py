@@ -9,6 +9,7 @@ from typing import Final, Literal
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.schema import GROUP_AXES, Attribute, PortDescription
+from canhaptic.scene.groups import task_unit
 from canhaptic.scene.models import AxisScene, Scene
 
 _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
@@ -23,7 +24,9 @@ def open_energy_log(
         LogWriteError: The file cannot be made.
     """
     ports = [PortDescription(axis.parameters.name, axis.parameters.unit) for axis in scene.axes]
-    ports += [PortDescription(group.name, scene.axis(group.axes[0]).parameters.unit) for group in scene.groups]
+    for group in scene.groups:
+        motor_unit = scene.axis(group.axes[0]).parameters.unit
+        ports.append(PortDescription(group.name, motor_unit, task_unit(group.kinematics.name, motor_unit)))
     return EnergyLogWriter(
         path,
         ports,

@@ -24,6 +24,8 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
         if axis.simulation is not None
         for effect in axis.simulation.effects
     }
+    for mechanism in (of.mechanism for of in scene.mechanisms):
+        orders[mechanism.name] = getattr(mechanism.parameters, "order", None)
     approximate = {name: order for name, order in orders.items() if order is not None}
     acts = "at its own SYNC" if scene.bus.rpdo == "event" else "one sample late"
     plant = "plant exact between SYNCs"

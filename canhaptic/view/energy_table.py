@@ -39,7 +39,7 @@ def print_energy(result: Result, console: Console | None = None) -> None:
 
 def energy_report(result: Result) -> RenderableType:
     """Returns energy table, timing line, link line and method line of a run."""
-    names = list(result.get("ports", {}))
+    names = _ordered(result.get("ports", {}))
     parts: list[RenderableType] = [_heading(result)]
     for start in range(0, len(names), PORTS_PER_TABLE):
         parts.append(_energy_table(result, names[start : start + PORTS_PER_TABLE]))
@@ -47,6 +47,16 @@ def energy_report(result: Result) -> RenderableType:
         if result.get(name):
             parts.append(_line(name, result[name]))
     return Group(*parts)
+
+
+def _ordered(ports: Mapping[str, Result]) -> list[str]:
+    """Returns the names of the ports, each group before its axes."""
+    names: dict[str, None] = {}
+    for name, port in ports.items():
+        if port.get("group") in ports:
+            names[port["group"]] = None
+        names[name] = None
+    return list(names)
 
 
 def _heading(result: Result) -> Text:
@@ -69,7 +79,10 @@ def _energy_table(result: Result, names: list[str]) -> Table:
         table.add_row(label, *(_cell(cell, result["ports"][name]) for name in names))
     branches = [name for name in _branch_names(result, names) if any(_count(result, port, name) for port in names)]
     for branch in branches:
-        table.add_row(f"holds booked as {branch}", *(f"{_count(result, port, branch)}   " for port in names))
+        table.add_row(f"holds booked as {branch}", *(_count_text(result, port, branch) for port in names))
+    for limit in dict.fromkeys(limit for port in names for limit, count in _limits(result, port).items() if count):
+        counts = (f"{_limits(result, port)[limit]}   " if _limits(result, port) else "-   " for port in names)
+        table.add_row(f"holds limited: {limit}", *counts)
     truth = result.get("truth") or {}
     if any(name in truth for name in names):
         table.add_section()
@@ -81,8 +94,8 @@ def _energy_table(result: Result, names: list[str]) -> Table:
 def _cell(cell: Callable[[Result], str | Text], port: Result) -> str | Text:
     try:
         return cell(port)
-    except (KeyError, TypeError):  # a result from another version, or a quantity that this run did not have
-        return "-"
+    except (KeyError, TypeError):  # an axis in a group, another version, or a quantity that this run did not have
+        return "-   "
 
 
 def _branch_names(result: Result, names: list[str]) -> list[str]:
@@ -91,6 +104,15 @@ def _branch_names(result: Result, names: list[str]) -> list[str]:
 
 def _count(result: Result, port: str, branch: str) -> int:
     return int(result["ports"][port].get("branches", {}).get(branch, 0))
+
+
+def _count_text(result: Result, port: str, branch: str) -> str:
+    return f"{_count(result, port, branch)}   " if "branches" in result["ports"][port] else "-   "
+
+
+def _limits(result: Result, port: str) -> Mapping[str, int]:
+    limits: Mapping[str, int] = result["ports"][port].get("limits", {})
+    return limits
 
 
 def energy(value: float) -> str:

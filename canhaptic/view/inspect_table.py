@@ -22,7 +22,8 @@ def inspection_report(result: Result) -> RenderableType:
     parts: list[RenderableType] = [_header(result), energy_report(result)]
     for name, contacts in result.get("contacts", {}).items():
         if contacts:
-            parts.append(_contacts_table(name, contacts, str(result["ports"][name]["unit"])))
+            port = result["ports"][name]
+            parts.append(_contacts_table(name, contacts, port["unit"], port.get("state_unit", port["unit"])))
     if result.get("events"):
         parts.append(_events_table(result["events"]))
     if result.get("checks"):
@@ -42,7 +43,7 @@ def _table(title: str) -> Table:
     return Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold")
 
 
-def _contacts_table(name: str, contacts: list[Result], unit: str) -> Table:
+def _contacts_table(name: str, contacts: list[Result], unit: str, depth_unit: str) -> Table:
     effort = "N" if unit == "m" else "N*m"
     hardest = sorted(contacts, key=lambda contact: -float(contact["peak_torque"]))[:CONTACTS_SHOWN]
     shown = f", the {CONTACTS_SHOWN} hardest" if len(contacts) > CONTACTS_SHOWN else ""
@@ -53,7 +54,7 @@ def _contacts_table(name: str, contacts: list[Result], unit: str) -> Table:
         table.add_row(
             f"{contact['start']:.4f} s",
             si(contact["duration"], "s"),
-            si(contact["depth"], unit),
+            si(contact["depth"], depth_unit),
             si(contact["peak_torque"], effort),
             energy(contact["energy"]),
         )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from canhaptic.haptics.balance import Branch, Certificate
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.object_dictionary import StatusBit
+from canhaptic.result import part_in_group
 from canhaptic.signals import CycleTiming
 from canhaptic.view.extent import contacts, rows_between
 
@@ -38,11 +39,11 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "rate": 1.0 / log.sample_time,
         "from": float(sync_index[0] * log.sample_time) if len(sync_index) else 0.0,
         "to": float(sync_index[-1] * log.sample_time) if len(sync_index) else 0.0,
-        "ports": {name: _port(log, port, rows) for name, port in log.ports.items()},
+        "ports": _ports(log, rows),
         "truth": {name: _truth(log, name, rows) for name in log.truth},
         "timing": _timing(log, rows),
         "link": _link(log, rows, sync_index),
-        "contacts": {name: _contacts(log, port, rows) for name, port in log.ports.items()},
+        "contacts": {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in _group_of(log)},
         "events": [event._asdict() | {"time": event.sync_index * log.sample_time} for event in log.events],
     }
 
@@ -71,6 +72,21 @@ def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
         return port.read(name, rows.start, rows.stop)
 
     return {"unit": port.unit("position")} | _flows(log, column, rows) | _use(column)
+
+
+def _group_of(log: EnergyLog) -> dict[str, str]:
+    """Returns the group of each axis that is in one."""
+    return {axis: group for group, axes in log.groups.items() for axis in axes}
+
+
+def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
+    """The account of each port; of an axis in a group what came in and went out by it."""
+    accounts, group_of = {name: _port(log, port, rows) for name, port in log.ports.items()}, _group_of(log)
+    for name, group in group_of.items():
+        accounts[name] = part_in_group(accounts[name], group)
+    for group, axes in log.groups.items():
+        accounts[group] |= {"axes": list(axes), "state_unit": log.ports[group].unit("state")}
+    return accounts
 
 
 def _flows(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> dict[str, Any]:
@@ -125,7 +141,8 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:
         return {"interaction": 0.0, "least_interaction": 0.0, "believed_error": 0.0}
     before = log.truth[name].read("motor", rows.start - 1, rows.start)[0] if rows.start else motor[0]
     interaction = before - motor
-    h_i = log.ports[name].read("h_i", rows.start, rows.stop)
+    axes = log.groups.get(name, (name,))  # of a group, what came in by its motors: a mover of its own is no motor
+    h_i = np.sum([log.ports[axis].read("h_i", rows.start, rows.stop) for axis in axes], axis=0)
     believed = _running(h_i) if rows.start else _running(h_i) - h_i[0]
     return {
         "interaction": float(interaction[-1]),
@@ -155,7 +172,7 @@ def quantiles(durations: Array) -> dict[str, float]:
 
 
 def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, Any]:
-    fresh = [port.read("fresh", rows.start, rows.stop) for port in log.ports.values()]
+    fresh = [port.read("fresh", rows.start, rows.stop) for n, port in log.ports.items() if n not in log.groups]
     expected = sum(len(values) for values in fresh)
     received = int(sum(values.sum(dtype=np.int64) for values in fresh))
     dropped = int(log.timing.read("dropped_before", rows.start, rows.stop).sum(dtype=np.int64))

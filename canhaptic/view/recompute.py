@@ -2,13 +2,16 @@
 
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from canhaptic.errors import InputError
+from canhaptic.haptics.axis_group import AxisGroup, GroupedControllers
 from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.signals import Sample
 
 if TYPE_CHECKING:
     from canhaptic.scene.models import Scene
@@ -51,6 +54,33 @@ def recompute(log: EnergyLog, port: str, controller: Controller) -> Mismatch | N
     return None
 
 
+def recompute_group(log: EnergyLog, axes: Sequence[str], group: AxisGroup) -> list[Mismatch]:
+    """Returns the first difference of a group's account and of each of its axes; none where all are equal.
+
+    Args:
+        log: An open energy log that holds the run from its first cycle.
+        axes: Their names, in the order of the group.
+        group: Made from the configuration of the run; its axes are 0, 1, ...
+    """
+    group.controller.reset()
+    controllers, found = GroupedControllers((), [group]), {}
+    names = (*axes, group.name)
+    outputs = [zip(*(log.ports[name][column].tolist() for column in _LOGGED), strict=True) for name in names]
+    inputs = [
+        zip(*(log.ports[name][column].tolist() for column in ("position", "torque_applied", "fresh")), strict=True)
+        for name in axes
+    ]
+    for row, (seen, expected) in enumerate(zip(zip(*inputs, strict=True), zip(*outputs, strict=True), strict=True)):
+        samples = [Sample(row, position, torque, 0, fresh=bool(fresh)) for position, torque, fresh in seen]
+        balances = [*controllers.step(samples), group.balance.account]
+        for name, balance, logged in zip(names, balances, expected, strict=True):
+            if name not in found and _ALL.pack(*balance) != _ALL.pack(*logged):
+                number = next(n for n, values in enumerate(zip(balance, logged, strict=True)) if _differ(*values))
+                cycle = int(log.timing["sync_index"][row])
+                found[name] = Mismatch(name, cycle, _LOGGED[number], logged[number], balance[number])
+    return list(found.values())
+
+
 def recompute_all(log: EnergyLog, config: Path | None = None) -> list[dict[str, Any]]:
     """Returns `{port, mismatch}` of every port, recomputed with the controllers of the run's own scene.
 
@@ -61,15 +91,19 @@ def recompute_all(log: EnergyLog, config: Path | None = None) -> list[dict[str, 
     Raises:
         InputError: The scene cannot be read, or is not the one of the run.
     """
-    from canhaptic.scene.parts import build_axis_controller
+    from canhaptic.scene.parts import build_axis_controller, build_group
 
     scene = scene_of(log, config)
-    found = []
+    found: dict[str, Mismatch | None] = {}
     for axis in scene.axes:
-        name = axis.parameters.name
-        mismatch = recompute(log, name, build_axis_controller(axis))
-        found.append({"port": name, "mismatch": None if mismatch is None else mismatch._asdict()})
-    return found
+        if not axis.group:
+            name = axis.parameters.name
+            found[name] = recompute(log, name, build_axis_controller(axis))
+    for group in scene.groups:
+        made = AxisGroup(group.name, range(len(group.axes)), build_group(scene, group))
+        found.update(dict.fromkeys((group.name, *group.axes)))
+        found.update((mismatch.port, mismatch) for mismatch in recompute_group(log, group.axes, made))
+    return [{"port": name, "mismatch": m and m._asdict()} for name, m in found.items()]
 
 
 def scene_of(log: EnergyLog, config: Path | None = None) -> "Scene":

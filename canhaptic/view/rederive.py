@@ -16,14 +16,16 @@ from canhaptic.drive.parameters import AxisParameters
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.scaling import AxisScaling, axis_scaling
 from canhaptic.errors import InputError
+from canhaptic.haptics.axis_group import GroupedControllers
 from canhaptic.haptics.balance import Ledger
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.pdo_decoder import PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
+from canhaptic.result import part_in_group
 from canhaptic.scene.channels import Channels
-from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controller
+from canhaptic.scene.models import Scene
+from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
 from canhaptic.signals import Sample
 
 _TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
@@ -142,37 +144,44 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     Raises:
         InputError: The log holds no answered SYNC with all axes enabled.
     """
-    controllers = [build_axis_controller(axis) for axis in scene.axes]
-    ledgers = [Ledger() for _ in controllers]
-    judges = [] if log is None else [_Judge(log, axis) for axis in scene.axes]
+    groups = build_axis_groups(scene)
+    controllers = GroupedControllers(build_axis_controllers(scene), groups)
+    names = [*(axis.parameters.name for axis in scene.axes), *(group.name for group in groups)]
+    ledgers = [Ledger() for _ in names]
+    judges = [] if log is None else [_Judge(log, name) for name in names]
     cycles = 0
     for samples in samples_of(bus_log, scene):
         if log is not None and cycles == log.rows:
             break
-        for axis, (sample, controller) in enumerate(zip(samples, controllers, strict=True)):
-            balance = controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
-            ledgers[axis].add(balance, cycles)
+        balances = [*controllers.step(samples), *(group.balance.account for group in groups)]
+        samples += [group.sample(samples) for group in groups]
+        for port, (sample, balance) in enumerate(zip(samples, balances, strict=True)):
+            ledgers[port].add(balance, cycles)
             if judges:
-                judges[axis].compare(cycles, (sample.position, sample.torque_applied, *balance[1:]))
+                judges[port].compare(cycles, (sample.position, sample.torque_applied, *balance[1:]))
         cycles += 1
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
-    names = [axis.parameters.name for axis in scene.axes]
+    units = [axis.parameters.unit for axis in scene.axes] + [
+        scene.axis(g.axes[0]).parameters.unit for g in scene.groups
+    ]
     ports = {
-        name: {"unit": axis.parameters.unit, **ledger.summary().as_json(scene.bus.sample_time)}
-        for name, axis, ledger in zip(names, scene.axes, ledgers, strict=True)
+        name: {"unit": unit, **ledger.summary().as_json(scene.bus.sample_time)}
+        for name, unit, ledger in zip(names, units, ledgers, strict=True)
     }
+    for group in scene.groups:
+        ports.update({name: part_in_group(ports[name], group.name) for name in group.axes})
     differences = [judge.difference for judge in judges if judge.difference is not None]
     return {"cycles": cycles, "ports": ports, **({} if log is None else {"differences": differences})}
 
 
 class _Judge:
-    """Holds the rederived values of one axis against the logged ones."""
+    """Holds the rederived values of one port against the logged ones."""
 
     _NAMES: Final = ("position", "torque_applied", "h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit")
 
-    def __init__(self, log: EnergyLog, axis: AxisScene) -> None:
-        self._port = axis.parameters.name
+    def __init__(self, log: EnergyLog, port: str) -> None:
+        self._port = port
         if self._port not in log.ports:
             raise InputError(f"{log.path}: has no port {self._port!r}; it is the log of another scene")
         self._rows = zip(*(log.ports[self._port][name].tolist() for name in self._NAMES), strict=True)

@@ -61,6 +61,8 @@ class MechanismParameters(Protocol):
     """In what its motor axes move."""
     axes: ClassVar[int]
     """How many motors it has."""
+    order: ClassVar[int | None]
+    """Of the error in the substep; None when it is exact between its events."""
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> Mechanism:
         """Returns it at rest where its parameters say, before `begin`.

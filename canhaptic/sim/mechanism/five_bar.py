@@ -46,6 +46,7 @@ class FiveBar(Parameters):
 
     motion: ClassVar[Motion] = "rad"
     axes: ClassVar[int] = 2
+    order: ClassVar[int | None] = 2
 
     base: Annotated[float, quantity("m", ge=0.0, le=100.0)]
     """Distance of the two motors."""
@@ -114,7 +115,7 @@ class FiveBarMotion:
         iterations: Solver iterations since the start, a machine-independent price.
     """
 
-    order: int | None = 2
+    order = FiveBar.order
 
     def __init__(self, links: FiveBar, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> None:
         self._clock = SampleClock(sample_time_ns)

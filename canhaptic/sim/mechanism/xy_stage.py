@@ -42,6 +42,7 @@ class XYStage(Parameters):
 
     motion: ClassVar[Motion] = "m"
     axes: ClassVar[int] = 2
+    order: ClassVar[int | None] = None
 
     mass_x: Annotated[float, quantity("kg", gt=0.0, le=1e6)]
     """What moves in x: bridge, carriage and handle."""
