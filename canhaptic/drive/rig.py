@@ -93,7 +93,7 @@ class Rig:
             rig_start.start(self._exchange)
         except BaseException:
             self.stop_reason = StopReason.EXCEPTION
-            self._disable()
+            self._disable(at_once=False)
             raise
         self._exchange.skipped = 0
         self.sync_index = 0
@@ -189,13 +189,15 @@ class Rig:
             return
         self._is_running = False
         self.stop_reason = StopReason.OPERATOR if ramp else StopReason.EXCEPTION
+        at_once = True
         try:
             if ramp:
                 rig_stop.ramp_down(self._exchange)
+                at_once = False
         except RigError:
             self.stop_reason = StopReason.EXCEPTION  # zero torque and disable follow below all the same
         finally:
-            unconfirmed = self._disable()
+            unconfirmed = self._disable(at_once=at_once)
         if unconfirmed:
             raise RigError(
                 f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive", self.records
@@ -205,17 +207,17 @@ class Rig:
         """Stops at once and returns the exception that tells why."""
         self.stop_reason = reason
         self._is_running = False
-        unconfirmed = self._disable()
+        unconfirmed = self._disable(at_once=True)
         if unconfirmed:
             text += f"; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
         return STOP_TABLE[reason].error(f"{text} [{reason.name}]", self.records)
 
-    def _disable(self) -> list[str]:
+    def _disable(self, *, at_once: bool) -> list[str]:
         """Sends zero and disables every drive, then gives back what the operating system granted."""
         try:
             for line in self._sdo_lines:
                 line.close()
-            return rig_stop.disable(self._exchange)
+            return rig_stop.disable(self._exchange, at_once=at_once)
         finally:
             self.realtime.end()
 

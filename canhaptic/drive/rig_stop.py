@@ -13,11 +13,24 @@ from canhaptic.drive.cia402 import TORQUE_FREE, drive_state
 from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import LinkError, RigError
-from canhaptic.object_dictionary import CONTROLWORD, NMT_COB_ID, STATUSWORD, Controlword, NmtCommand, NmtState
+from canhaptic.object_dictionary import (
+    CONTROLWORD,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    STATUSWORD,
+    Controlword,
+    NmtCommand,
+    NmtState,
+)
 
 _LONGEST_RAMP: Final = 50_000_000  # [ns]
 _CONFIRMATION: Final = 100_000_000  # [ns] that a drive may take for one step of the stop
 _FEWEST_CYCLES: Final = 4  # a synchronous RPDO acts one SYNC later and shows in the TPDO one later still
+_ROUNDS: Final = 2  # of SDO and NMT before the loop of PDOs is given up
+_DISABLE_BY_SDO: Final = (
+    bytes([0x2B]) + CONTROLWORD.to_bytes(2, "little") + bytes([0, Controlword.DISABLE_VOLTAGE]) + bytes(3)
+)
+"""The expedited download of 0x6040 = disable voltage."""
 
 
 def ramp_down(exchange: Exchange) -> None:
@@ -38,8 +51,14 @@ def ramp_down(exchange: Exchange) -> None:
         exchange.beat()
 
 
-def disable(exchange: Exchange) -> list[str]:
-    """Sends zero torque at once, disables every drive and takes it to pre-operational.
+def disable(exchange: Exchange, *, at_once: bool) -> list[str]:
+    """Sends zero torque, disables every drive and takes it to pre-operational.
+
+    Args:
+        exchange: The drives.
+        at_once: Whether something is wrong: no way of a command to a drive is then trusted. Zero torque goes out by
+            RPDO, disable by SDO right behind it, which needs no SYNC, and NMT pre-operational a few SYNCs later to
+            whoever may still hold a torque.
 
     Returns:
         What was not confirmed, one text per drive; empty when all is well.
@@ -48,15 +67,20 @@ def disable(exchange: Exchange) -> list[str]:
     reachable = [drive for drive in exchange.drives if drive.answers]
     if not reachable:
         return []
+    if at_once:
+        _disable_by_sdo(reachable)
     operational = [drive for drive in reachable if drive.nmt_state == NmtState.OPERATIONAL]
     if operational:
         _try(exchange.sync)  # a synchronous RPDO acts at the next SYNC
     for drive in exchange.drives:
         drive.controlword = int(Controlword.DISABLE_VOLTAGE)
     if operational:
-        _cycle_until_disabled(exchange, operational)
-    problems = {drive: _confirm_disabled(drive) for drive in reachable}
-    _leave_operational([drive for drive in reachable if not problems[drive]])
+        _cycle_until_disabled(exchange, operational, at_once=at_once)
+    confirmed = [drive for drive in reachable if _is_disabled(drive)]
+    _leave_operational(confirmed)  # before anybody waits for the others: nothing beats meanwhile
+    others = [drive for drive in reachable if drive not in confirmed]
+    problems = {drive: _confirm_disabled(drive) for drive in others}
+    _leave_operational([drive for drive in others if not problems[drive]])
     return [f"{drive.axis.name}: {problem}" for drive, problem in problems.items() if problem]
 
 
@@ -72,25 +96,57 @@ def _write_zero(drives: Sequence[ServoDrive]) -> None:
         raise failure
 
 
-def _cycle_until_disabled(exchange: Exchange, drives: Sequence[ServoDrive]) -> None:
+def _disable_by_sdo(drives: Sequence[ServoDrive]) -> None:
+    """Sends each drive 0x6040 = disable voltage and awaits no answer: it acts whether or not RPDOs and SYNCs arrive."""
+    for drive in drives:
+        _try(partial(drive.link.send, SDO_REQUEST_BASE + drive.axis.node_id, _DISABLE_BY_SDO))
+
+
+def _cycle_until_disabled(exchange: Exchange, drives: Sequence[ServoDrive], *, at_once: bool) -> None:
     """Repeats zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
 
-    After the silence of the master that they tolerate the drives have stopped by their own watchdogs.
+    After the silence of the master that they tolerate the drives have stopped by their own watchdogs. Where none of
+    those that are left says that it is without torque, the last word is SDO's.
     """
     period, now = exchange.bus.sample_time_ns, exchange.clock.now
     end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.bus.master_silence_ns)
+    cycles = rounds = 0
     while now() < end:
         parts = [_try(partial(_write_zero, exchange.drives)), _try(exchange.beat), _try(exchange.sync)]
         if not all(parts):
             exchange.clock.wait_until(now() + period)
-        elif all(drive.is_complete and drive.state in TORQUE_FREE for drive in drives):
+            continue
+        left = [drive for drive in drives if not _is_disabled(drive)]
+        if not left:
             return
+        cycles += 1
+        if at_once and cycles % _FEWEST_CYCLES == 0:
+            doubtful = [drive for drive in left if not _demands_no_torque(drive)]
+            if rounds == _ROUNDS and len(doubtful) == len(left):
+                return
+            _disable_by_sdo(doubtful)
+            _send_pre_operational(doubtful)
+            rounds += 1
+
+
+def _is_disabled(drive: ServoDrive) -> bool:
+    """Whether the TPDO that answered the last SYNC says so."""
+    return drive.is_complete and drive.state in TORQUE_FREE
+
+
+def _demands_no_torque(drive: ServoDrive) -> bool:
+    """Whether the drive's last TPDO says that it gives no torque, as one that slowly leaves its state does."""
+    return drive.is_complete and drive.map.read_back == "demand" and drive.reported_per_mille == 0
+
+
+def _send_pre_operational(drives: Sequence[ServoDrive]) -> None:
+    for drive in drives:
+        command = bytes([NmtCommand.PRE_OPERATIONAL, drive.axis.node_id])
+        _try(partial(drive.link.send, NMT_COB_ID, command))
 
 
 def _confirm_disabled(drive: ServoDrive) -> str:
-    """Returns what is wrong with a drive that should be disabled; asks by SDO where the TPDO does not tell."""
-    if drive.is_complete and drive.state in TORQUE_FREE:
-        return ""
+    """Returns what is wrong with a drive that should be disabled; asks by SDO, for its TPDO did not tell."""
     try:
         drive.sdo.write(CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
         state = drive_state(drive.sdo.read(STATUSWORD))
@@ -101,9 +157,7 @@ def _confirm_disabled(drive: ServoDrive) -> str:
 
 def _leave_operational(drives: Sequence[ServoDrive]) -> None:
     """Sends the drives to pre-operational, switches their watchdogs off and waits for their heartbeats."""
-    for drive in drives:
-        command = bytes([NmtCommand.PRE_OPERATIONAL, drive.axis.node_id])
-        _try(partial(drive.link.send, NMT_COB_ID, command))
+    _send_pre_operational(drives)
     for drive in drives:
         _try(BringUp(drive).disarm)
         _try(partial(drive.link.wait_for, partial(_is_pre_operational, drive), drive.bus.drive_silence_ns))

@@ -257,3 +257,104 @@ def test_a_second_stop_does_nothing(bench: MakeBench) -> None:
     frames = len(b.frames)
     b.rig.stop()
     assert len(b.frames) == frames
+
+
+DISABLE_BY_SDO = bytes.fromhex("2b40600000000000")
+PRE_OPERATIONAL = bytes.fromhex("8005")
+
+
+def lose_on_the_way_out(b: Bench, *can_ids: int) -> None:
+    b.tampered.on_send = lambda message: None if message.arbitration_id in can_ids else message
+
+
+def frames_of_the_stop(b: Bench, begin: int) -> list[str]:
+    """What the master sends from the stop on, in words."""
+    names = {0x205: "RPDO", 0x605: "SDO", 0x080: "SYNC", 0x000: "NMT", 0x77E: "heartbeat"}
+    return [names[can_id] for _, can_id, _, is_rx in b.frames[begin:] if not is_rx]
+
+
+def test_zero_by_rpdo_and_disable_by_sdo_go_out_before_the_next_sync_when_something_is_wrong(bench: MakeBench) -> None:
+    b = bench()
+    b.rig.start()
+    b.run(10, torque=1.0)
+    b.drives[0].inject_fault(0x2310)
+    begin = len(b.frames)
+    with pytest.raises(DriveFaultError):
+        b.run(5, torque=1.0)
+    sent = frames_of_the_stop(b, begin)
+    first = sent.index("SDO")
+    assert sent[first - 1] == "RPDO"
+    assert b.torques_sent()[-1] == 0
+    assert b.sent(0x605)[-1 - sent[first + 1 :].count("SDO")] == DISABLE_BY_SDO
+
+
+@pytest.mark.parametrize(
+    ("lost", "cycles"),
+    [((0x205,), 22), ((0x080,), 22), ((0x205, 0x080), 22), ((0x205, 0x605), 27), ((0x205, 0x605, 0x080), 27)],
+)
+def test_no_way_of_a_command_is_trusted_when_commands_are_lost(
+    bench: MakeBench, lost: tuple[int, ...], cycles: int
+) -> None:
+    """From the loss: 20 cycles until it is judged, one for the SYNC under way, and 5 to NMT where SDO is lost too."""
+    b = bench()
+    b.rig.start()
+    b.run(10, torque=3.0)
+    lose_on_the_way_out(b, *lost)
+    begin = b.clock.now()
+    still = begin
+    recorder = b.links[0]._recorder
+
+    def watch(time: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
+        nonlocal still
+        if b.drives[0].torque:
+            still = time
+        if recorder is not None:
+            recorder(time, can_id, data, is_rx)
+
+    b.links[0]._recorder = watch
+    with pytest.raises(LinkError):
+        b.run(100, torque=-3.0)
+    assert b.drives[0].torque == 0.0
+    assert b.drives[0].state is not DriveState.OPERATION_ENABLED
+    assert still - begin <= cycles * 1_000_000
+
+
+def test_a_drive_that_demands_nothing_but_is_slow_to_leave_is_not_sent_out_of_operational(bench: MakeBench) -> None:
+    """NMT pre-operational would be a fault to it; it has all the time that a step of the stop may take."""
+    b = bench()
+    b.rig.start()
+    b.run(10, torque=3.0)
+    enabled = 0x1237
+
+    def stay(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x185:
+            message.data = bytearray(enabled.to_bytes(2, "little") + message.data[2:6] + b"\0\0")
+        return message
+
+    b.tampered.on_receive = stay
+    begin = len(b.frames)
+    with pytest.raises(ControlError):
+        b.rig.write_torques([math.nan])
+    nmt_before_confirmation = frames_of_the_stop(b, begin).index("NMT")
+    assert frames_of_the_stop(b, begin)[:nmt_before_confirmation].count("SYNC") > 90
+
+
+def test_the_operators_stop_needs_neither(bench: MakeBench) -> None:
+    b = bench()
+    b.rig.start()
+    b.run(10, torque=3.0)
+    begin = len(b.frames)
+    b.rig.stop()
+    assert DISABLE_BY_SDO not in b.sent(0x605)
+    assert frames_of_the_stop(b, begin).count("NMT") == 1
+
+
+def test_axes_that_are_disabled_leave_operational_before_another_is_waited_for(bench: MakeBench) -> None:
+    b = bench([axis(5), axis(6, sdo_timeout=0.2)])
+    b.rig.start()
+    b.run(5, torque=1.0)
+    b.tampered.on_receive = lambda message: None if message.arbitration_id in (0x186, 0x586) else message
+    with pytest.raises(LinkError, match="NOT confirmed to be disabled: axis6"):
+        b.run(60, torque=1.0)
+    assert [drive.torque for drive in b.drives] == [0.0, 0.0]
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED, "its watchdog found nobody beating"
