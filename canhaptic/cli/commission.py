@@ -1,0 +1,156 @@
+"""`canhaptic commission CONFIG`: from an untried drive to a measured configuration, step by step, zero torque first."""
+
+import argparse
+import os
+import select
+import sys
+import termios
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
+from canhaptic.cli.output import failure, write_failure, write_json, write_line, write_note
+from canhaptic.cli.stop_signal import StopSignal
+from canhaptic.commission.dialogue import Dialogue, Unattended
+from canhaptic.commission.laws import CommissioningLimits
+from canhaptic.commission.report import Report
+from canhaptic.commission.sequence import commission
+from canhaptic.commission.session import Session
+from canhaptic.errors import CanHapticError, InputError
+from canhaptic.scene.models import Scene
+from canhaptic.view.energy_table import make_console
+
+_TO_CORRECT: Final = 1  # exit status: the configuration differs from the rig, or the rig must not be used
+_LONGEST_LINE: Final = 4096  # bytes; a terminal hands over one line at a time
+_YES: Final = ("y", "yes")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `commission`."""
+    add_scene(parser)
+    defaults = CommissioningLimits()
+    parser.add_argument(
+        "--yes", action="store_true", help="agree to every step; only where all drives are simulated in this process"
+    )
+    parser.add_argument(
+        "--torque", metavar="PART", type=float, default=defaults.torque,
+        help=f"largest torque, as a part of the rated torque; {defaults.torque:g} by default, 0.3 at most",
+    )  # fmt: skip
+    parser.add_argument(
+        "--travel", metavar="X", type=float, default=defaults.travel,
+        help=f"distance [m or rad] after which a torque is taken away; {defaults.travel:g} by default",
+    )  # fmt: skip
+    parser.add_argument(
+        "--speed", metavar="V", type=float, default=defaults.speed,
+        help=f"speed [m/s or rad/s] after which a torque is taken away; {defaults.speed:g} by default",
+    )  # fmt: skip
+    parser.add_argument("--duration", metavar="S", type=seconds, default=10.0, help="length of the timing test [s]")
+    parser.add_argument("--out", metavar="FILE.yaml", type=Path, help="write the values to paste to a file as well")
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Walks the steps; returns 0 when all agrees, 1 when something is to be corrected, 130 or 143 after a signal."""
+    scene = scene_of(arguments)
+    limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
+    if arguments.out is not None and not arguments.out.absolute().parent.is_dir():
+        raise InputError(f"{arguments.out}: no such folder {arguments.out.absolute().parent}; make it first")
+    dialogue = _dialogue(scene, yes=arguments.yes)
+    error: CanHapticError | None = None
+    with StopSignal() as stop:
+        session = Session(scene, dialogue, limits, stop.requested)
+        try:
+            commission(session, arguments.duration)
+        except CanHapticError as raised:
+            error = raised
+        _print(session.report, error, arguments)
+        if error is not None:
+            return error.exit_status
+        return stop.exit_status or (_TO_CORRECT if session.report.failed or session.report.differs else 0)
+
+
+def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
+    if yes:
+        if not scene.simulated:
+            raise InputError(
+                f"{scene.source}: --yes is for drives that are simulated in this process; at a real one somebody must "
+                "stand beside the machine and answer"
+            )
+        return Unattended(write_note)
+    if not sys.stdin.isatty():
+        raise InputError("commission asks before every torque and needs a terminal; --yes is for simulated drives")
+    return Terminal()
+
+
+class Terminal:
+    """A person at a terminal; questions go to standard error, so that the report can be redirected.
+
+    What was typed before a question was asked is no answer to it: nobody agrees to a torque that he has not read of.
+    """
+
+    def __init__(self) -> None:
+        self._input = sys.stdin.fileno()
+
+    def tell(self, text: str) -> None:
+        """Says what happens now."""
+        write_note(text)
+
+    def confirm(self, question: str) -> bool:
+        """Returns whether the person typed yes; anything else, and the end of the input, is no."""
+        return self._ask(f"{question} [y/N] ").lower() in _YES
+
+    def number(self, question: str, unit: str, truth: float | None) -> float | None:
+        """Asks until the answer is a number or nothing."""
+        while text := self._ask(f"{question} [{unit}] "):
+            try:
+                return float(text.removesuffix(unit).strip())
+            except ValueError:
+                write_note(f"  got {text!r}, expected a number in {unit}, or nothing")
+        return None
+
+    def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
+        """Returns what looks, without waiting, whether Enter was pressed."""
+        self._forget()
+        write_note(text)
+
+        def pressed() -> bool:
+            if not select.select([self._input], [], [], 0.0)[0]:
+                return False
+            self._line()
+            return True
+
+        return pressed
+
+    def _ask(self, prompt: str) -> str:
+        self._forget()
+        sys.stderr.write(prompt)
+        sys.stderr.flush()
+        return self._line().strip()
+
+    def _forget(self) -> None:
+        termios.tcflush(self._input, termios.TCIFLUSH)
+
+    def _line(self) -> str:
+        """Returns one line as typed; past Python's buffer, in which lines would wait unseen."""
+        return os.read(self._input, _LONGEST_LINE).decode(errors="replace")
+
+
+def _print(report: Report, error: CanHapticError | None, arguments: argparse.Namespace) -> None:
+    """Prints what was found, also before an error, and the values to paste."""
+    snippet = report.snippet()
+    if arguments.json:
+        result = {**report.as_json(), "snippet": snippet}
+        write_json(result if error is None else {**failure(error), "result": result})
+    else:
+        make_console().print(report.table())
+        if snippet:
+            write_line("values to paste:\n")
+            write_line(snippet)
+    if error is not None:
+        write_failure(error)
+    if arguments.out is not None:
+        try:
+            arguments.out.write_text(snippet)
+        except OSError as problem:
+            raise InputError(f"{arguments.out}: cannot be written ({problem})") from problem

@@ -1,0 +1,7 @@
+"""Commissioning: from a drive that nobody has tried to a configuration that has been measured, zero torque first.
+
+    scan and identify -> stand still at zero torque -> move by hand -> pulse -> sweep -> pull the master -> time
+
+Each step is a run of the whole rig, through the limiter, the link policy and the stop of every other run; only what
+computes the torque is another (`laws.py`). A step that applies torque asks first.
+"""

@@ -1,0 +1,74 @@
+"""Mass and friction from torque and position, without differentiating noise.
+
+Over any weight w(t) the equation of motion m a + b v + c sign(v) + f = tau holds for the weighted means. With a
+triangle of base 2 n T the mean acceleration is (q(j+2n) - 2 q(j+n) + q(j)) / (n T)^2 exactly, whatever happens in
+between; of the torque, constant between SYNCs, the mean is exact as well. What remains is linear in m, b, c and f.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_FEWEST_EQUATIONS: Final = 20
+_STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0
+
+
+class Dynamics(NamedTuple):
+    """What moves with the encoder; each value with one standard deviation."""
+
+    mass: float  # [kg or kg*m^2]
+    mass_error: float
+    damping: float  # [N*s/m or N*m*s/rad]
+    damping_error: float
+    friction: float  # Coulomb friction [N or N*m]
+    friction_error: float
+    offset: float  # constant load, such as weight [N or N*m]
+    residual: float  # rms of what the four do not explain [N or N*m]
+
+
+def estimate(positions: Array, applied: Array, sample_time: float, half_base: int) -> Dynamics | None:
+    """Returns the least-squares estimate, or None when too little moved to tell.
+
+    Args:
+        positions: At each SYNC, shape (n,) [m or rad].
+        applied: Torque of the hold that ended there, shape (n,) [N or N*m].
+        sample_time: [s]
+        half_base: Half the base of the triangle, in sample times; longer is quieter and blurs fast motion.
+    """
+    starts = np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2))
+    if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
+        return None
+    holds = _triangle(half_base)  # weights of the 2 n holds, sum 1
+    step = np.diff(positions)
+    window = starts[:, None] + np.arange(2 * half_base)[None, :]
+    middle, end = positions[starts + half_base], positions[starts + 2 * half_base]
+    acceleration = (end - 2.0 * middle + positions[starts]) / (half_base * sample_time) ** 2
+    velocity = (step[window] @ holds) / sample_time
+    direction = np.where(np.abs(step) > _STILL, np.sign(step), 0.0)[window] @ holds
+    matrix = np.column_stack([acceleration, velocity, direction, np.ones(len(starts))])
+    return _solve(matrix, applied[1:][window] @ holds)
+
+
+def _triangle(half_base: int) -> Array:
+    """Returns the mean weight of each hold under a triangle that rises and falls over `half_base` holds each."""
+    rising = np.arange(half_base) + 0.5
+    return np.concatenate([rising, rising[::-1]]) / half_base**2
+
+
+def _solve(matrix: Array, torque: Array) -> Dynamics | None:
+    scale = np.linalg.norm(matrix, axis=0)
+    used = scale > 0.0
+    if np.linalg.matrix_rank(matrix[:, used] / scale[used]) < int(np.count_nonzero(used)):
+        return None
+    solution, *_ = np.linalg.lstsq(matrix[:, used] / scale[used], torque, rcond=None)
+    rest = torque - (matrix[:, used] / scale[used]) @ solution
+    variance = float(rest @ rest) / max(1, len(torque) - int(np.count_nonzero(used)))
+    covariance = np.linalg.inv((matrix[:, used] / scale[used]).T @ (matrix[:, used] / scale[used])) * variance
+    values, errors = np.zeros(4), np.zeros(4)
+    values[used] = solution / scale[used]
+    errors[used] = np.sqrt(np.diag(covariance)) / scale[used]
+    m, b, c, f = (float(value) for value in values)
+    return Dynamics(m, float(errors[0]), b, float(errors[1]), c, float(errors[2]), f, variance**0.5)

@@ -1,0 +1,117 @@
+"""Torques that are known beforehand, and the record of what an axis did under them."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Final
+
+from canhaptic.errors import ControlError
+from canhaptic.haptics.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.parameters import Parameters, quantity
+
+NO_TORQUE: Final[tuple[float, ...]] = ()
+
+
+class CommissioningLimits(Parameters):
+    """How far commissioning may go."""
+
+    torque: Annotated[float, quantity("1", gt=0.0, le=0.3)] = 0.1
+    """Largest torque, as a part of the rated torque; never beyond `torque_limit` of the axis."""
+    travel: Annotated[float, quantity("m", "rad", gt=0.0)] = 0.02
+    """Distance from where a step began after which its torque is taken away."""
+    speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] = 0.5
+    """Speed after which its torque is taken away."""
+
+
+class OpenLoop:
+    """A controller that renders nothing: it plays torques, one a cycle, and takes them away when the axis goes too far.
+
+    The energy that it puts in is booked as deficit: nothing here is passive, and the account says so.
+
+    Args:
+        torques: One per cycle [N or N*m]; zero after the last.
+        travel: Largest distance from the first position [m or rad].
+        largest_step: Largest displacement in one sample time [m or rad].
+
+    Attributes:
+        positions: At every SYNC since `reset` [m or rad].
+        applied: Torque of the hold that ended there [N or N*m].
+        tripped: Why the torque was taken away; "" while it was not.
+    """
+
+    def __init__(self, torques: Sequence[float], travel: float = math.inf, largest_step: float = math.inf) -> None:
+        self._torques = tuple(torques)
+        self._travel = travel
+        self._largest_step = largest_step
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets what was recorded, and begins with the first torque."""
+        self.positions: list[float] = []
+        self.applied: list[float] = []
+        self.tripped = ""
+        self._next = 0
+        self._last = AT_REST
+
+    def hold(self) -> EnergyBalance:
+        """Ends the torques: what is measured here has no use for a gap."""
+        self.tripped = self.tripped or "a TPDO was lost"
+        self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
+        return self._last
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Records the hold that ended and returns the next torque.
+
+        Raises:
+            ControlError: The position or torque is not finite.
+        """
+        if not math.isfinite(position + torque_applied):
+            raise ControlError(f"got position {position} and torque {torque_applied}, expected finite values")
+        displacement = position - self.positions[-1] if self.positions else 0.0
+        self.positions.append(position)
+        self.applied.append(torque_applied)
+        self._watch(position, displacement)
+        torque = 0.0
+        if self._next < len(self._torques) and not self.tripped:
+            torque = self._torques[self._next]
+            self._next += 1
+        return self._book(torque, -torque_applied * displacement)
+
+    def _watch(self, position: float, displacement: float) -> None:
+        if abs(position - self.positions[0]) > self._travel:
+            self.tripped = self.tripped or f"moved further than {self._travel:g}"
+        elif abs(displacement) > self._largest_step:
+            self.tripped = self.tripped or f"moved faster than {self._largest_step:g} in one sample time"
+
+    def _book(self, torque: float, h_i: float) -> EnergyBalance:
+        self._last = AT_REST._replace(
+            torque=torque,
+            h_i=h_i,
+            h_m=h_i,
+            deficit=-h_i,
+            h_dis=self._last.h_dis - h_i,
+            branch=Branch.DEPLETED.value if h_i else Branch.FREE.value,
+            certificate=Certificate.NONE.value,
+        )
+        return self._last
+
+
+def doublet(torque: float, cycles: int) -> list[float]:
+    """Returns +, -, -, + of a torque, `cycles` each: a free mass comes back to where and how it was."""
+    return [torque] * cycles + [-torque] * (2 * cycles) + [torque] * cycles
+
+
+def sweep(amplitude: float, lowest: float, highest: float, duration: float, sample_time: float) -> list[float]:
+    """Returns a cosine whose frequency rises exponentially: a free mass swings about where it was.
+
+    Args:
+        amplitude: [N or N*m]
+        lowest: First frequency [Hz].
+        highest: Last frequency [Hz].
+        duration: [s]
+        sample_time: [s]
+    """
+    rate = math.log(highest / lowest) / duration
+    return [
+        amplitude * math.cos(2.0 * math.pi * lowest * math.expm1(rate * k * sample_time) / rate)
+        for k in range(round(duration / sample_time))
+    ]

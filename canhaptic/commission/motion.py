@@ -1,0 +1,91 @@
+"""The axis at zero torque: does it stay where it is, and does the encoder count as the configuration says?"""
+
+from typing import Final
+
+from canhaptic.commission.laws import NO_TORQUE
+from canhaptic.commission.report import Verdict
+from canhaptic.commission.session import Session
+
+_STANDSTILL: Final = 1.0  # [s]
+_UNATTENDED: Final = 0.4  # [s] of the simulated hand's motion
+_LONGEST: Final = 120.0  # [s] that a person may take
+_FEWEST_COUNTS: Final = 200  # half a per cent
+_TOLERANCE: Final = 0.02  # a hand with a ruler
+_DRIFT: Final = 0.25  # part of the travel that an axis without torque may move by itself
+
+
+def stand_still(session: Session, axis: int) -> bool:
+    """Enables the drive with zero torque; returns False when the axis moves by itself.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    name, unit = session.axes[axis].parameters.name, session.axes[axis].parameters.unit
+    law = session.play(axis, NO_TORQUE, session.cycles(_STANDSTILL))
+    drift = abs(law.positions[-1] - law.positions[0])
+    swing = max(law.positions) - min(law.positions)
+    still = drift <= _DRIFT * session.limits.travel
+    text = "" if still else f"{name} moves without torque: weight, a wrong offset of the drive, or somebody pushes"
+    verdict = Verdict.AGREES if still else Verdict.FAILED
+    session.found(axis, "standstill at zero torque", "", f"{drift:.3g} {unit}, noise {swing:.3g}", verdict, text)
+    return still
+
+
+def move_by_hand(session: Session, axis: int) -> None:
+    """Compares a distance moved by hand with what the encoder says; the drive holds zero torque meanwhile.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    parameters = session.axes[axis].parameters
+    unit = parameters.unit
+    begin: list[float] = []
+    ready = session.dialogue.until_ready(
+        f"{parameters.name}: move the handle by a distance that you can measure, in the direction that shall count as "
+        "positive; hold it there and press Enter",
+        session.cycles(_UNATTENDED),
+    )
+
+    def done() -> bool:
+        truth = session.truth(axis)
+        if truth is not None and not begin:
+            begin.append(truth)
+        return ready()
+
+    session.truths = ()
+    law = session.play(axis, NO_TORQUE, session.cycles(_LONGEST), done)
+    if not law.positions:
+        session.found(axis, "encoder", "", "not tried", Verdict.UNKNOWN)
+        return
+    truth = session.truth(axis)
+    moved = None if truth is None or not begin else truth - begin[0]
+    measured = law.positions[-1] - law.positions[0]
+    told = session.dialogue.number(f"{parameters.name}: how far was it, with its sign?", unit, moved)
+    counts = abs(measured) * parameters.counts_per_unit
+    if told is None or not told or counts < _FEWEST_COUNTS:
+        text = f"the encoder moved by {counts:.0f} counts, at least {_FEWEST_COUNTS} and a measured distance are needed"
+        session.found(axis, "encoder", "", f"{measured:.4g} {unit}", Verdict.UNKNOWN, text)
+        return
+    session.encoder_ratios[axis] = abs(measured / told)
+    _judge(session, axis, measured / told)
+
+
+def _judge(session: Session, axis: int, ratio: float) -> None:
+    parameters = session.axes[axis].parameters
+    right = ratio > 0.0
+    verdict = Verdict.AGREES if right else Verdict.DIFFERS
+    found = parameters.direction if right else -parameters.direction
+    text = "" if right else "the encoder counts the other way"
+    session.found(axis, "encoder direction", str(parameters.direction), str(found), verdict, text)
+    if not right:
+        session.propose(axis, "direction", found)
+    counts = parameters.counts_per_unit * abs(ratio)
+    same = abs(abs(ratio) - 1.0) <= _TOLERANCE
+    text = "" if same else f"every position is wrong by {abs(ratio):.4g}; gear, counts per turn or 0x608F"
+    configured = f"{parameters.counts_per_unit:g} count/{parameters.unit}"
+    verdict = Verdict.AGREES if same else Verdict.DIFFERS
+    session.found(axis, "encoder counts", configured, f"{counts:.6g} count/{parameters.unit}", verdict, text)
+    if not same:
+        session.propose(
+            axis, "counts_per_unit", counts, f"count/{parameters.unit}", "as measured; round it to the data"
+        )

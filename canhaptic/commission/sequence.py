@@ -1,0 +1,68 @@
+"""The steps in their order; what was found before a fault is kept."""
+
+from canhaptic.commission.identify import identify
+from canhaptic.commission.motion import move_by_hand, stand_still
+from canhaptic.commission.report import Verdict
+from canhaptic.commission.session import Session
+from canhaptic.commission.torque import identify_dynamics, pulse
+from canhaptic.commission.watchdog import pull_the_master, time_the_cycle
+from canhaptic.errors import InputError
+
+
+def commission(session: Session, timing_duration: float) -> None:
+    """Walks every step that the person agrees to; the findings are in `session.report`.
+
+    Args:
+        session: Rig, dialogue and limits.
+        timing_duration: Of the run at zero torque that is timed [s].
+
+    Raises:
+        RigError: Drive or link failed; torque is zero, every drive that answers is disabled.
+        InputError: The scene joins its axes in one simulated mechanism.
+    """
+    if session.scene.mechanisms:
+        raise InputError(
+            f"{session.scene.source}: commissioning tries one axis after the other, and this simulated mechanism joins "
+            "them; leave `mechanisms` out and give every axis a `simulation` of its own"
+        )
+    axes = range(len(session.axes))
+    tell = session.dialogue.tell
+    free: list[int] = []
+    with session.rig_of(with_hand=False):
+        tell("1 of 6: who is on the bus (no torque, nothing enabled)")
+        identify(session)
+        if session.report.failed or session.stop_requested():
+            return
+        names = ", ".join(axis.parameters.name for axis in session.axes)
+        if not session.dialogue.confirm(f"{names}: hands off, clear of the machine. Enable the drives at zero torque?"):
+            session.found(0, "standstill at zero torque", "", "not tried", Verdict.UNKNOWN)
+            return
+        tell("2 of 6: standing still at zero torque")
+        free = [axis for axis in axes if not session.stop_requested() and stand_still(session, axis)]
+    if len(free) < len(session.axes) or session.stop_requested():
+        return
+    with session.rig_of(with_hand=True):
+        tell("3 of 6: the encoder, moved by hand (zero torque)")
+        for axis in axes:
+            if not session.stop_requested():
+                move_by_hand(session, axis)
+    with session.rig_of(with_hand=False):
+        _with_torque(session)
+        if session.stop_requested():
+            return
+        tell("5 of 6: the watchdog, by silence of the master (zero torque)")
+        pull_the_master(session)
+        if session.stop_requested():
+            return
+        tell(f"6 of 6: the cycle, for {timing_duration:g} s (zero torque)")
+        time_the_cycle(session, timing_duration)
+
+
+def _with_torque(session: Session) -> None:
+    session.dialogue.tell("4 of 6: first torque")
+    for axis in range(len(session.axes)):
+        if session.stop_requested():
+            return
+        rough_mass = pulse(session, axis)
+        if rough_mass is not None and not session.stop_requested():
+            identify_dynamics(session, axis, rough_mass)

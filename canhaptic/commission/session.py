@@ -1,0 +1,148 @@
+"""The rig under commissioning: one experiment, run again and again with torques that are known beforehand."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Self
+
+from canhaptic.commission.dialogue import Dialogue
+from canhaptic.commission.laws import NO_TORQUE, CommissioningLimits, OpenLoop
+from canhaptic.commission.report import Finding, Report, Value, Verdict
+from canhaptic.cycle import Cycle, run
+from canhaptic.drive.rig import Rig
+from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.errors import InputError
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.signals import Truth
+
+
+class Session:
+    """What every step needs.
+
+    Args:
+        scene: Axes on one or several buses; axes joined by a simulated mechanism cannot be tried one by one.
+        dialogue: With whom to speak.
+        limits: How far to go.
+        stop_requested: The operator's stop.
+
+    Attributes:
+        report: What was found so far.
+        encoder_ratios: Displacement that the configured encoder shows, as a part of the one measured, per axis.
+    """
+
+    def __init__(
+        self, scene: Scene, dialogue: Dialogue, limits: CommissioningLimits, stop_requested: Callable[[], bool]
+    ) -> None:
+        self.scene = scene
+        self.dialogue = dialogue
+        self.limits = limits
+        self.report = Report()
+        self.stop_requested = stop_requested
+        self.sample_time = scene.bus.sample_time
+        self.encoder_ratios = [1.0] * len(scene.axes)
+        self._experiment: Experiment | None = None
+        self.truths: Sequence[Truth] = ()
+
+    @contextmanager
+    def rig_of(self, *, with_hand: bool) -> Iterator[Self]:
+        """Builds the rig for the steps inside; nothing is sent before one of them does.
+
+        Args:
+            with_hand: Whether the simulated hand is on the handle; a real one was asked to be, or not to be.
+        """
+        scene = self.scene if with_hand else without_hand(self.scene)
+        with build(scene) as self._experiment:
+            yield self
+        self._experiment = None
+
+    @property
+    def experiment(self) -> Experiment:
+        """The rig as built.
+
+        Raises:
+            InputError: Asked for outside `rig_of`.
+        """
+        if self._experiment is None:
+            raise InputError("commissioning: no rig is built; use `rig_of`")
+        return self._experiment
+
+    @property
+    def rig(self) -> Rig:
+        """Of the experiment."""
+        return self.experiment.rig
+
+    @property
+    def drives(self) -> Sequence[ServoDrive]:
+        """One per axis."""
+        return self.rig.drives
+
+    @property
+    def axes(self) -> Sequence[AxisScene]:
+        """One per axis."""
+        return self.scene.axes
+
+    def play(
+        self, axis: int, torques: Sequence[float], cycles: int, ready: Callable[[], bool] = lambda: False
+    ) -> OpenLoop:
+        """Runs the rig with torques on one axis and none on the others, stops it, and returns what that axis did.
+
+        Args:
+            axis: Its index.
+            torques: One per cycle [N or N*m].
+            cycles: How long, at most.
+            ready: Ends it earlier.
+
+        Raises:
+            RigError: Drive or link failed; torque is zero.
+        """
+        largest_step = self.limits.speed * self.sample_time
+        laws = [
+            OpenLoop(torques, self.limits.travel, largest_step) if n == axis and torques else OpenLoop(NO_TORQUE)
+            for n in range(len(self.axes))
+        ]
+        self.run(laws, cycles, ready)
+        return laws[axis]
+
+    def run(self, laws: Sequence[OpenLoop], cycles: int, ready: Callable[[], bool] = lambda: False) -> Cycle:
+        """Runs the rig with one law per axis and stops it; returns the cycle with its timing.
+
+        Raises:
+            RigError: Drive or link failed; torque is zero.
+        """
+        far_side = self.experiment.far_side
+
+        def read() -> Sequence[Truth]:
+            self.truths = [drive.truth() for drive in far_side.drives] if far_side is not None else []
+            return self.truths
+
+        cycle = Cycle(self.rig, laws, None, read if far_side is not None else None)
+        run(cycle, cycles, lambda: self.stop_requested() or ready())
+        return cycle
+
+    def truth(self, axis: int) -> float | None:
+        """Returns the true position of a simulated axis at the last SYNC of the last run; None with a real one."""
+        return self.truths[axis].position if self.truths else None
+
+    def cycles(self, seconds: float) -> int:
+        """Returns how many cycles a time takes."""
+        return max(1, round(seconds / self.sample_time))
+
+    def found(self, axis: int, item: str, configured: str, found: str, verdict: Verdict, text: str = "") -> None:
+        """Adds a row to the report and says it."""
+        name = self.axes[axis].parameters.name
+        self.report.add(Finding(name, item, configured, found, verdict, text))
+        self.dialogue.tell(f"  {name}: {item}: {found} ({verdict.value})")
+
+    def propose(self, axis: int, key: str, value: float | int, unit: str = "", comment: str = "") -> None:
+        """Adds a value to paste."""
+        self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
+
+
+def without_hand(scene: Scene) -> Scene:
+    """Returns the scene with nobody at its simulated handles."""
+    axes = [
+        dataclasses.replace(axis, simulation=axis.simulation and dataclasses.replace(axis.simulation, user=None))
+        for axis in scene.axes
+    ]
+    return dataclasses.replace(scene, axes=tuple(axes))

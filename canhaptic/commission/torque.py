@@ -1,0 +1,142 @@
+"""First torque: a pulse that grows until something moves, then a sweep that says what moves."""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from canhaptic.commission.estimate import Dynamics, estimate
+from canhaptic.commission.laws import OpenLoop, doublet, sweep
+from canhaptic.commission.report import Verdict
+from canhaptic.commission.session import Session
+
+_FIRST: Final = 0.01  # of the rated torque
+_PULSE: Final = 0.04  # [s]
+_REST: Final = 0.2  # [s] after a pulse
+_SEEN_COUNTS: Final = 20  # of motion in the first part of a pulse: enough to know its sign
+_SWEEP: Final = (2.0, 8.0, 4.0)  # [Hz] first and last, [s]
+_HALF_BASE: Final = 0.02  # [s] of the weights of the estimate
+_SURE: Final = 2.0  # standard deviations
+_SCALE_TOLERANCE: Final = 0.1
+
+
+def largest_torque(session: Session, axis: int) -> float:
+    """Returns the torque beyond which commissioning does not go [N or N*m]."""
+    parameters = session.axes[axis].parameters
+    rated = parameters.rated_torque or parameters.torque_limit
+    return min(session.limits.torque * rated, parameters.torque_limit)
+
+
+def pulse(session: Session, axis: int) -> float | None:
+    """Returns a first idea of the mass, or None when nothing more may be tried.
+
+    A motor that turns against its encoder makes every wall push inward: that ends the commissioning of the axis.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    parameters = session.axes[axis].parameters
+    unit, most = "N" if parameters.unit == "m" else "N*m", largest_torque(session, axis)
+    asked = f"{parameters.name}: let go of the handle. Pulses of at most {most:.3g} {unit} and {4 * _PULSE:g} s now?"
+    if not session.dialogue.confirm(asked):
+        session.found(axis, "torque sign", "", "not tried", Verdict.UNKNOWN)
+        return None
+    cycles = session.cycles(_PULSE)
+    torque = min(most, _FIRST * (parameters.rated_torque or parameters.torque_limit))
+    while True:
+        law = session.play(axis, doublet(torque, cycles), 4 * cycles + session.cycles(_REST))
+        moved = _first_motion(law, cycles)
+        if abs(moved) * parameters.counts_per_unit >= _SEEN_COUNTS or torque >= most or session.stop_requested():
+            break
+        torque = min(most, 2.0 * torque)
+    if abs(moved) * parameters.counts_per_unit < _SEEN_COUNTS:
+        text = "more friction than torque, a brake, or no current; raise --torque with care"
+        session.found(axis, "torque sign", "+", f"no motion at {torque:.3g} {unit}", Verdict.UNKNOWN, text)
+        return None
+    right = moved > 0.0
+    text = "" if right else "torque and encoder disagree: every wall would pull in. Swap two motor phases, or 0x607E"
+    found = f"{moved:+.3g} {parameters.unit} at {torque:+.3g} {unit}"
+    session.found(axis, "torque sign", "+", found, Verdict.AGREES if right else Verdict.FAILED, text)
+    return torque * (cycles * session.sample_time) ** 2 / (2.0 * moved) if right else None  # as the encoder has it
+
+
+def _first_motion(law: OpenLoop, cycles: int) -> float:
+    """Returns the displacement over the first part of a doublet, counted from where the torque began to act."""
+    begin = next((k for k, torque in enumerate(law.applied) if torque), len(law.applied)) - 1
+    end = min(begin + cycles, len(law.positions) - 1)
+    return law.positions[end] - law.positions[begin] if 0 <= begin < end else 0.0
+
+
+def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
+    """Sweeps a torque through frequencies and reports mass, friction and the scale of the torque.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    parameters = session.axes[axis].parameters
+    lowest, highest, duration = _SWEEP
+    swing = rough_mass * (2.0 * math.pi * lowest) ** 2 * session.limits.travel / 4.0
+    amplitude = min(largest_torque(session, axis), swing)
+    unit = "N" if parameters.unit == "m" else "N*m"
+    asked = f"{parameters.name}: hands off. A sweep of {amplitude:.3g} {unit}, {lowest:g} to {highest:g} Hz, now?"
+    if not session.dialogue.confirm(asked):
+        session.found(axis, "moving mass", "", "not tried", Verdict.UNKNOWN)
+        return
+    torques = sweep(amplitude, lowest, highest, duration, session.sample_time)
+    law = session.play(axis, torques, len(torques))
+    if law.tripped:
+        session.found(axis, "moving mass", "", "broken off", Verdict.UNKNOWN, f"{law.tripped}; lower --torque")
+        return
+    positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
+    found = estimate(positions, np.array(law.applied), session.sample_time, max(2, session.cycles(_HALF_BASE)))
+    if found is None or found.mass <= _SURE * found.mass_error:
+        text = "too little motion to tell it from friction; raise --torque or --travel"
+        session.found(axis, "moving mass", "", "unclear", Verdict.UNKNOWN, text)
+        return
+    _report(session, axis, found)
+
+
+def _report(session: Session, axis: int, found: Dynamics) -> None:
+    linear = session.axes[axis].parameters.unit == "m"
+    mass_unit, damping_unit, unit = ("kg", "N*s/m", "N") if linear else ("kg*m^2", "N*m*s/rad", "N*m")
+    least = found.mass - _SURE * found.mass_error
+    declared = session.axes[axis].loop.moving_mass
+    text = f"+- {found.mass_error:.2g}"
+    if declared is None:
+        verdict = Verdict.MEASURED
+    elif declared <= found.mass + _SURE * found.mass_error:
+        verdict = Verdict.AGREES
+    else:
+        verdict, text = Verdict.FAILED, f"{text}; moving_mass must be an under-estimate: guarded would not be passive"
+    configured = "" if declared is None else f"at most {declared:.4g} {mass_unit}"
+    session.found(axis, "moving mass", configured, f"{found.mass:.4g} {mass_unit}", verdict, text)
+    session.propose(axis, "passivity.moving_mass", 0.9 * least, mass_unit, f"0.9 of {least:.4g}, two deviations below")
+    sure_damping = max(0.0, found.damping - _SURE * found.damping_error)
+    text = f"+- {found.damping_error:.2g}"
+    session.found(axis, "viscous friction", "", f"{found.damping:.3g} {damping_unit}", Verdict.MEASURED, text)
+    text = f"+- {found.friction_error:.2g}; constant load {found.offset:.2g} {unit}, rest {found.residual:.2g} {unit}"
+    session.found(axis, "dry friction", "", f"{found.friction:.3g} {unit}", Verdict.MEASURED, text)
+    if sure_damping > 0.0:
+        comment = "certain to two deviations here and now; grease and temperature change it"
+        session.propose(axis, "passivity.device_damping", 0.5 * sure_damping, damping_unit, comment)
+    _scale(session, axis, found)
+
+
+def _scale(session: Session, axis: int, found: Dynamics) -> None:
+    """Compares the mass found with one that was weighed: the same ratio is wrong in every torque."""
+    axis_scene = session.axes[axis]
+    parameters, simulation = axis_scene.parameters, axis_scene.simulation
+    unit, mass_unit = ("N", "kg") if parameters.unit == "m" else ("N*m", "kg*m^2")
+    truth = None if simulation is None or simulation.effects else simulation.plant.mass
+    question = f"{parameters.name}: moving mass from a scale or a drawing (Enter when unknown)?"
+    known = session.dialogue.number(question, mass_unit, truth)
+    if not known or known <= 0.0 or parameters.rated_torque is None:
+        text = "hang a known weight or use a force gauge: rated_torque is as wrong as this is"
+        session.found(axis, "torque scale", "1", "not compared", Verdict.UNKNOWN, text)
+        return
+    ratio = found.mass / known
+    same = abs(ratio - 1.0) <= _SCALE_TOLERANCE
+    verdict, text = (Verdict.AGREES if same else Verdict.DIFFERS), "" if same else "torques are not what they say"
+    session.found(axis, "torque scale", "1", f"{1.0 / ratio:.4g}", verdict, text)
+    if not same:
+        session.propose(axis, "rated_torque", parameters.rated_torque / ratio, unit, "by the mass that you gave")

@@ -1,0 +1,91 @@
+"""The master falls silent on purpose: does every drive stop by itself? And is the bus in time?"""
+
+from typing import Final
+
+from canhaptic import object_dictionary as od
+from canhaptic.commission.laws import NO_TORQUE, OpenLoop
+from canhaptic.commission.report import Verdict
+from canhaptic.commission.session import Session
+from canhaptic.drive.cia402 import TORQUE_FREE, drive_state
+from canhaptic.errors import RigError, SdoError
+
+_LOST: Final[tuple[str, ...]] = ("missed_tpdos", "late", "error_frames")
+_SILENCES: Final = 3  # of the longest silence that the drives are configured to bear
+
+
+def pull_the_master(session: Session) -> None:
+    """Enables every drive at zero torque, falls silent, and looks whether they left OPERATION ENABLED by themselves.
+
+    Raises:
+        RigError: Drive or link failed otherwise than asked for.
+    """
+    asked = "watchdog: the drives are enabled at zero torque, then the master falls silent. Now?"
+    if not session.dialogue.confirm(asked):
+        for axis in range(len(session.axes)):
+            session.found(axis, "watchdog", "", "not tried", Verdict.UNKNOWN, "a killed master may leave a torque on")
+        return
+    rig = session.rig
+    rig.start()
+    try:
+        silence = _SILENCES * rig.bus.master_silence_ns
+        for link in rig.links:
+            link.pump(link.clock.now() + silence)
+        for axis in range(len(session.axes)):
+            _judge(session, axis)
+    finally:
+        _end(session)
+
+
+def _judge(session: Session, axis: int) -> None:
+    drive = session.drives[axis]
+    limit = f"within {_SILENCES * session.rig.bus.master_silence_ns / 1e6:g} ms"
+    try:
+        state = drive_state(drive.sdo.read(od.STATUSWORD))
+    except SdoError as error:
+        session.found(axis, "watchdog", limit, "no answer", Verdict.FAILED, str(error))
+        return
+    stopped = state in TORQUE_FREE
+    told = f", {drive.emergency}" if drive.emergency is not None else ""
+    text = "" if stopped else "a killed master leaves its torque on: set axes[].watchdog, 0x1016 and 0x6007, or a relay"
+    session.found(axis, "watchdog", limit, f"{state.value}{told}", Verdict.AGREES if stopped else Verdict.FAILED, text)
+
+
+def _end(session: Session) -> None:
+    """Disables what is still enabled, and resets the faults that this test has made, if the person agrees."""
+    try:
+        session.rig.stop(ramp=False)
+    except RigError as error:
+        session.dialogue.tell(f"  {error}")
+    if session.dialogue.confirm("watchdog: reset the faults that this test has made (no drive is enabled by it)?"):
+        session.rig.reset_faults()
+
+
+def time_the_cycle(session: Session, seconds: float) -> None:
+    """Runs the whole rig at zero torque and reports frames and, at real pace, times.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    laws = [OpenLoop(NO_TORQUE) for _ in session.axes]
+    before = session.rig.link_statistics()
+    cycle = session.run(laws, session.cycles(seconds))
+    statistics = session.rig.link_statistics()
+    lost = {"skipped_syncs": statistics["skipped_syncs"]}  # counted from the start of a run, the others of the link
+    lost.update((name, statistics[name] - before[name]) for name in _LOST)
+    clean = not any(lost.values())
+    found = f"{cycle.cycles} cycles, " + ("no frame lost" if clean else _words(lost))
+    text = "" if clean else "see `canhaptic check` (bus load, host) and `canhaptic preflight`; try bus.realtime"
+    session.found(
+        0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, Verdict.AGREES if clean else Verdict.DIFFERS, text
+    )
+    if session.experiment.pace == "free":
+        session.found(0, "timing", "", "lock-step", Verdict.UNKNOWN, "simulated drives without a clock of their own")
+        return
+    for name, histogram in cycle.timing.items():
+        p50, p99 = histogram.quantile(0.5) * 1e6, histogram.quantile(0.99) * 1e6
+        found = f"p50 {p50:.0f} us, p99 {p99:.0f} us"
+        session.found(0, name.replace("_", " "), "", found, Verdict.MEASURED)
+
+
+def _words(counts: dict[str, float]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in counts.items() if count)

@@ -1,0 +1,208 @@
+"""Commissioning of simulated drives, each wrong in one way; judged by the report and by the frames."""
+
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import can
+import pytest
+
+from canhaptic.commission.dialogue import Unattended
+from canhaptic.commission.identify import scan
+from canhaptic.commission.laws import CommissioningLimits
+from canhaptic.commission.report import Finding, Report, Verdict
+from canhaptic.commission.sequence import commission
+from canhaptic.commission.session import Session
+from canhaptic.drive.clock import VirtualClock
+from canhaptic.drive.link import Link
+from canhaptic.errors import InputError, StartError
+from canhaptic.scene.load import load_scene
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+DEMO = CONFIGS / "demo.yaml"
+TIMED = 0.2  # [s]
+
+
+class Answers(Unattended):
+    """Agrees to everything but the questions that contain a word."""
+
+    def __init__(self, refused: str = "") -> None:
+        self.said: list[str] = []
+        super().__init__(self.said.append)
+        self.refused = refused
+
+    def confirm(self, question: str) -> bool:
+        return super().confirm(question) and not (self.refused and self.refused in question)
+
+
+def commissioned(
+    *overrides: str,
+    limits: CommissioningLimits | None = None,
+    refused: str = "",
+    stop: Callable[[], bool] | None = None,
+) -> Report:
+    session = Session(
+        load_scene(DEMO, list(overrides)), Answers(refused), limits or CommissioningLimits(), stop or (lambda: False)
+    )
+    commission(session, TIMED)
+    return session.report
+
+
+def row(report: Report, item: str) -> Finding:
+    [found] = [finding for finding in report.findings if finding.item == item]
+    return found
+
+
+def value(report: Report, key: str) -> float:
+    [found] = [v.value for v in report.values if v.key == key]
+    return found
+
+
+def frames_of(run: Callable[[str], object], channel: str) -> list[can.Message]:
+    """Everything on a virtual channel while `run` runs."""
+    with can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) as bus:
+        run(f"bus.channel={channel}")
+        return list(iter(lambda: bus.recv(0.0), None))
+
+
+def torques(frames: Sequence[can.Message]) -> list[int]:
+    """Target torques of every RPDO1: controlword, target torque [per mille]."""
+    return [struct.unpack("<h", frame.data[2:4])[0] for frame in frames if frame.arbitration_id == 0x201]
+
+
+def test_a_right_configuration_agrees_in_everything() -> None:
+    report = commissioned()
+    assert not report.failed
+    assert not report.differs
+    assert row(report, "moving mass").found == "0.25 kg"
+    assert value(report, "passivity.moving_mass") == pytest.approx(0.225, rel=0.01)  # 0.9 of 0.25 kg
+    assert row(report, "watchdog").verdict is Verdict.AGREES
+    assert row(report, "cycle").verdict is Verdict.AGREES
+
+
+def test_wrong_encoder_counts_are_found_and_do_not_spoil_mass_and_scale() -> None:
+    report = commissioned("simulation.drive.counts_per_unit=5e5")
+    assert row(report, "encoder counts").verdict is Verdict.DIFFERS
+    assert value(report, "counts_per_unit") == pytest.approx(5e5, rel=1e-4)
+    assert row(report, "moving mass").found == "0.25 kg"
+    assert row(report, "torque scale").verdict is Verdict.AGREES
+
+
+def test_a_drive_mounted_the_other_way_round_wants_direction_minus_one() -> None:
+    report = commissioned("simulation.drive.direction=-1")
+    assert row(report, "encoder direction").verdict is Verdict.DIFFERS
+    assert value(report, "direction") == -1
+    assert row(report, "torque sign").verdict is Verdict.AGREES
+    assert not commissioned("simulation.drive.direction=-1", "axes.0.direction=-1").differs  # what it says, helps
+
+
+@pytest.mark.parametrize("wrong", ["torque", "encoder"])
+def test_a_motor_that_turns_against_its_encoder_gets_no_more_torque(wrong: str) -> None:
+    report = commissioned(f"simulation.drive.reversed={wrong}")
+    assert row(report, "torque sign").verdict is Verdict.FAILED
+    assert not [finding for finding in report.findings if finding.item == "moving mass"]
+    assert report.failed
+
+
+def test_a_rated_torque_that_the_drive_does_not_have_is_found_by_a_known_mass() -> None:
+    report = commissioned(
+        "axes.0.quirks=[rated_torque_absent]",
+        "simulation.drive.absent=[0x6076]",
+        "axes.0.rated_torque=5 N",
+        "simulation.drive.rated_torque=10 N",
+    )
+    assert row(report, "rated torque (0x6076)").verdict is Verdict.UNKNOWN
+    assert row(report, "torque scale").verdict is Verdict.DIFFERS
+    assert value(report, "rated_torque") == pytest.approx(10.0, rel=0.01)
+
+
+def test_a_declared_mass_above_the_real_one_is_a_failure() -> None:
+    assert row(commissioned("passivity.moving_mass=0.3 kg"), "moving mass").verdict is Verdict.FAILED
+
+
+def test_dry_friction_is_measured() -> None:
+    report = commissioned(
+        "simulation.effects=[{type: coulomb_friction, kinetic: 0.3 N, static: 0.3 N}]",
+        "simulation.plant.damping=0 N*s/m",
+    )
+    found = row(report, "dry friction").found
+    assert float(found.split()[0]) == pytest.approx(0.3, abs=0.02)
+    assert float(row(report, "moving mass").found.split()[0]) == pytest.approx(0.25, rel=0.05)
+
+
+def test_a_drive_that_goes_on_without_its_master_is_a_failure() -> None:
+    report = commissioned("axes.0.watchdog=false")
+    assert row(report, "watchdog").verdict is Verdict.FAILED
+    assert "OPERATION ENABLED" in row(report, "watchdog").found
+
+
+def test_without_consent_no_frame_carries_a_torque() -> None:
+    reports: list[Report] = []
+    for refused in ("now?", "Now?", "Enable"):
+        frames = frames_of(
+            lambda at, refused=refused: reports.append(commissioned(at, refused=refused)), f"consent-{refused}"
+        )
+        if refused != "Now?":
+            assert set(torques(frames)) <= {0}
+    assert row(reports[0], "torque sign").verdict is Verdict.UNKNOWN
+    assert row(reports[1], "watchdog").verdict is Verdict.UNKNOWN
+    assert len(torques(frames)) == 0  # not even enabled
+
+
+def test_no_torque_exceeds_what_was_announced() -> None:
+    limits = CommissioningLimits(torque=0.02)
+    frames = frames_of(lambda at: commissioned(at, limits=limits), "announced")
+    assert max(abs(torque) for torque in torques(frames)) in range(10, 21)  # 2 per cent of the rated torque
+
+
+def test_an_axis_that_goes_too_far_loses_its_torque() -> None:
+    report = commissioned(limits=CommissioningLimits(travel=1e-4))
+    assert row(report, "moving mass").verdict is Verdict.UNKNOWN
+    assert "moved further" in row(report, "moving mass").text
+
+
+def test_the_operators_stop_ends_every_step() -> None:
+    asked = iter(range(10**9))
+    report = commissioned(stop=lambda: next(asked) > 500)
+    assert "watchdog" not in [finding.item for finding in report.findings]
+
+
+class Stranger:
+    """A node on the far side that answers uploads of 0x1000, by literal bytes."""
+
+    def __init__(self, bus: can.BusABC, node: int) -> None:
+        self.bus, self.node = bus, node
+
+    def process(self, now: int) -> None:
+        while (message := self.bus.recv(0.0)) is not None:
+            if message.arbitration_id == 0x600 + self.node and message.data == bytes.fromhex("4000100000000000"):
+                data = bytes.fromhex("43 00 10 00 92 01 00 00")
+                answer = can.Message(arbitration_id=0x580 + self.node, data=data, is_extended_id=False)
+                self.bus.send(answer)
+
+    def next_due(self) -> int:
+        return 1 << 62
+
+
+@pytest.mark.parametrize("node", [2, 5, 127])
+def test_a_stranger_on_the_bus_is_found(node: int) -> None:
+    with (
+        can.Bus(interface="virtual", channel=f"stranger-{node}") as far,
+        can.Bus(interface="virtual", channel=f"stranger-{node}") as near,
+    ):
+        link = Link(near, VirtualClock([Stranger(far, node)]))
+        assert scan(link, [1], 126) == [node]
+        assert scan(link, [1, node], 126) == []  # what is known is not asked
+
+
+def test_a_drive_that_does_not_answer_ends_it_before_anything_is_enabled() -> None:
+    channel = "silent"
+    with pytest.raises(StartError, match=r"handle: presence: .* check power, node ID"):
+        frames_of(lambda at: commissioned(at, "simulation.bus={drop: 1.0, bring_up: true}"), channel)
+
+
+def test_axes_in_one_mechanism_are_refused() -> None:
+    scene = load_scene(CONFIGS / "xy_box.yaml", [])
+    session = Session(scene, Answers(), CommissioningLimits(), lambda: False)
+    with pytest.raises(InputError, match="mechanism"):
+        commission(session, TIMED)
