@@ -49,7 +49,8 @@ def integrate(environment: Environment, plant: Plant, times: Array) -> tuple[Arr
         ahead = float(state[0] + _AHEAD * state[1])
         zone = environment.contact(ahead)
         events = [_crossing(surface, rising=ahead < surface) for surface in surfaces(environment)]
-        rate = _rate(environment, matrix, torque_index, touching=zone != 0)
+        touching = zone != 0 or not events  # without a surface it acts everywhere, also where its force is 0
+        rate = _rate(environment, matrix, torque_index, touching=touching)
         solved: Any = solve_ivp(
             rate,
             (begin, times[-1]),
