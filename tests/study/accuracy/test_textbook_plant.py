@@ -1,0 +1,122 @@
+"""The plant and its textbook twin agree: equations written twice, solved by methods that share nothing."""
+
+import pytest
+from accuracy_scenes import EFFECTS, EXACT, PERIOD, PLANT, WARM, random_torques, simulation, smooth_torques
+
+from canhaptic.errors import InputError
+from canhaptic.scene.accuracy_choice import observed, textbook_model
+from canhaptic.scene.parts import build_plant
+from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
+from canhaptic.sim.textbook.located import located, reference
+from canhaptic.sim.textbook.motion import difference
+from canhaptic.study.accuracy.advice import fitted_order
+
+HOLDS = 60
+SECONDS = PERIOD * 1e-9
+
+
+def apart(one, other):
+    return difference(one, other, PLANT.mass, SECONDS)
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_an_exact_plant_is_where_dop853_has_its_textbook_twin(name):
+    scene, torques = simulation(*EFFECTS[name]), random_torques(HOLDS)
+    exact = reference(textbook_model(scene), torques, PERIOD)
+    error = apart(observed(build_plant(scene, PERIOD), torques), exact)
+    assert error.position < 1e-10
+    assert error.energy < 1e-9
+    assert exact.user.min() < -1e-6 or exact.user.max() > 1e-4  # something happened
+
+
+@pytest.mark.parametrize("name", sorted(set(EFFECTS) - set(EXACT)))
+def test_an_approximate_plant_converges_to_its_textbook_twin(name):
+    torques = random_torques(HOLDS)
+    exact = reference(textbook_model(simulation(*EFFECTS[name])), torques, PERIOD)
+    errors = [
+        apart(observed(build_plant(simulation(*EFFECTS[name], substeps=n), PERIOD), torques), exact).position
+        for n in (1, 64)
+    ]
+    assert errors[1] < 2e-7
+    assert errors[1] < errors[0] / 10.0
+
+
+@pytest.mark.parametrize("name", ["stribeck_friction", "hard_stop", "lugre_friction"])
+def test_two_solvers_agree_on_the_textbook_twin(name):
+    torques = random_torques(40)
+    exact = reference(textbook_model(simulation(*EFFECTS[name])), torques, PERIOD)
+    witness = located(textbook_model(simulation(*EFFECTS[name])), torques, PERIOD, "LSODA", 1e-9, 1e-12)
+    assert apart(witness, exact).position < 1e-9
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("effects", [(), EFFECTS["cogging"]], ids=["linear", "cogging"])
+def test_a_fixed_step_method_has_its_declared_order(method, effects):
+    order, make = METHODS[method]
+    scene, torques = simulation(*effects), random_torques(30)
+    exact = reference(textbook_model(scene), torques, PERIOD)
+    counts = (1, 2, 4, 8)
+    motions = [fixed_step(textbook_model(scene), torques, PERIOD, make(), count) for count in counts]
+    errors = [apart(motion, exact).position for motion in motions]
+    travel = float(exact.position.max() - exact.position.min())
+    fitted = fitted_order([1.0 / count for count in counts], errors, travel)
+    assert fitted == pytest.approx(order, abs=0.2), errors
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_a_fixed_step_method_falls_to_order_1_where_modes_change(method):
+    scene, torques = simulation(*EFFECTS["hard_stop"]), random_torques(60)
+    exact = reference(textbook_model(scene), torques, PERIOD)
+    make = METHODS[method][1]
+    errors = [
+        apart(fixed_step(textbook_model(scene), torques, PERIOD, make(), count), exact).position for count in (16, 256)
+    ]
+    assert 4.0 < errors[0] / errors[1] < 256.0  # 16 at order 1; 256 at order 2, 65536 at order 4
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        EFFECTS["cogging"],
+        EFFECTS["torque_ripple"],
+        EFFECTS["lugre_friction"],
+        EFFECTS["stribeck_friction"],
+        (*EFFECTS["torque_ripple"], *EFFECTS["current_loop"]),
+        (*EFFECTS["cogging"], *EFFECTS["current_loop"], *EFFECTS["torque_ripple"]),
+    ],
+    ids=["cogging", "ripple", "lugre", "stribeck", "ripple behind a current loop", "all of a motor"],
+)
+def test_an_approximate_effect_has_its_declared_order_beside_the_textbook(effects):
+    torques, counts = smooth_torques(40), (2, 4, 8, 16)
+    exact = reference(textbook_model(simulation(*effects)), torques, PERIOD)
+    errors = [
+        apart(observed(build_plant(simulation(*effects, substeps=n), PERIOD), torques), exact).position for n in counts
+    ]
+    fitted = fitted_order([1.0 / count for count in counts], errors, 0.03)
+    declared = min(e.parameters.order for e in simulation(*effects).effects if e.parameters.order is not None)
+    assert fitted == pytest.approx(declared, abs=0.25), errors
+
+
+def test_thermal_derating_has_its_declared_order_in_the_sample_time():
+    effect = {"type": "thermal_derating", "torque_limit": 2.0, "warm": 320.0, "hot": 400.0, **WARM}
+    errors, periods = [], (4_000_000, 2_000_000, 1_000_000, 500_000)
+    for period in periods:
+        count = 80_000_000 // period
+        scene, torques = simulation(effect), [1.5] * count
+        exact = reference(textbook_model(scene), torques, period)
+        plant = build_plant(scene, period)
+        errors.append(abs(observed(plant, torques).position[-1] - exact.position[-1]))
+    fitted = fitted_order([period / 1e6 for period in periods], errors, 0.03)
+    assert fitted == pytest.approx(1.0, abs=0.25), errors
+
+
+def test_the_reference_can_be_stopped():
+    with pytest.raises(InputError, match="stopped before the reference"):
+        reference(textbook_model(simulation()), random_torques(40), PERIOD, lambda: True)
+
+
+def test_a_diverging_method_gives_an_infinite_error():
+    scene, torques = simulation({"type": "current_loop", "time_constant": 2e-5}), random_torques(60)
+    motion = fixed_step(textbook_model(scene), torques, PERIOD, METHODS["RK4"][1](), 1)
+    exact = observed(build_plant(scene, PERIOD), torques)
+    assert not apart(motion, exact).is_finite
