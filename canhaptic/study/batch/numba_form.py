@@ -45,13 +45,14 @@ class NumbaForm:
         self.program = program
         self.layout = Layout(program)
         layout = self.layout
-        self._lane_states = [name for name in layout.states if layout.state_differs(name)]
+        self._rings = [name for name in layout.states if program.then[name].is_rows]
+        self._lane_states = [n for n in layout.states if layout.state_differs(n) and n not in self._rings]
         self._one_states = [name for name in layout.states if not layout.state_differs(name)]
         given = [node for node in layout.fixed if node.op != "const"]
         self._lane_values = [node for node in given if node in layout.lanes]
         self._one_values = [node for node in given if node not in layout.lanes]
-        self.source = _source(layout, self._lane_states, self._one_states, self._lane_values, self._one_values)
-        self._kernel = compiled(self.source)
+        self.source = _source(layout, self._lane_states, self._one_states, self._lane_values, self._one_values, self._rings)
+        self._kernel = compiled(self.source, len(self._rings))
 
     def run(self, numbers: Mapping[str, Any], count: int, cycles: int) -> tuple[dict[str, Any], Array]:
         """Returns the states of some scenes after their cycles, or when they diverged, and the cycle of that.
@@ -78,8 +79,16 @@ class NumbaForm:
         frozen, when = begin.copy(), np.zeros(chunks * WIDTH, dtype=np.int64)
         ones = np.array([float(fixed[program.first[name]]) for name in self._one_states])
         given = np.array([float(fixed[node]) for node in self._one_values])
-        self._kernel(cycles, block.reshape(chunks, -1), begin, frozen, when, ones, given)
+        lists = [self._list(fixed[program.first[name]], chunks) for name in self._rings]
+        self._kernel(cycles, block.reshape(chunks, -1), begin, frozen, when, ones, given, *lists)
         return self._states(block, frozen, when, ones, count), when[:count]
+
+    def _list(self, rows: Any, chunks: int) -> Array:
+        """Returns the rows of a list, shape (chunks, rows, WIDTH)."""
+        padded = np.empty((len(rows), chunks * WIDTH))
+        padded[:] = rows[:, -1:]
+        padded[:, : rows.shape[1]] = rows
+        return np.ascontiguousarray(padded.reshape(len(rows), chunks, WIDTH).swapaxes(0, 1))
 
     def _states(self, block: Array, frozen: Array, when: Any, ones: Array, count: int) -> dict[str, Any]:
         chunks = len(block)
@@ -92,14 +101,14 @@ class NumbaForm:
 
 
 @lru_cache(maxsize=64)
-def compiled(source: str) -> Callable[..., None]:
+def compiled(source: str, lists: int) -> Callable[..., None]:
     """Returns the function of a source, compiled for its only types."""
     names: dict[str, Any] = {name: getattr(np, name) for name in ("floor",)}
     names |= {name: getattr(__import__("math"), name) for name in ("sqrt", "exp", "sin", "cos", "tan", "asin", "inf")}
-    names["copied"] = numba.njit(_copied, inline="always")
+    names |= {"copied": numba.njit(_copied, inline="always"), "place": numba.njit(_place, inline="always")}
     exec(compile(source, "<batch>", "exec"), names)
-    signature = "void(int64, float64[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1], float64[::1], float64[::1])"
-    function: Callable[..., None] = numba.njit(signature, error_model="numpy")(names["cycles"])
+    types = ["int64", *["float64[:, ::1]"] * 3, "int64[::1]", *["float64[::1]"] * 2, *["float64[:, :, ::1]"] * lists]
+    function: Callable[..., None] = numba.njit(f"void({', '.join(types)})", error_model="numpy")(names["cycles"])
     return function
 
 
@@ -107,22 +116,33 @@ def _copied(size: float, sign: float) -> float:
     return size if sign >= 0.0 else -size
 
 
+def _place(index: float, rows: int) -> int:
+    """Returns the row of an index, inside of the list also for a scene whose numbers are none any more."""
+    if index >= rows:
+        return rows - 1
+    return int(index) if index >= 0.0 else 0
+
+
 def _source(
-    layout: Layout, lane_states: list[str], one_states: list[str], lane_values: list[Node], one_values: list[Node]
+    layout: Layout,
+    lane_states: list[str],
+    one_states: list[str],
+    lane_values: list[Node],
+    one_values: list[Node],
+    rings: list[str],
 ) -> str:
     """Returns the text of the function; see `NumbaForm.run` for its arguments."""
     program = layout.program
     graph = program.out.graph
     name: dict[Node, str] = {node: _literal(node.value) for node in layout.fixed if node.op == "const"}
     name |= {node: f"v{i}" for i, node in enumerate(lane_values)} | {node: f"g{i}" for i, node in enumerate(one_values)}
-    states = {n: graph.state(n, program.then[n].is_truth) for n in layout.states}
+    states = {n: graph.slot(n, program.then[n]) for n in layout.states}
+    name |= {states[n]: f"r{i}" for i, n in enumerate(rings)}
     name |= {states[n]: f"s{i}" for i, n in enumerate(lane_states)}
     name |= {states[n]: f"o{i}" for i, n in enumerate(one_states)}
     once, each = [], []
     for node in layout.steps:
-        args = [name[arg] for arg in node.args]
-        name[node] = f"t{node.number}"
-        (each if node in layout.lanes else once).append(f"{name[node]} = {_text(node, args)}")
+        (each if node in layout.lanes else once).extend(_lines(node, name))
     load = [_loaded(f"s{i}", i, states[n].is_truth) for i, n in enumerate(lane_states)]
     load += [_loaded(f"v{i}", len(lane_states) + i, node.is_truth) for i, node in enumerate(lane_values)]
     keep = [
@@ -134,7 +154,7 @@ def _source(
     out = name[program.out]
     turn = [f"o{i} = {name[program.then[n]]}" for i, n in enumerate(one_states)]
     lines = [
-        "def cycles(count, blocks, begins, kept, when, ones, given):",
+        f"def cycles({', '.join(['count, blocks, begins, kept, when, ones, given', *(f'r{i}' for i in range(len(rings)))])}):",
         *(f"    g{i} = given[{i}]{' != 0.0' if node.is_truth else ''}" for i, node in enumerate(one_values)),
         "    for chunk in range(blocks.shape[0]):",
         "        rows = blocks[chunk]",
@@ -177,7 +197,42 @@ def _stored(value: str, is_truth: bool) -> str:
     return f"1.0 if {value} else 0.0" if is_truth else value
 
 
+def _lines(node: Node, name: dict[Node, str]) -> list[str]:
+    """Returns the lines of an operation, and names its result."""
+    args = [name[arg] for arg in node.args]
+    name[node] = f"t{node.number}"
+    if node.op == "loop":
+        return _loop(node, args, name)
+    if node.op == "out":
+        name[node] = f"{args[0]}_{node.value}"
+        return []
+    if node.op == "store":
+        name[node] = args[0]
+        store = f"{args[0]}[chunk, place({args[1]}, {args[0]}.shape[1]), i] = {args[2]}"
+        return [store if args[3] == "True" else f"if {args[3]}: {store}"]
+    return [f"{name[node]} = {_text(node, args)}"]
+
+
+def _loop(node: Node, args: list[str], name: dict[Node, str]) -> list[str]:
+    """Returns the lines of a loop of one scene."""
+    body, own = node.value, name[node]
+    names = [f"{own}_{i}" for i in range(len(body.variables))]
+    inside = name | dict(zip(body.variables, names, strict=True))
+    lines = [f"{target} = {value}" for target, value in zip(names, args, strict=False)]
+    passes: list[str] = []
+    for part in body.inside():
+        for arg in (*part.args, *body.then):
+            if arg.op == "const":
+                inside.setdefault(arg, _literal(arg.value))
+        passes += _lines(part, inside)
+    then = [_literal(value.value) if value.op == "const" else inside[value] for value in body.then]
+    passes.append(f"{', '.join(names)}, = {', '.join(then)},")
+    return [*lines, f"while {names[0]}:", *(f"    {line}" for line in passes)]
+
+
 def _text(node: Node, args: list[str]) -> str:
+    if node.op == "load":
+        return f"{args[0]}[chunk, place({args[1]}, {args[0]}.shape[1]), i]"
     if node.op in _INFIX:
         return f"{args[0]} {_INFIX[node.op]} {args[1]}"
     return _CALLED[node.op].format(*args)
