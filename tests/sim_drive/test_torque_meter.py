@@ -1,0 +1,105 @@
+"""What 0x6077 shows beside 0x6074: the motor's torque behind its current loop, filtered, with a sensor's error."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canhaptic.cycle import run
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.torque_meter import TorqueMeter
+
+MILLISECOND = 1_000_000
+
+
+class Still:
+    """A motor that stands at a place."""
+
+    position = 0.25
+
+
+class Lagging(Still):
+    """A motor whose current loop has made this of the torque held."""
+
+    motor_torque = 1.5
+
+
+def meter(motor: Any = None, **values: Any) -> TorqueMeter:
+    return TorqueMeter(motor or Still(), SimulatedDriveParameters(counts_per_unit=1.0, rated_torque=1.0, **values))
+
+
+@given(st.integers(-32768, 32767))
+def test_without_anything_named_the_demand_is_shown(counts: int) -> None:
+    assert meter().counts(0, counts * 0.01, 0.01) == counts
+
+
+def test_the_motor_behind_a_current_loop_is_measured_and_not_the_demand() -> None:
+    assert meter(Lagging()).counts(0, 2.0, 1e-3) == 1500
+
+
+@pytest.mark.parametrize("lag", [1e-5, 1e-3, 1e-2])
+def test_the_filter_is_exact_for_a_torque_that_stands(lag: float) -> None:
+    measured = meter(torque_lag=lag)
+    for k in range(1, 20):
+        expected = 20_000 * (1.0 - math.exp(-k * 1e-3 / lag))
+        assert measured.counts(k * MILLISECOND, 2.0, 1e-4) == pytest.approx(expected, abs=0.51)
+
+
+def test_a_second_look_at_one_instant_changes_nothing() -> None:
+    measured = meter(torque_lag=1e-3)
+    first = measured.counts(MILLISECOND, 2.0, 1e-4)
+    assert measured.counts(MILLISECOND, 2.0, 1e-4) == first
+
+
+def test_ripple_is_that_of_the_position() -> None:
+    """At 0.25 of a pitch of 1 the sine is 1."""
+    assert meter(torque_ripple=0.05, torque_ripple_pitch=1.0).counts(0, 2.0, 1e-3) == 2100
+    assert meter(torque_ripple=0.05, torque_ripple_pitch=0.25).counts(0, 2.0, 1e-3) == 2000
+
+
+def test_a_torque_beyond_the_object_is_held_at_its_end() -> None:
+    assert meter().counts(0, 1e6, 1e-3) == 32767
+    assert meter().counts(0, -1e6, 1e-3) == -32768
+
+
+def test_a_drive_without_rated_torque_shows_nothing() -> None:
+    assert meter().counts(0, 1.0, 0.0) == 0
+
+
+@pytest.mark.parametrize("lag", [0.2e-3, 1e-3])
+def test_in_a_scene_the_measured_torque_is_that_of_the_current_loop(lag: float) -> None:
+    """One hold of torque c from rest ends at c (1 - exp(-T / lag)), by the solution of the loop's own equation."""
+    overrides = [
+        f"simulation.effects=[{{type: current_loop, time_constant: {lag}}}]",
+        "axes.0.read_back=actual",
+        "bus.rpdo=event",
+        "environment={type: free_space}",
+        "passivity={algorithm: direct}",
+    ]
+    scene = load_scene("configs/demo.yaml", overrides)
+    with build(scene) as experiment:
+        rig = experiment.rig
+        rig.start()
+        rig.sync()
+        rig.write_torques([5.0])
+        sample = rig.sync()[0]
+        assert sample.torque_applied == pytest.approx(5.0 * (1.0 - math.exp(-1e-3 / lag)), abs=0.51e-2)
+        rig.stop()
+
+
+def test_a_lagging_read_back_costs_exactness_and_the_run_says_how_much() -> None:
+    """The ledger books the torque at the end of each hold; the true work is that of the torque inside it."""
+    errors = []
+    for lag in (0.0, 2e-4):
+        effects = f"simulation.effects=[{{type: current_loop, time_constant: {lag}}}]" if lag else "duration=1"
+        scene = load_scene("configs/demo.yaml", [effects, "axes.0.read_back=actual", "environment.side=above"])
+        with build(scene) as experiment:
+            run(experiment.cycle, cycles=500)
+            assert experiment.cycle.judge is not None
+            errors.append(experiment.cycle.judge.believed_error[0] / experiment.cycle.ledgers[0].summary().energy_in)
+    assert errors[0] < 1e-4
+    assert 1e-4 < errors[1] < 0.05
