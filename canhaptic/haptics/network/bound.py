@@ -17,7 +17,7 @@ the norms, and 0 for opposed torques. For one axis it is max(0, W f) / m.
 TORQUE no more than F_h would accelerate the lightest of them. For equal, uncoupled axes this is the component of the
 hand's force along the torque. Forces that come from an inertia changing with the pose count with the hand's.
 
-**Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d is enough for every user.
+**Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d serves every user.
 
 **Hand speed.** sum |F_i| v_max T <= E.
 """

@@ -58,8 +58,8 @@ class GroupAccount:
         """Takes several holds of which only the whole displacement is known; returns how much less may have come in.
 
         In every hold but the last, whose torque was read back, each axis may have held any torque sent to it. The
-        energy        is wrong by at most their difference times the excursion in the hold, which the reach of hand and torques
-        bounds - not the displacement: a reversal has next to none.
+        energy is wrong by at most their difference times the excursion in the hold, which the reach of hand and
+        torques bounds - not the displacement: a reversal has next to none.
         """
         axes, holds, last = self._axes, len(sent), sent[-1]
         largest = [max(abs(torques[i]) for torques in sent) for i in range(len(last))]

@@ -114,9 +114,10 @@ class GuardedGroup:
         supplied = motion.supplied(hold.ports)
         h_i = math.fsum(interactions) + supplied - unsure
         h_pas = lost = 0.0
-        for modulated, damper, moved in zip(hold.modulated, hold.damper, hold.displacement, strict=True):
-            h_pas += modulated * moved
-            lost += damper * moved
+        if not hold.skipped:  # of several holds the dampers' share of the motion is not known
+            for modulated, damper, moved in zip(hold.modulated, hold.damper, hold.displacement, strict=True):
+                h_pas += modulated * moved
+                lost += damper * moved
         ceiling = motion.energy
         h_r, deficit, leak, paid = self._account.book(h_i, h_pas, lost + motion.internal, ceiling)
         command, rendered, certificate = self._render(ceiling)

@@ -3,7 +3,7 @@
     H(x + l s) - H(x) + l L = H_m,    s the step of the model, L what its dissipators take with l = 1
 
 L holds the damper efforts that were inside the torques applied in that very hold, times the displacement, and what is
-dissipated inside the network. Of one axis with a spring and a damper it is `passivity.internal_dissipation` to rounding,
+dissipated inside the network. Of one axis with spring and damper it is `passivity.internal_dissipation` to rounding,
 start by eq. 14, exact and sticky root, eq. 18 where there is none, exit. The state creeps away from that of the model,
 and no torque is limited: `guarded` is more accurate, and certified.
 """

@@ -126,13 +126,10 @@ class ScaledState:
         """
         network, available, model = self._network, self.h_s + h_m, list(self._network.room.step)
         h_r = min(max(0.0, power), max(0.0, available))
-        rest = self._to_rest()
-        sunk = Line(network.tables, network.user, network.state, rest).solve(
-            max(0.0, available) - h_r - self.h_s, 0.0, 1.0
-        )
-        empty = available <= 0.0
-        if sunk.found or empty:
-            change = [(1.0 if empty else sunk.share) * r for r in rest]
+        rest, left, empty = self._to_rest(), max(0.0, available) - h_r, available <= 0.0
+        sunk = Line(network.tables, network.user, network.state, rest).solve(left - self.h_s, 0.0, 1.0)
+        if left <= _ROUNDING * self.h_s or sunk.found:  # the very bottom is a double root
+            change = [(1.0 if left <= _ROUNDING * self.h_s else sunk.share) * r for r in rest]
         else:
             change = [deepest * s for s in model]
         self._take(change)
@@ -165,10 +162,11 @@ class ScaledState:
         """Leaks what is left in storages that the model does not touch any more."""
         network = self._network
         if not network.tables.moving:
-            model, before = self._model(), network.energy
+            model, before, tables = self._model(), network.energy, network.tables
             for i in network.edged:
-                if extension(network.tables, i, model[i]) == 0.0:
-                    network.state[i] = model[i]
+                if extension(tables, i, model[i]) == 0.0:
+                    upper, lower = tables.upper[i], tables.lower[i]
+                    network.state[i] = upper if abs(model[i] - upper) <= abs(model[i] - lower) else lower
             network.settle()
             self.h_s = network.energy
             account = account._replace(leak=account.leak + before - network.energy)
