@@ -19,6 +19,8 @@
        |  |- DriveStateFaultError            3   the drive is in FAULT
        |  |- StateLeftError                  3   the drive left OPERATION ENABLED
        |  |- NmtStateLeftError               3   the drive left NMT OPERATIONAL
+       |  |- NotFollowingError               3   the drive does not follow its target torque
+       |  |- TorqueLimitedError              3   the drive gives less torque than it can tell
        |  `- PositionJumpError               3   a position that no hand can have moved to
        |- LinkError (TimeoutError)           3   lost frames, lost heartbeat, bus-off
        |  |- TpdoLostError                   3   too many SYNCs in a row without an answer
@@ -167,6 +169,14 @@ class StateLeftError(DriveFaultError):
 
 class NmtStateLeftError(DriveFaultError):
     """A drive left NMT OPERATIONAL: reset, stopped, or commanded by another master."""
+
+
+class NotFollowingError(DriveFaultError):
+    """A drive that showed that it follows its target (bit 12 of the statusword) shows so no more."""
+
+
+class TorqueLimitedError(DriveFaultError):
+    """A drive limits its torque (bit 11 of the statusword) and tells in no TPDO what is left of it."""
 
 
 class PositionJumpError(DriveFaultError):

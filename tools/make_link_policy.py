@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from canhaptic.drive.link_policy import STOP_TABLE, Action, StopReason
+from canhaptic.drive.link_policy import READ_BACK_TABLE, STOP_TABLE, Action, StopReason
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "link_policy.md"
 _MISSED = {
@@ -21,6 +21,12 @@ by `python -m tools.make_link_policy`.
 ## Missed TPDOs
 
 Counted per axis. One TPDO that comes in time sets the count back to zero.
+"""
+_READ_BACK = """
+## What the read-back of the torque lets the rig judge
+
+Bit 12 is judged of a drive that shows it once it is enabled; one that never does may mean anything by it. The
+statusword of every SYNC is in the energy log, and `canhaptic inspect` counts the cycles with bit 11.
 """
 _STOPS = """
 ## Stops
@@ -44,6 +50,16 @@ def page() -> str:
         [
             _INTRODUCTION,
             *_table(["TPDOs missed in a row", "action", "torque"], missed),
+            _READ_BACK,
+            *_table(
+                [
+                    "`read_back`",
+                    "an old torque is held (COMMAND_LOST)",
+                    "bit 12 goes out (NOT_FOLLOWING)",
+                    "bit 11 is on",
+                ],
+                [[name, *judged] for name, judged in READ_BACK_TABLE.items()],
+            ),
             _STOPS,
             *_table(["number", "reason", "meaning", "exception", "what to do"], stops),
             "",

@@ -18,9 +18,11 @@ from canhaptic.errors import (
     EmergencyError,
     HeartbeatLostError,
     NmtStateLeftError,
+    NotFollowingError,
     PositionJumpError,
     RigError,
     StateLeftError,
+    TorqueLimitedError,
     TorqueNotFiniteError,
     TpdoLostError,
 )
@@ -40,6 +42,8 @@ class StopReason(IntEnum):
     STATE_LEFT = 22
     NMT_STATE_LEFT = 23
     POSITION_JUMP = 24
+    NOT_FOLLOWING = 25
+    TORQUE_LIMITED = 26
     CONTROLLER = 30
     EXCEPTION = 31
 
@@ -99,12 +103,43 @@ STOP_TABLE: Final[dict[StopReason, StopRule]] = {
         PositionJumpError,
         "check the encoder and counts_per_unit, or raise speed_limit of the axis",
     ),
+    StopReason.NOT_FOLLOWING: StopRule(
+        "the drive does not follow its target torque (bit 12 of the statusword)",
+        NotFollowingError,
+        "look for a limit, a halt or a safety input of the drive, and for another master that commands it",
+    ),
+    StopReason.TORQUE_LIMITED: StopRule(
+        "the drive limits its torque (bit 11 of the statusword), and none is read back",
+        TorqueLimitedError,
+        "map 0x6074 or 0x6077 (read_back), or lower torque_limit below the limits of the drive",
+    ),
     StopReason.CONTROLLER: StopRule(
         "the controller's torque is not finite",
         TorqueNotFiniteError,
         "check the parameters of environment and algorithm against the motion",
     ),
     StopReason.EXCEPTION: StopRule("the cycle raised an exception", CycleFailedError, "see the error that caused it"),
+}
+
+
+READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
+    # read_back of the axis -> an old torque is held (COMMAND_LOST), bit 12 goes out (NOT_FOLLOWING), bit 11 comes on
+    "demand": (
+        "0x6074 stays as it was for `bus.stop_cycles` SYNCs although another torque was sent",
+        "stop after more than `bus.hold_cycles` SYNCs in a row",
+        "recorded: the torque that was given is read back, and the account is exact",
+    ),
+    "actual": (
+        "0x6077 stays within `torque_tolerance` of an old command for `bus.stop_cycles` SYNCs although commands more "
+        "than twice as far from it were sent; what is nearer cannot be told from noise",
+        "stop after more than `bus.hold_cycles` SYNCs in a row",
+        "recorded: the torque that was given is read back",
+    ),
+    "none": (
+        "cannot be told by the master; the drive's own watchdog ends it when the master falls silent altogether",
+        "stop after more than `bus.hold_cycles` SYNCs in a row",
+        "TORQUE_LIMITED after more than `bus.hold_cycles` SYNCs in a row, if it was not on at the start",
+    ),
 }
 
 

@@ -99,6 +99,8 @@ class Rig:
         self.sync_index = 0
         self._is_running = True
         self._first_samples = [drive.sample(0) for drive in self.drives]
+        for drive in self.drives:
+            drive.watch_statusword()
         for line in self._sdo_lines:
             line.open()
 

@@ -24,6 +24,7 @@ _IN_ORDER: Final = (0, 1, 2)
 _NMT_STATE: Final = 0x7F  # bit 7 of a heartbeat is reserved
 _OPERATIONAL: Final = int(od.NmtState.OPERATIONAL)
 _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
+_FOLLOWS: Final = int(od.StatusBit.FOLLOWS_COMMAND)
 
 
 class Emergency(NamedTuple):
@@ -60,6 +61,10 @@ class ServoDrive:
         statusword: Of the last complete set of TPDOs.
         is_complete: Whether every TPDO of the last SYNC came in its window.
         nmt_state: As its last heartbeat said; None before the first.
+        read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from that
+            of the hold before and from the one sent, times the displacement [J]. The true torque of a hold lies
+            between them unless the current loop overshoots, so that the energy booked is not farther from the true
+            one. 0 where the demand is read back, which is exact, or nothing, which is believed.
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
 
     Raises:
@@ -84,6 +89,8 @@ class ServoDrive:
         self._clock = link.clock
         self._is_synchronous = bus.rpdo == "synchronous"
         self._reads_demand = self.map.read_back == "demand"
+        self._measures = self.map.read_back == "actual"
+        self._tolerance = axis.torque_tolerance / self.quirks.torque_resolution  # counts of 0x6077
         self._rpdo_cob_id = self.map.rpdo.cob_id
         self._pack = self._packer(self.map.rpdo)
         self._silence = bus.drive_silence_ns
@@ -102,6 +109,8 @@ class ServoDrive:
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)
         self._pending = 0  # one bit for each TPDO that may come now
         self.is_complete = False
+        self.read_back_bound = 0.0
+        self._spread = 0  # per mille: how far the measured torque is from what it was, and from what was sent
         self.scaling.reset()
         self.limiter.reset()
         self.policy.reset()
@@ -109,7 +118,10 @@ class ServoDrive:
         self._acting = 0  # per mille: believed to act now, with a synchronous RPDO
         self._reported = 0  # per mille: of the TPDO before
         self._held_before = 0  # per mille: read back for the hold before
+        self._heeded = 0  # per mille: of the last command that a measured torque has shown
         self._unheeded = 0  # holds in a row in which an old torque stood although another was sent
+        self._watched, self._expected = ENABLED_MASK, ENABLED_VALUE  # bits of the statusword while the rig runs
+        self._deviant = self._deviant_at = 0  # SYNCs in a row in which bit 11 or 12 was not as expected; the last one
         self._held = 0.0  # torque when the first TPDO went missing [N*m or N]
         self._step = 0.0  # mean displacement per sample time since the last TPDO [rad or m]
         self._periods = 0  # sample times since the last TPDO
@@ -164,6 +176,8 @@ class ServoDrive:
         last = self._last
         self._step = (position - last.position) / self._periods if last.sync_index >= 0 else 0.0
         self._periods = 0
+        if self._measures and last.sync_index >= 0:
+            self.read_back_bound += self._spread * scaling.torque_quantum * abs(position - last.position)
         self._last = sample = Sample(sync_index, position, torque, statusword, True)
         return sample
 
@@ -175,21 +189,47 @@ class ServoDrive:
             return believed
         if self.axis.demand_reported == "after":
             reported, self._reported = self._reported, reported
-        if reported == believed or reported != self._held_before or self._values[0] & _LIMITED:
+        if not self._reads_demand:
+            self._judge_measured(reported, believed)
+        elif reported == believed or reported != self._held_before or self._values[0] & _LIMITED:
             self._unheeded = 0
-        elif self._reads_demand:  # a torque that is measured may differ for ever
+        else:
             self._unheeded += 1
+        self._spread = max(abs(reported - believed), abs(reported - self._held_before))
         self._held_before = reported
         return reported
+
+    def _judge_measured(self, measured: int, believed: int) -> None:
+        """Counts holds in which a measured torque stood near an old command although another, far from it, was sent.
+
+        Where the two are near each other it tells nothing, and the count stays.
+        """
+        tolerance = self._tolerance
+        if abs(measured - believed) <= tolerance:
+            self._heeded, self._unheeded = believed, 0
+        elif abs(measured - self._heeded) > tolerance or self._values[0] & _LIMITED:
+            self._unheeded = 0
+        elif abs(believed - self._heeded) > 2.0 * tolerance:
+            self._unheeded += 1
+
+    def watch_statusword(self) -> None:
+        """Watches more than the state from now on, the rig being enabled.
+
+        A drive that shows that it follows its target (bit 12) must go on to do so. One whose torque is not read back
+        must not begin to limit it (bit 11).
+        """
+        follows = self.statusword & _FOLLOWS
+        limits = 0 if self.map.read_back != "none" or self.statusword & _LIMITED else _LIMITED
+        self._watched, self._expected = ENABLED_MASK | follows | limits, ENABLED_VALUE | follows
 
     def fault(self, now: int) -> StopReason:
         """Returns why the rig must stop because of this drive; NONE while all is well."""
         if (
             self.emergency is not None
-            or self.statusword & ENABLED_MASK != ENABLED_VALUE
+            or self.statusword & self._watched != self._expected
             or self.nmt_state != _OPERATIONAL
-        ):
-            return self._state_fault()
+        ) and (reason := self._state_fault()):
+            return reason
         if now - self.last_heartbeat > self._silence:
             return StopReason.HEARTBEAT_LOST
         if not -self._largest_step <= self._step <= self._largest_step:
@@ -207,7 +247,20 @@ class ServoDrive:
             return StopReason.DRIVE_FAULT
         if self.statusword & ENABLED_MASK != ENABLED_VALUE:
             return StopReason.STATE_LEFT
-        return StopReason.NMT_STATE_LEFT
+        if self.nmt_state != _OPERATIONAL:
+            return StopReason.NMT_STATE_LEFT
+        return self._deviation()
+
+    def _deviation(self) -> StopReason:
+        """Bears with bit 11 or 12 for as long as with a TPDO that is missing before the torque is ramped down."""
+        cycle = self.policy.cycles
+        self._deviant = self._deviant + 1 if self._deviant_at == cycle - 1 else 1
+        self._deviant_at = cycle
+        if self._deviant <= self.bus.hold_cycles:
+            return StopReason.NONE
+        if (self.statusword ^ self._expected) & self._watched & _FOLLOWS:
+            return StopReason.NOT_FOLLOWING
+        return StopReason.TORQUE_LIMITED
 
     # --- out --------------------------------------------------------------------------------------------------------
 

@@ -50,6 +50,8 @@ class JoinedRig(Rig):
         self.sync_index = 0
         self._is_running = True
         self._first_samples = [drive.sample(0) for drive in self.drives]
+        for drive in self.drives:
+            drive.watch_statusword()
 
 
 def _suppose_enabled(drive: ServoDrive) -> None:

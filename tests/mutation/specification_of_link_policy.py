@@ -10,8 +10,10 @@ from canhaptic.errors import (
     EmergencyError,
     HeartbeatLostError,
     NmtStateLeftError,
+    NotFollowingError,
     PositionJumpError,
     StateLeftError,
+    TorqueLimitedError,
     TorqueNotFiniteError,
     TpdoLostError,
 )
@@ -28,6 +30,8 @@ REASONS = {  # the numbers are in logs that exist
     "STATE_LEFT": 22,
     "NMT_STATE_LEFT": 23,
     "POSITION_JUMP": 24,
+    "NOT_FOLLOWING": 25,
+    "TORQUE_LIMITED": 26,
     "CONTROLLER": 30,
     "EXCEPTION": 31,
 }
@@ -41,6 +45,8 @@ RAISED = {
     "STATE_LEFT": StateLeftError,
     "NMT_STATE_LEFT": NmtStateLeftError,
     "POSITION_JUMP": PositionJumpError,
+    "NOT_FOLLOWING": NotFollowingError,
+    "TORQUE_LIMITED": TorqueLimitedError,
     "CONTROLLER": TorqueNotFiniteError,
     "EXCEPTION": CycleFailedError,
 }

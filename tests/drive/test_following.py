@@ -1,0 +1,182 @@
+"""What the drive says of the torque it gives: bits 11 and 12 of the statusword, and a measured torque that stands."""
+
+from collections.abc import Callable
+
+import can
+import pytest
+from drive_bench import Bench, axis
+
+from canhaptic.drive.link_policy import StopReason
+from canhaptic.errors import CommandLostError, NotFollowingError, TorqueLimitedError
+from canhaptic.object_dictionary import StatusBit
+from canhaptic.sim.state_machine import DriveState
+
+MakeBench = Callable[..., Bench]
+LIMITED, FOLLOWS = int(StatusBit.INTERNAL_LIMIT), int(StatusBit.FOLLOWS_COMMAND)
+HOLD, STOP = 2, 20
+
+
+class Tampered:
+    """Turns bits of the statusword in TPDOs, and puts another torque into them."""
+
+    def __init__(self, b: Bench) -> None:
+        self.set = self.clear = 0
+        self.torque: int | None = None
+        b.tampered.on_receive = self.receive
+
+    def receive(self, message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x185:
+            word = (int.from_bytes(message.data[:2], "little") | self.set) & ~self.clear
+            torque = message.data[6:]
+            if self.torque is not None:
+                torque = bytearray(self.torque.to_bytes(2, "little", signed=True))
+            message.data = bytearray(word.to_bytes(2, "little")) + message.data[2:6] + torque
+        return message
+
+
+def is_without_torque(b: Bench) -> bool:
+    return b.drives[0].torque == 0.0 and b.drives[0].state is not DriveState.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
+def test_a_drive_that_follows_no_more_stops_the_rig_when_the_patience_of_a_lost_frame_is_over(
+    bench: MakeBench, read_back: str
+) -> None:
+    b = bench([axis(read_back=read_back)])
+    tampered = Tampered(b)
+    b.rig.start()
+    b.run(10, torque=1.0)
+    tampered.clear = FOLLOWS
+    b.run(HOLD, torque=1.0)
+    with pytest.raises(NotFollowingError, match=r"axis5: the drive does not follow .* statusword 0x0.*NOT_FOLLOWING"):
+        b.run(1, torque=1.0)
+    assert b.rig.stop_reason is StopReason.NOT_FOLLOWING
+    assert b.torques_sent()[-1] == 0
+    assert is_without_torque(b)
+
+
+def test_two_cycles_now_and_then_are_borne_with(bench: MakeBench) -> None:
+    b = bench()
+    tampered = Tampered(b)
+    b.rig.start()
+    for _ in range(20):
+        tampered.clear = FOLLOWS
+        b.run(HOLD, torque=1.0)
+        tampered.clear = 0
+        b.run(1, torque=1.0)
+    assert b.rig.is_running
+
+
+def test_a_drive_that_never_shows_bit_12_is_not_judged_by_it(bench: MakeBench) -> None:
+    b = bench()
+    tampered = Tampered(b)
+    tampered.clear = FOLLOWS
+    b.rig.start()
+    b.run(10, torque=1.0)
+    tampered.clear = 0
+    b.run(10, torque=1.0)
+    tampered.clear = FOLLOWS
+    samples = b.run(40, torque=1.0)
+    assert b.rig.is_running
+    assert samples[-1].statusword & FOLLOWS == 0, "the log has what the drive says"
+
+
+def test_an_old_patience_is_forgotten_at_the_next_start(bench: MakeBench) -> None:
+    b = bench()
+    tampered = Tampered(b)
+    b.rig.start()
+    tampered.clear = FOLLOWS
+    with pytest.raises(NotFollowingError):
+        b.run(10)
+    b.rig.start()
+    b.run(10)
+    assert b.rig.is_running
+
+
+@pytest.mark.parametrize("read_back", ["demand", "actual"])
+def test_a_limit_that_is_read_back_is_recorded_and_stops_nothing(bench: MakeBench, read_back: str) -> None:
+    b = bench([axis(read_back=read_back)])
+    tampered = Tampered(b)
+    b.rig.start()
+    tampered.set, tampered.torque = LIMITED, 50
+    samples = b.run(60, torque=2.0)
+    assert b.rig.is_running
+    assert samples[-1].statusword & LIMITED
+    assert samples[-1].torque_applied == pytest.approx(0.5)
+
+
+def test_a_limit_that_nobody_reads_back_stops_the_rig(bench: MakeBench) -> None:
+    b = bench([axis(read_back="none")])
+    tampered = Tampered(b)
+    b.rig.start()
+    b.run(5, torque=1.0)
+    tampered.set = LIMITED
+    b.run(HOLD, torque=1.0)
+    with pytest.raises(TorqueLimitedError, match=r"bit 11.*none is read back.*TORQUE_LIMITED"):
+        b.run(1, torque=1.0)
+    assert is_without_torque(b)
+
+
+def test_a_limit_that_is_on_at_the_start_is_not_judged(bench: MakeBench) -> None:
+    b = bench([axis(read_back="none")])
+    Tampered(b).set = LIMITED
+    b.rig.start()
+    b.run(30, torque=1.0)
+    assert b.rig.is_running
+
+
+def test_leaving_the_state_counts_at_once_though_bit_12_goes_with_it(bench: MakeBench) -> None:
+    b = bench()
+    b.rig.start()
+    b.run(5, torque=1.0)
+    b.buses[0].send(can.Message(arbitration_id=0x605, is_extended_id=False, data=bytes.fromhex("2b40600006000000")))
+    with pytest.raises(Exception, match="STATE_LEFT"):
+        b.run(3, torque=1.0)
+
+
+# --- a torque that is measured ------------------------------------------------------------------------------------
+
+
+def test_a_measured_torque_that_stands_while_commands_change_stops_the_rig(bench: MakeBench) -> None:
+    b = bench([axis(read_back="actual")])
+    b.rig.start()
+    b.run(10, torque=3.0)
+    b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 else message
+    begin = b.clock.now()
+    with pytest.raises(CommandLostError, match=rf"{STOP} SYNCs in a row.*COMMAND_LOST"):
+        b.run(100, torque=1.0)
+    assert b.clock.now() - begin < 60_000_000
+    assert is_without_torque(b)
+
+
+def test_noise_within_the_tolerance_is_no_lost_command(bench: MakeBench) -> None:
+    b = bench([axis(read_back="actual")])
+    tampered = Tampered(b)
+    b.rig.start()
+    for cycle in range(200):
+        torque = 3.0 if cycle // 40 % 2 else -3.0
+        tampered.torque = round(torque * 100) + (cycle * 37 % 99 - 49)
+        b.run(1, torque=torque)
+    assert b.rig.is_running
+
+
+def test_a_measured_torque_that_lags_or_wanders_is_no_lost_command(bench: MakeBench) -> None:
+    """It never stands near the old command for long: it is somewhere else."""
+    b = bench([axis(read_back="actual")])
+    tampered = Tampered(b)
+    b.rig.start()
+    for cycle in range(200):
+        tampered.torque = 400 + cycle
+        b.run(1, torque=-3.0 if cycle > 20 else 3.0)
+    assert b.rig.is_running
+
+
+def test_commands_near_the_old_one_tell_nothing_and_forget_nothing(bench: MakeBench) -> None:
+    b = bench([axis(read_back="actual", torque_tolerance=0.02)])
+    b.rig.start()
+    b.run(10, torque=3.0)
+    b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 else message
+    b.run(60, torque=3.3)  # 30 counts away: not more than twice 20
+    assert b.rig.is_running
+    with pytest.raises(CommandLostError):
+        b.run(30, torque=1.0)
