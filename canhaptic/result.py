@@ -29,6 +29,9 @@ def run_result(
         name: {"unit": unit, **ledger.summary().as_json(sample_time)}
         for (name, unit), ledger in zip(ports, cycle.ledgers, strict=True)
     }
+    for (name, _), drive in zip(ports, cycle.rig.drives, strict=True):
+        accounts[name]["read_back"] = drive.map.read_back
+        accounts[name]["read_back_bound"] = drive.read_back_bound
     for group in cycle.groups:
         members = [ports[axis] for axis in group.axes]
         for name, _ in members:
@@ -54,7 +57,7 @@ def run_result(
 
 def part_in_group(account: Mapping[str, Any], group: str) -> dict[str, Any]:
     """Returns what is left of the account of an axis when a group renders on it: alone it proves nothing."""
-    kept = ("unit", "in", "out", "peak_torque", "limited_cycles")
+    kept = ("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound")
     return {"group": group, **{name: account[name] for name in kept if name in account}}
 
 

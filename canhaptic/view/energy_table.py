@@ -151,6 +151,11 @@ def _plain(name: str) -> Callable[[Result], str]:
     return lambda port: energy(port[name])
 
 
+def _known_to(port: Result) -> str:
+    """Returns the bound that a measured torque leaves to the energy; nothing to say where the demand is read back."""
+    return {"demand": "exact   ", "none": "believed   "}.get(port["read_back"]) or energy(port["read_back_bound"])
+
+
 _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("in", _plain("in")),
     ("out", _plain("out")),
@@ -166,6 +171,7 @@ _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("least margin (eq. 4)", _margin),
     ("  reached at", _margin_place),
     ("damping rendered", _damping),
+    ("energy known to (0x6077)", _known_to),
     ("weakest certificate", lambda port: str(port["certificate"]).replace("_", " ") + "   "),
 )
 _TRUTH_ROWS: Final[tuple[_Row, ...]] = (

@@ -1,6 +1,7 @@
 """What 0x6077 shows beside 0x6074: the motor's torque behind its current loop, filtered, with a sensor's error."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.torque_meter import TorqueMeter
 
+DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 MILLISECOND = 1_000_000
 
 
@@ -80,7 +82,7 @@ def test_in_a_scene_the_measured_torque_is_that_of_the_current_loop(lag: float) 
         "environment={type: free_space}",
         "passivity={algorithm: direct}",
     ]
-    scene = load_scene("configs/demo.yaml", overrides)
+    scene = load_scene(DEMO, overrides)
     with build(scene) as experiment:
         rig = experiment.rig
         rig.start()
@@ -91,12 +93,33 @@ def test_in_a_scene_the_measured_torque_is_that_of_the_current_loop(lag: float) 
         rig.stop()
 
 
+@pytest.mark.parametrize("quirk", [[], ["late_following"]])
+@pytest.mark.parametrize("lag", [0.0, 5e-5, 2e-4, 1e-3, 5e-3])
+def test_the_energy_of_a_measured_torque_is_known_to_its_bound(lag: float, quirk: list[str]) -> None:
+    """Booked are the torque measured at the end of each hold and its displacement; the plant knows the true work."""
+    effects = f"simulation.effects=[{{type: current_loop, time_constant: {lag}}}]" if lag else "duration=1"
+    for rpdo in ("event", "synchronous"):
+        overrides = [effects, "axes.0.read_back=actual", f"axes.0.quirks={quirk}", f"bus.rpdo={rpdo}"]
+        with build(load_scene(DEMO, [*overrides, "environment.side=above", "environment.stiffness=400"])) as experiment:
+            run(experiment.cycle, cycles=500)
+            assert experiment.cycle.judge is not None
+            [drive] = experiment.rig.drives
+            assert experiment.cycle.ledgers[0].summary().energy_in > 1e-3
+            assert 0.0 < experiment.cycle.judge.believed_error[0] <= drive.read_back_bound
+
+
+def test_a_demand_that_is_read_back_needs_no_bound() -> None:
+    with build(load_scene(DEMO, ["environment.side=above"])) as experiment:
+        run(experiment.cycle, cycles=300)
+        assert experiment.rig.drives[0].read_back_bound == 0.0
+
+
 def test_a_lagging_read_back_costs_exactness_and_the_run_says_how_much() -> None:
     """The ledger books the torque at the end of each hold; the true work is that of the torque inside it."""
     errors = []
     for lag in (0.0, 2e-4):
         effects = f"simulation.effects=[{{type: current_loop, time_constant: {lag}}}]" if lag else "duration=1"
-        scene = load_scene("configs/demo.yaml", [effects, "axes.0.read_back=actual", "environment.side=above"])
+        scene = load_scene(DEMO, [effects, "axes.0.read_back=actual", "environment.side=above"])
         with build(scene) as experiment:
             run(experiment.cycle, cycles=500)
             assert experiment.cycle.judge is not None
