@@ -7,6 +7,9 @@ import numpy as np
 
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import AxisSimulation, Scene
+from canhaptic.sim.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch.graph import NotBatchableError
 from canhaptic.study.batch.plants import plant_numbers, why_not_linear
 from canhaptic.study.batch.program import BatchCase, build_program, numbers_of
@@ -60,15 +63,24 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
     return _case(loop_case(axis, scene), numbers)
 
 
-def loop_in_arrays(case: LoopCase, simulation: AxisSimulation, numbers: Mapping[str, Array]) -> BatchCase:
+def loop_in_arrays(
+    case: LoopCase,
+    plant: PlantParameters,
+    user: UserParameters,
+    numbers: Mapping[str, Array],
+    varied: Mapping[str, Array] | None = None,
+) -> BatchCase:
     """Returns a loop that is not of a scene (an ideal encoder, an ideal torque) for many scenes.
 
     Args:
         case: What they have in common.
-        simulation: Its plant and hand.
+        plant: Its moving mass.
+        user: The hand.
         numbers: By the names of `BatchCase.numbers`.
+        varied: Keys of `BATCH_KEYS` under `simulation.` and `bus.rate` -> value of each scene.
     """
-    return _case(case, {**_numbers(case, simulation, case.sample_time_ns, {}), **numbers})
+    simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, (), 0)
+    return _case(case, {**_numbers(case, simulation, case.sample_time_ns, varied or {}), **numbers})
 
 
 def _numbers(

@@ -1,0 +1,200 @@
+"""How many loops a second does a sweep judge, and does the border it finds for `direct` agree with Colgate's?
+
+Every row is a whole loop: servo and hand, encoder, algorithm, delay, and the figures gathered on the way; no trajectory
+is kept. `five figures` are diverged, least interaction, margin, believed error and peak torque. MuJoCo's rollout moves
+the same plant under torques given beforehand and has no controller in it. Peers: `pip install -e .[bench]`.
+"""
+
+import resource
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.haptics.environments.two_sided_wall import TwoSidedWall
+from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.stability_map import Loops, decay_per_hold
+from canhaptic.sim.user import UserParameters
+from canhaptic.study.batch import METRICS
+from canhaptic.study.batch.cases import loop_in_arrays
+from canhaptic.study.batch.march import march
+from canhaptic.study.batch.program import BatchCase
+from canhaptic.study.batch.scalar import run_case
+from canhaptic.study.standard import PLANT, USER_S, standard_case
+from tools.bench.plants.peers import mujoco_rollout
+from tools.bench.plants.scenes import easy
+from tools.bench.report import Row, publish
+
+SCENES, CYCLES, RATE, REPEATS = 10_000, 1000, 1000.0, 5
+FIVE = ("diverged", "least_interaction", "margin", "believed_error", "torque_peak")
+FIGURE = f"{SCENES} scenes x {CYCLES} cycles"
+Array = Any
+
+
+def stability_map(algorithm: str, scenes: int, encoder_count: float = 0.0, *, every_key: bool = False) -> BatchCase:
+    """Returns a map of stiffness over damping, or one in which the plant and the hand differ too."""
+    rng = np.random.default_rng(1)
+    wall = SpringDamperWall(stiffness=1000.0, damping=5.0)
+    case = standard_case(wall, algorithm, RATE, USER_S, encoder_count=encoder_count)
+    numbers = {
+        "environment.stiffness": 10.0 ** rng.uniform(2.0, 5.0, scenes),
+        "environment.damping": 10.0 ** rng.uniform(-1.0, 2.0, scenes),
+    }
+    varied = {}
+    if every_key:
+        mass = rng.uniform(0.1, 1.0, scenes)
+        numbers["loop.moving_mass"] = mass
+        varied = {
+            "simulation.plant.mass": mass,
+            "simulation.plant.damping": rng.uniform(0.05, 0.5, scenes),
+            "simulation.user.stiffness": rng.uniform(100.0, 600.0, scenes),
+            "simulation.user.motion.frequency": rng.uniform(0.5, 3.0, scenes),
+        }
+    return loop_in_arrays(case, PLANT, USER_S, numbers, varied)
+
+
+def rate_of(case: BatchCase, engine: Any, metrics: tuple[str, ...], scenes: int = SCENES, repeats: int = REPEATS) -> float:
+    """Returns the cycles per second [1e6/s], compiled beforehand: the best of some repeats."""
+    march(case, scenes, 3, engine, metrics)
+    best = 0.0
+    for _ in range(repeats):
+        begin = perf_counter()
+        march(case, scenes, CYCLES, engine, metrics)
+        best = max(best, scenes * CYCLES / (perf_counter() - begin) / 1e6)
+    return best
+
+
+def rate_rows() -> list[Row]:
+    """Returns cycles per second of every engine, beside MuJoCo's rollout and the scalar loop."""
+    targets = {("direct", "numpy"): 30.0, ("guarded", "numpy"): 10.0, ("direct", "numba"): 100.0}
+    rollout = mujoco_rollout(easy(CYCLES))
+    peer = max(rollout() for _ in range(3)) / 1e6 if rollout else None
+    name = "MuJoCo rollout, one thread" if rollout else "MuJoCo rollout: peer absent"
+    rows = []
+    for engine in ("numpy", "numba"):
+        for algorithm in ("direct", "guarded"):
+            kinds: dict[str, tuple[BatchCase, tuple[str, ...], int]] = {
+                "five figures": (stability_map(algorithm, SCENES), FIVE, SCENES),
+                f"all {len(METRICS)} figures": (stability_map(algorithm, SCENES), tuple(METRICS), SCENES),
+                "five figures, plant and hand differ": (stability_map(algorithm, SCENES, every_key=True), FIVE, SCENES),
+                "five figures, encoder of 10 um": (stability_map(algorithm, SCENES, 1e-5), FIVE, SCENES),
+            }
+            for kind, (case, metrics, scenes) in kinds.items():
+                rate = rate_of(case, engine, metrics, scenes, 2 if "encoder" in kind else REPEATS)
+                target = targets.get((algorithm, engine)) if kind == "five figures" else None
+                rows.append(
+                    Row(
+                        f"{FIGURE}: {algorithm}, {engine}, {kind}", rate, "M cycles/s", name, peer,
+                        rate / peer if peer else None, f">= {target:g}" if target else "",
+                        rate >= target if target else None,
+                    )
+                )  # fmt: skip
+            if algorithm == "direct" and peer:
+                ratio = rows[-4].value / peer
+                rows.append(Row(f"{FIGURE}: direct, {engine}, over MuJoCo's rollout", ratio, "", target=">= 50", met=ratio >= 50.0))
+    return rows
+
+
+def scalar_rows() -> list[Row]:
+    """Returns cycles per second of the loop that runs one scene at a time."""
+    rows = []
+    for algorithm in ("direct", "guarded"):
+        case = standard_case(SpringDamperWall(stiffness=1000.0, damping=5.0), algorithm, RATE, USER_S)
+        begin = perf_counter()
+        run_case(case, CYCLES)
+        rows.append(Row(f"one scene at a time: {algorithm}", CYCLES / (perf_counter() - begin) / 1e6, "M cycles/s"))
+    return rows
+
+
+def colgate_rows() -> list[Row]:
+    """Returns how far the least device damping that keeps every spring-like hand stable is from k T / 2."""
+    period, mass = 1.0 / RATE, 0.25
+    hands = mass * (np.linspace(0.02, 0.3, 8) * np.pi / period) ** 2  # rings at 2 % to 30 % of the Nyquist frequency
+    shares = np.linspace(0.9, 1.1, 41)
+    stiffness, hand, share = (a.ravel() for a in np.meshgrid(np.geomspace(100.0, 2e4, 8), hands, shares, indexing="ij"))
+    damping = share * stiffness * period / 2.0
+    radii = decay_per_hold(Loops(mass, damping, hand, stiffness, 0.0), period, 0)
+    marched = _grows(mass, damping, hand, stiffness)
+    rows = []
+    for name, stable in (("closed form", radii < 1.0), ("marching", ~marched)):
+        border = _border(stable.reshape(8, 8, -1), shares)
+        worst = float(np.abs(border - 1.0).max()) * 100.0
+        rows.append(
+            Row(f"border of direct, {name}: worst over 8 stiffnesses", worst, "%", "Colgate, b = k T / 2",
+                target="<= 3", met=worst <= 3.0)
+        )  # fmt: skip
+    agreement = float(np.mean((radii < 1.0) == ~marched)) * 100.0
+    rows.append(Row("border of direct: closed form and marching agree", agreement, "% of scenes"))
+    return [*rows, *_damped_border(mass, period)]
+
+
+def _border(stable: Array, shares: Array) -> Array:
+    """Returns for each stiffness the least share of k T / 2 from which on every hand is stable."""
+    for_all = stable.all(axis=1)
+    return np.array([shares[np.flatnonzero(~row)[-1] + 1] if not row.all() else shares[0] for row in for_all])
+
+
+def _grows(mass: float, damping: Array, hand: Array, stiffness: Array) -> Array:
+    """Returns whether the travel of a loop in contact all the time still grows after half of a run."""
+    wall = TwoSidedWall(stiffness=1.0, lower=0.0, upper=0.0)
+    plant = PlantParameters(mass=mass, damping=0.1, initial_position=1e-3)
+    user = UserParameters(stiffness=1.0)
+    case = standard_case(wall, "direct", RATE, user, plant=plant)
+    varied = {"simulation.plant.damping": damping, "simulation.user.stiffness": hand}
+    arrays = loop_in_arrays(case, plant, user, {"environment.stiffness": stiffness}, varied)
+    half, whole = (march(arrays, len(damping), n, "auto", ("travel",)).metrics["travel"] for n in (8000, 16000))
+    return whole > half
+
+
+def _damped_border(mass: float, period: float) -> list[Row]:
+    """Returns the border where the wall has a damper too: Colgate's condition is for every passive hand."""
+    hands = mass * (np.linspace(0.02, 0.999, 400) * np.pi / period) ** 2
+    shares = []
+    for stiffness, viscosity in ((1000.0, 0.5), (1000.0, 2.0), (10_000.0, 5.0)):
+        bound = stiffness * period / 2.0 + viscosity
+        least, most = 0.0, 2.0 * bound
+        while most - least > 1e-6 * bound:
+            middle = 0.5 * (least + most)
+            stable = decay_per_hold(Loops(mass, middle, hands, stiffness, viscosity), period, 0).max() < 1.0
+            least, most = (least, middle) if stable else (middle, most)
+        shares.append(most / bound)
+    note = (
+        "a passive hand that makes the axis go to and fro at constant speed between two SYNCs reaches the condition; a "
+        "spring makes it swing as a sine, which loses 8 / pi^2 as much at most: with a damper in the wall the condition "
+        "does not apply to such hands but bounds them"
+    )
+    return [
+        Row("border of direct with B > 0, hands that are springs: largest share", max(shares), "of k T / 2 + B",
+            "Colgate, every passive hand", target="<= 1", met=max(shares) <= 1.0, note=note)
+    ]  # fmt: skip
+
+
+def memory_rows() -> list[Row]:
+    """Returns the time of 10^6 scenes in one call, and by how much the memory rises with ten times the cycles."""
+    count = 1_000_000
+    case = stability_map("direct", count)
+    march(case, count, 3, "auto", FIVE)
+    before = _peak()
+    begin = perf_counter()
+    march(case, count, CYCLES, "auto", FIVE)
+    seconds = perf_counter() - begin
+    return [
+        Row(f"{count} scenes x {CYCLES} cycles, direct, one call, one core", seconds, "s"),
+        Row("the same: memory above that of 3 cycles", _peak() - before, "MiB"),
+    ]
+
+
+def _peak() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def main() -> None:
+    """Measures every figure and publishes table and JSON."""
+    makers: tuple[Callable[[], list[Row]], ...] = (rate_rows, scalar_rows, colgate_rows, memory_rows)
+    publish("sweep", [row for make in makers for row in make()], ["canhaptic", "numpy", "numba", "mujoco"])
+
+
+if __name__ == "__main__":
+    main()
