@@ -1,10 +1,13 @@
-"""One picture of a run: position and wall, torque, energy in against dissipated, surplus; one column per port.
+"""One picture of a run: position and wall, torque, energy in against dissipated, surplus; one column per account.
+
+An axis in a group has no column: its position and torque are drawn in that of the group.
 
 matplotlib is imported when a picture is drawn, not before. Colours are those of Okabe and Ito, told apart by
 everyone; lines differ in width and style too.
 """
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +22,7 @@ from canhaptic.view.series import faults_of
 from canhaptic.view.si import si
 
 _BLUE, _VERMILION, _GREEN, _ORANGE, _GREY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#4D4D4D"
+_OF_AXES: Final = (_BLUE, _VERMILION, _GREEN, _ORANGE)  # axes of a group in turn
 _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
 _MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
 _MAX_FAULTS_NAMED: Final = 4
@@ -83,10 +87,12 @@ def draw_energy(
     except ImportError as error:
         raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
     with mpl.rc_context(_STYLE):
-        figure: Any = Figure(figsize=(2.0 + 6.5 * len(log.ports), 9.0), dpi=120, layout="constrained")
+        grouped = {axis for axes in log.groups.values() for axis in axes}
+        shown = {name: port for name, port in log.ports.items() if name not in grouped}
+        figure: Any = Figure(figsize=(2.0 + 6.5 * len(shown), 9.0), dpi=120, layout="constrained")
         figure.get_layout_engine().set(hspace=0.04, h_pad=0.06)
-        panels: Any = figure.subplots(4, len(log.ports), sharex=True, squeeze=False, height_ratios=(3, 3, 4, 2))
-        for column, (name, port) in enumerate(log.ports.items()):
+        panels: Any = figure.subplots(4, len(shown), sharex=True, squeeze=False, height_ratios=(3, 3, 4, 2))
+        for column, (name, port) in enumerate(shown.items()):
             picture = _PortPicture(log, name, port, rows)
             picture.draw(panels[:, column])
             if other is not None and name in other.ports and other.rows:
@@ -105,7 +111,7 @@ def _caption(log: EnergyLog) -> str:
 
 
 class _PortPicture:
-    """The four panels of one port."""
+    """The four panels of one account: of an axis, or of a group with the positions and torques of its axes."""
 
     def __init__(self, log: EnergyLog, name: str, port: Quantities, rows: slice) -> None:
         self._log = log
@@ -113,6 +119,8 @@ class _PortPicture:
         self._port = port
         self._rows = rows
         self._time = log.time[rows]
+        self._axes = log.groups.get(name, ())
+        self._movers = [log.ports[axis] for axis in self._axes] or [port]
         self.scales: list[float] = []  # of the panels, top to bottom
         self._contacts = contacts(self._column("branch"))
         if len(self._contacts) > _MAX_CONTACTS_SHADED:
@@ -129,13 +137,13 @@ class _PortPicture:
         for axes in panels:
             self._mark(axes)
             axes.margins(x=0.0)
-        if len(self._log.ports) > 1:
+        if len(self._log.ports) > 1 or self._axes:
             position.set_title(f"{self._name}: position", fontweight="bold")
 
     def draw_over(self, panels: Any, scales: Sequence[float]) -> None:
         """Draws the same quantities over the panels of another run, whose scales they take."""
         taken_in, dissipated = np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))
-        lines = (self._column("position"),), (self._column("torque_applied"),), (taken_in, dissipated)
+        lines = self._of_movers("position"), self._of_movers("torque_applied"), (taken_in, dissipated)
         for axes, scale, values in zip(panels, scales, (*lines, (self._column("h_dis"),)), strict=True):
             for number, line in enumerate(values):
                 label = self._log.path.name if number == 0 else None
@@ -145,24 +153,32 @@ class _PortPicture:
     def _column(self, name: str) -> Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
 
+    def _of_movers(self, name: str) -> list[Array]:
+        """Returns a quantity of the axis, or of each axis of the group."""
+        return [port.read(name, self._rows.start, self._rows.stop) for port in self._movers]
+
     def _line(self, axes: Any, values: Array, scale: float, **style: Any) -> None:
         shown = decimate(values, _BUCKETS)
         axes.plot(self._time[shown], values[shown] / scale, **style)
 
     def _draw_position(self, axes: Any) -> None:
-        position = self._column("position")
+        positions = self._of_movers("position")
         wall = self._log.attributes.get(f"{self._name}.wall_position")
-        scale, prefix = self._prefix(position)
-        self._line(axes, position, scale, color=_BLUE, linewidth=1.3, label="position")
+        scale, prefix = self._prefix(*positions)
+        for position, label, colour in zip(positions, self._axes or ("position",), cycle(_OF_AXES)):
+            self._line(axes, position, scale, color=colour, linewidth=1.3, label=label)
         if isinstance(wall, int | float):
             axes.axhline(wall / scale, color=_GREY, linewidth=1.0, linestyle="--", label="wall")
             low, high = axes.get_ylim()
             inside = low if self._log.attributes.get(f"{self._name}.wall_side", "below") == "below" else high
             axes.axhspan(inside, wall / scale, color=_GREY, alpha=0.10, linewidth=0)
             axes.set_ylim(low, high)
-        _finish(axes, "position", f"{prefix}{self._port.unit('position')}")
+        _finish(axes, "position", f"{prefix}{self._movers[0].unit('position')}")
 
     def _draw_torque(self, axes: Any) -> None:
+        if self._axes:
+            self._draw_torques_of_axes(axes)
+            return
         command, applied = self._column("torque_command"), self._column("torque_applied")
         unit = self._port.unit("torque_applied")
         scale, prefix = self._prefix(command, applied)
@@ -170,6 +186,18 @@ class _PortPicture:
             axes, command, scale, color=_ORANGE, linewidth=2.2, alpha=0.8, drawstyle="steps-post", label="commanded"
         )
         self._line(axes, applied, scale, color=_BLUE, linewidth=0.9, drawstyle="steps-pre", label="applied")
+        _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
+
+    def _draw_torques_of_axes(self, axes: Any) -> None:
+        """Draws what each axis of a group applied; what was commanded is drawn wide and pale behind it."""
+        commands, applied = self._of_movers("torque_command"), self._of_movers("torque_applied")
+        unit = self._movers[0].unit("torque_applied")
+        scale, prefix = self._prefix(*commands, *applied)
+        pale: Any = {"linewidth": 2.4, "alpha": 0.3, "drawstyle": "steps-post"}
+        thin: Any = {"linewidth": 0.9, "drawstyle": "steps-pre"}
+        for command, held, name, colour in zip(commands, applied, self._axes, cycle(_OF_AXES)):
+            self._line(axes, command, scale, color=colour, **pale)
+            self._line(axes, held, scale, color=colour, label=name, **thin)
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
     def _draw_energy(self, axes: Any) -> None:

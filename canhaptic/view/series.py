@@ -13,7 +13,7 @@ from canhaptic.view.extent import contacts
 
 Array = NDArray[Any]
 
-FAULTS: Final = frozenset({"fault", "emcy", "stop"})
+FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
 """Kinds of events that are marked."""
 _BUCKETS: Final = 400  # per quantity; about twice as many rows
 _FULL_SPAN: Final = 0.25  # [s] drawn row by row on either side of the worst margin and of each fault
