@@ -25,10 +25,12 @@ COMMANDS: Final = {
     "compare": "compare every passivity algorithm on one scene with the continuous environment",
     "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
     "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",
+    "map": "draw a sweep: how stiff a wall may be, what is left of it, and where theory draws the line",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
     "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",
     "scope": "show an energy log in a browser while it is written",
     "decode": "name every frame of a bus log",
+    "configs": "list the scenes that come with the package, or copy them to change",
     "schema": "print the JSON Schema of scene files, for editors",
 }
 _INTERRUPTED: Final = 130

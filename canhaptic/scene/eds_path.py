@@ -3,18 +3,18 @@
 from pathlib import Path
 from typing import Final
 
-import canhaptic
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
+from canhaptic.shipped import shipped
 
-SHIPPED: Final = Path(canhaptic.__file__).resolve().parent.parent / "eds"
+SHIPPED: Final = shipped("eds")
 
 
 def find_dictionary(section: MarkedMapping, faults: Faults) -> MarkedMapping:
     """Returns the axis's section with the path of its EDS or DCF found; a fault when there is no such file.
 
     A relative path is looked for beside the scene file (one given in an override: in the current folder), then in
-    `eds/`.
+    the `eds/` that comes with the package.
     """
     text = section.get("eds")
     if not isinstance(text, str):

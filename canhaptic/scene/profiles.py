@@ -8,14 +8,14 @@ scale, limits) cannot be in a profile. Where a drive is simulated, its twin has 
 from pathlib import Path
 from typing import Any, Final
 
-import canhaptic
 from canhaptic.drive.parameters import AxisParameters
 from canhaptic.errors import SceneError
 from canhaptic.scene.document import MarkedMapping, parse_yaml
 from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.section import read_mapping, refuse_unknown_keys, shown
+from canhaptic.shipped import shipped
 
-PROFILES: Final = Path(canhaptic.__file__).resolve().parent.parent / "configs" / "drives"
+PROFILES: Final = shipped("configs") / "drives"
 PROFILE_KEY: Final = "drive"
 """Of an axis: its drive profile."""
 _OF_THE_RIG: Final = frozenset(

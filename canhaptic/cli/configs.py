@@ -1,0 +1,74 @@
+"""`canhaptic configs`: the scenes that come with the package, and a copy of them to change."""
+
+import argparse
+import re
+import shutil
+from pathlib import Path
+from typing import Final
+
+from rich import box
+from rich.table import Table
+
+from canhaptic.cli.arguments import add_json
+from canhaptic.cli.output import write_json, write_note
+from canhaptic.errors import InputError
+from canhaptic.shipped import FOLDERS, shipped
+from canhaptic.view.energy_table import make_console
+
+_COMMENT: Final = "#"
+_SENTENCE_END: Final = re.compile(r"\.\s+(?=[A-Z])")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `configs`."""
+    parser.add_argument(
+        "--copy", metavar="FOLDER", type=Path, help="put configs/ and eds/ into FOLDER; nothing there is overwritten"
+    )
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Lists every scene with what it says of itself, or copies them all."""
+    if arguments.copy is not None:
+        _copy(arguments.copy)
+        return 0
+    folder = shipped("configs")
+    scenes = {path.relative_to(folder).as_posix(): _about(path) for path in sorted(folder.rglob("*.yaml"))}
+    if arguments.json:
+        write_json({"folder": str(folder), "configs": scenes})
+        return 0
+    table = Table(title=str(folder), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table.add_column("file", no_wrap=True)
+    table.add_column("what it is", overflow="fold")
+    for name, about in scenes.items():
+        table.add_row(name, about.replace("[", r"\["))
+    make_console().print(table)
+    return 0
+
+
+def _about(path: Path) -> str:
+    """Returns the first sentence of the comment that a scene begins with."""
+    lines: list[str] = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        text = line.removeprefix(_COMMENT).strip()
+        if not line.startswith(_COMMENT) or (lines and not text):
+            break
+        lines.append(text)
+    return _SENTENCE_END.split(" ".join(lines))[0].rstrip(".:")
+
+
+def _copy(target: Path) -> None:
+    """Copies both folders.
+
+    Raises:
+        InputError: One of them is there already, or cannot be written.
+    """
+    for folder in FOLDERS:
+        if (target / folder).exists():
+            raise InputError(f"{target / folder}: is there already; name another folder, or move it away first")
+    try:
+        for folder in FOLDERS:
+            shutil.copytree(shipped(folder), target / folder)
+            write_note(f"  {folder:<8} {target / folder}")
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written ({error}); name a folder that can") from error

@@ -1,0 +1,21 @@
+"""Where the files are that come with the package: `configs/` and `eds/`, in the source tree or as installed."""
+
+import sysconfig
+from pathlib import Path
+from typing import Final
+
+FOLDERS: Final = ("configs", "eds")
+
+_TREE: Final = Path(__file__).resolve().parent.parent
+
+
+def shipped(folder: str) -> Path:
+    """Returns the folder of that name: beside the package in a source tree, else where its wheel has put it.
+
+    Args:
+        folder: One of `FOLDERS`.
+    """
+    beside = _TREE / folder
+    installed = Path(sysconfig.get_path("data")) / "share" / "canhaptic" / folder
+    of_target = _TREE / "share" / "canhaptic" / folder  # pip install --target
+    return next((place for place in (beside, installed, of_target) if place.is_dir()), installed)

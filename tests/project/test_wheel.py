@@ -1,0 +1,70 @@
+"""The wheel, installed where no source tree is: command, scenes and dictionary come with it."""
+
+import json
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[2]
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+
+def run(*words: str | Path, folder: Path) -> str:
+    done = subprocess.run([str(word) for word in words], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of programs of a fresh environment with nothing but the wheel and what it requires."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    names = run("git", "ls-files", folder=PROJECT).splitlines() if (PROJECT / ".git").exists() else []
+    if not names:
+        pytest.skip("no git checkout here to build from")
+    for name in names:
+        if (PROJECT / name).is_file():  # the tree as it is, without what a build leaves in it
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            (source / name).write_bytes((PROJECT / name).read_bytes())
+    run(
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        "--wheel-dir",
+        folder / "dist",
+        source,
+        folder=folder,
+    )
+    [wheel] = (folder / "dist").glob("canhaptic-*.whl")
+    venv.create(folder / "environment", with_pip=True)
+    programs = folder / "environment" / "bin"
+    run(programs / "python", "-m", "pip", "install", "--quiet", wheel, folder=folder)
+    return programs
+
+
+def test_the_demo_runs_from_the_wheel_alone(installed: Path, tmp_path: Path) -> None:
+    run(installed / "canhaptic", "configs", "--copy", tmp_path, folder=tmp_path)
+    words = ["run", "configs/demo.yaml", "--duration", "1", "--pace", "free", "--json", "--log", "run.h5"]
+    account = json.loads(run(installed / "canhaptic", *words, folder=tmp_path))
+    assert (account["status"], account["cycles"]) == ("completed", 1000)
+    assert "margin" in run(installed / "canhaptic", "inspect", "run.h5", folder=tmp_path)
+
+
+def test_a_scene_without_a_dictionary_beside_it_finds_the_installed_one(installed: Path, tmp_path: Path) -> None:
+    scene = (PROJECT / "configs" / "demo.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(scene)
+    run(installed / "canhaptic", "check", "mine.yaml", folder=tmp_path)
+
+
+def test_every_scene_and_profile_of_the_tree_is_in_the_wheel(installed: Path, tmp_path: Path) -> None:
+    listed = json.loads(run(installed / "canhaptic", "configs", "--json", folder=tmp_path))["configs"]
+    tree = run("git", "ls-files", "configs", folder=PROJECT).split()
+    assert sorted(listed) == sorted(name.removeprefix("configs/") for name in tree)
