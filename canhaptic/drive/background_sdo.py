@@ -180,7 +180,8 @@ class SdoLine:
         self._under_way: _Request | None = None
         self._deadline = 0
         self._done: SimpleQueue[tuple[_Request, Any] | None] = SimpleQueue()
-        self._hander: threading.Thread | None = None
+        self._starting = threading.Lock()
+        self._has_hander = False
 
     # --- any thread -------------------------------------------------------------------------------------------------
 
@@ -196,6 +197,7 @@ class SdoLine:
             raise request.failure("the rig is not running; SDO beside the cycle needs a cycle")
         if len(self._waiting) >= _MOST_WAITING:
             raise request.failure(f"{_MOST_WAITING} requests wait already; await some of them first")
+        self._start_hander()
         self._waiting.append(request)
         self.busy = True
         if not self._is_open:  # closed in between: whoever takes it out of the queue answers for it
@@ -203,15 +205,20 @@ class SdoLine:
                 self._waiting.remove(request)
                 raise request.failure("the rig has stopped")
 
+    def _start_hander(self) -> None:
+        """Starts the thread that hands results over, with the first request of a run."""
+        with self._starting:  # between those who ask; the cycle never waits for it
+            if not self._has_hander:
+                self._has_hander = True
+                threading.Thread(target=_hand_over, args=(self._done,), name="SDO results", daemon=True).start()
+
     # --- the thread of the cycle --------------------------------------------------------------------------------------
 
     def open(self) -> None:
         """Takes requests from now on."""
         self.busy = False
-        if self._has_room:
-            self._hander = threading.Thread(target=_hand_over, args=(self._done,), name="SDO results", daemon=True)
-            self._hander.start()
-            self._is_open = True
+        self._done, self._has_hander = SimpleQueue(), False
+        self._is_open = self._has_room
 
     def close(self) -> None:
         """Takes no more requests and fails those that wait."""

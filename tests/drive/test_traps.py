@@ -1,5 +1,7 @@
-"""Traps of the libraries (design 3.5) that are not already the subject of another test, and arbitrary bytes."""
+"""Traps of the libraries that are not already the subject of another test (docs/traps.md has all), and any bytes."""
 
+import ast
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -9,7 +11,9 @@ from drive_bench import REPOSITORY, Bench, axis, make_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import CanHapticError
+from canhaptic.scene.bus import open_bus
 from canhaptic.sim.state_machine import DriveState
 
 MakeBench = Callable[..., Bench]
@@ -84,6 +88,56 @@ def test_a_lost_sdo_answer_does_not_end_the_start(bench: MakeBench) -> None:
     b.rig.start()
     assert len(lost) > 20
     assert b.drives[0].state is DriveState.OPERATION_ENABLED
+
+
+def test_an_sdo_inside_a_handler_is_answered_at_once(bench: MakeBench) -> None:
+    """In a callback of canopen it blocks for 0.3 s: the thread that would take the answer is the one that waits."""
+    b = bench()
+    b.rig.start()
+    found: list[tuple[int, int]] = []
+
+    def read(_: bytearray) -> None:
+        begin = b.clock.now()
+        found.append((b.rig.drives[0].sdo.read(0x6502), b.clock.now() - begin))
+
+    b.links[0].subscribe(0x3AB, read)
+    b.buses[1].send(can.Message(arbitration_id=0x3AB, is_extended_id=False))
+    b.links[0].drain()
+    assert found == [(0x3FF, 0)]
+
+
+def test_a_whole_run_starts_no_thread_that_would_have_to_be_awaited(bench: MakeBench) -> None:
+    """canopen's disconnect takes a second, in which python-can's Notifier wakes up from its last wait."""
+    before = set(threading.enumerate())
+    b = bench()
+    b.rig.start()
+    b.run(5)
+    assert set(threading.enumerate()) == before
+    b.rig.stop()
+    assert set(threading.enumerate()) == before
+
+
+def test_nothing_of_canopen_that_reads_or_writes_by_itself_is_used() -> None:
+    """Its Network, nodes, PDOs, p402 and DCF writer: of canopen the package has the dictionary and the SDO client."""
+    names = set()
+    for path in (REPOSITORY / "canhaptic").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "canopen":
+                names |= {f"{node.module}.{alias.name}" for alias in node.names}
+            elif isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names if alias.name.split(".")[0] == "canopen"}
+    allowed = ("canopen.ObjectDictionary", "canopen.objectdictionary.", "canopen.sdo.client.SdoClient")
+    others = {name for name in names if not name.startswith((*allowed, "canopen.sdo.exceptions."))}
+    assert others == set()
+    assert not {name for name in names if "export" in name or "import_" in name}
+
+
+def test_a_connection_that_nobody_reads_blocks_nobody() -> None:
+    with open_bus(BusParameters(rate=1000.0), "unread") as bus, open_bus(BusParameters(rate=1000.0), "unread") as other:
+        for number in range(20_000):
+            other.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=number.to_bytes(4, "little")))
+        received = [bus.recv(0.0) for _ in range(20_000)]
+    assert all(message is not None for message in received)
 
 
 IDENTIFIERS = st.sampled_from([0x000, 0x080, 0x085, 0x185, 0x205, 0x285, 0x585, 0x605, 0x705, 0x77E, 0x123])

@@ -112,6 +112,15 @@ def test_each_frame_names_its_bus_in_every_format(tmp_path: Path, suffix: str) -
     ]
 
 
+@pytest.mark.parametrize("suffix", ["log", "blf", "asc"])
+def test_absolute_time_survives_in_the_formats_that_have_it(tmp_path: Path, suffix: str) -> None:
+    """ASC has it in its head alone, to the millisecond, and python-can's default reader drops that."""
+    path = tmp_path / f"run.{suffix}"
+    write(path, [(1_700_000_000_123_000_000 + k * 1_000_000, 0x181, b"", True) for k in range(3)])
+    stamps = [frame.timestamp_ns for frame in read_bus_log(path)]
+    assert all(abs(stamp - 1_700_000_000_123_000_000 - k * 1_000_000) < 1_000_000 for k, stamp in enumerate(stamps))
+
+
 @pytest.mark.parametrize("names", [[], ["a", "a"], ["a", "b c"], ["a", ""]])
 def test_names_of_buses_that_cannot_be_told_apart_are_refused(tmp_path: Path, names: list[str]) -> None:
     with pytest.raises(ParameterError, match="channel"):
