@@ -19,15 +19,20 @@ def run(*words: str | Path, folder: Path) -> str:
     return done.stdout
 
 
+def tracked(folder: str) -> list[str]:
+    """Every file that belongs to the project, also what is not committed yet."""
+    words = ["git", "ls-files", "--cached", "--others", "--exclude-standard", folder]
+    return run(*words, folder=PROJECT).splitlines()
+
+
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of programs of a fresh environment with nothing but the wheel and what it requires."""
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
-    names = run("git", "ls-files", folder=PROJECT).splitlines() if (PROJECT / ".git").exists() else []
-    if not names:
+    if not (PROJECT / ".git").exists():
         pytest.skip("no git checkout here to build from")
-    for name in names:
+    for name in tracked("."):
         if (PROJECT / name).is_file():  # the tree as it is, without what a build leaves in it
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             (source / name).write_bytes((PROJECT / name).read_bytes())
@@ -66,5 +71,5 @@ def test_a_scene_without_a_dictionary_beside_it_finds_the_installed_one(installe
 
 def test_every_scene_and_profile_of_the_tree_is_in_the_wheel(installed: Path, tmp_path: Path) -> None:
     listed = json.loads(run(installed / "canhaptic", "configs", "--json", folder=tmp_path))["configs"]
-    tree = run("git", "ls-files", "configs", folder=PROJECT).split()
+    tree = tracked("configs")
     assert sorted(listed) == sorted(name.removeprefix("configs/") for name in tree)
