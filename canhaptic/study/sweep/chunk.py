@@ -41,7 +41,8 @@ MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set wit
 
 _COMPLETED, _REFUSED, _FAILED = 1, 2, 3
 _CLOSED_FORM, _SCALAR = ENGINES.index("closed form"), ENGINES.index("scalar")
-_BATCHED: Final = frozenset(f"{section}.{name}" for section, names in BATCH_KEYS.items() for name in names)
+BATCHED: Final = frozenset(f"{section}.{name}" for section, names in BATCH_KEYS.items() for name in names)
+"""Every key that may differ inside a batch."""
 _Rows = NDArray[np.intp]
 
 
@@ -69,7 +70,7 @@ def run_chunk(recipe: Recipe, start: int, columns: Mapping[str, Column]) -> Chun
 def is_batch_key(recipe: Recipe, key: str) -> bool:
     """Returns whether scenes that differ in a key fit one batch, for every axis that it touches."""
     names = [batch_key(key, index, name) for index, name in enumerate(recipe.axes)]
-    return all(name is None or name in _BATCHED for name in names)
+    return all(name is None or name in BATCHED for name in names)
 
 
 class _Chunk:

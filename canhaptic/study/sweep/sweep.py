@@ -30,8 +30,9 @@ from canhaptic.study.sweep.workers import Pool, SerialExecutor
 
 Engine = Literal["auto", "numpy", "numba"]
 
-_BATCH_CHUNK: Final = 5000
-_SCALAR_CHUNK: Final = 50
+_BATCH_CHUNK: Final = (1000, 5000)
+"""Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
+_SCALAR_CHUNK: Final = (1, 50)
 _FEWEST_CHUNKS: Final = 16
 _FEWEST_TOGETHER: Final = 8
 """Scenes of one kind in a sweep, below which making their batch costs more than running them."""
@@ -153,8 +154,8 @@ def make_sweep(
     if together < _FEWEST_TOGETHER:
         reason = f"only {together} of the scenes differ in nothing but keys of a batch, expected {_FEWEST_TOGETHER}"
         recipe = replace(recipe, alone=reason)
-    usual = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
-    chunk = chunk or max(1, min(usual, -(-len(points) // _FEWEST_CHUNKS)))
+    least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
+    chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
     return Sweep(recipe, points, chunk, _identity(scene, recipe, points))
 
 

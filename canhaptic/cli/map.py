@@ -1,0 +1,84 @@
+"""`canhaptic map FILE.h5`: how stiff a wall may be, what is left of it, and where theory draws the line."""
+
+import argparse
+from pathlib import Path
+
+from canhaptic.cli.arguments import add_json, check_picture
+from canhaptic.cli.output import write_json, write_line, write_note
+from canhaptic.errors import InputError
+from canhaptic.study.map.border import JUDGEMENTS, usual_judgement
+from canhaptic.study.map.field import fields_of
+from canhaptic.study.map.panels import Chosen, Lines, Panel, panels_of, passing_share
+from canhaptic.study.sweep.table import SweepTable
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `map`."""
+    parser.add_argument("file", metavar="FILE.h5", type=Path, help="of canhaptic sweep, finished or not")
+    parser.add_argument("--png", metavar="FILE", type=Path, help="picture (.png, .svg, .pdf)")
+    parser.add_argument("--html", metavar="FILE", type=Path, help="self-contained page")
+    parser.add_argument("--x", metavar="KEY", help="across; by default the rate, or the first key that was varied")
+    parser.add_argument("--y", metavar="KEY", help="upwards, or one line per value")
+    parser.add_argument("--metric", metavar="NAME", help="one map of this figure, instead of the usual ones")
+    parser.add_argument("--axis", metavar="NAME", help="of a scene with several; by default the first")
+    parser.add_argument(
+        "--by", choices=tuple(JUDGEMENTS), help="what a wall must be to count; by default stable for direct"
+    )
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Draws the maps and prints the border; returns 0.
+
+    Raises:
+        InputError: A file, key, figure or picture that cannot be used.
+    """
+    if arguments.png is not None:
+        check_picture(arguments.png)
+    if arguments.html is not None and not arguments.html.absolute().parent.is_dir():
+        raise InputError(f"{arguments.html}: no such folder {arguments.html.absolute().parent}; make it first")
+    with SweepTable(arguments.file) as table:
+        fields = fields_of(table, arguments.axis)
+        chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
+        columns = panels_of(fields, chosen)
+        caption = f"{table.note('source')}   {'  '.join(entry['given'] for entry in table.identity['varied'])}"
+        shares = {
+            one.controller or one.scene.axes[0].passivity.name: passing_share(one, arguments.by or usual_judgement(one))
+            for one in fields
+        }
+    if arguments.json:
+        write_json({"file": str(arguments.file), "passing": shares, "lines": _lines(columns)})
+    else:
+        _print(columns, shares)
+    if arguments.png is not None:
+        from canhaptic.study.map.picture import draw_map
+
+        draw_map(columns, caption, arguments.png)
+        write_note(f"  picture     {arguments.png}")
+    if arguments.html is not None:
+        from canhaptic.study.map.page import write_map
+
+        write_map(columns, caption, arguments.html)
+        write_note(f"  page        {arguments.html}")
+    return 0
+
+
+def _lines(columns: list[list[Panel]]) -> list[dict[str, object]]:
+    """Returns every line that is drawn, as plain values."""
+    return [
+        {"panel": panel.title, "line": line.label, "x": panel.x_label, "y": panel.y_label,
+         "values": [[float(x), float(y)] for x, y in zip(line.x, line.y, strict=True)]}
+        for column in columns for panel in column if isinstance(panel, Lines) for line in panel.lines
+    ]  # fmt: skip
+
+
+def _print(columns: list[list[Panel]], shares: dict[str, float]) -> None:
+    for name, share in shares.items():
+        write_line(f" {name}: {100.0 * share:.3g} % of the scenes pass")
+    for column in columns:
+        for panel in column:
+            if isinstance(panel, Lines):
+                write_line(f" {panel.title}   {panel.note}")
+                for line in panel.lines:
+                    points = "  ".join(f"{x:.4g}: {y:.4g}" for x, y in zip(line.x, line.y, strict=True))
+                    write_line(f"   {line.label:<28} {points}")

@@ -1,0 +1,148 @@
+"""The largest stiffness that passes at every value of the other keys, and what theory says of it.
+
+Colgate and Schenkel, "Passivity of a class of sampled-data systems", Journal of Robotic Systems 14, 1997: with the
+damping b of the device a sampled wall H(z) is passive for every user if and only if, at every frequency,
+
+    b > T / 2 (1 - cos wT) Re{(1 - e^-jwT) H(e^jwT)}
+
+For a spring k without delay that is b > k T / 2. Abbott and Okamura (IEEE Trans. Robotics 21, 2005) add the encoder:
+the Coulomb friction of the device must cover half a count of the spring, k < 2 f_c / count.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.scene.hints import stability_hints
+from canhaptic.scene.models import Scene
+from canhaptic.study.batch import scene_with
+from canhaptic.study.loop import Array
+from canhaptic.study.map.field import Field, Mask
+from canhaptic.study.sweep.chunk import BATCHED, RADIUS
+from canhaptic.study.sweep.places import batch_key
+from canhaptic.view.energy_table import PASSIVE_TOLERANCE
+
+JUDGEMENTS: Final = {
+    "stable": "stable",
+    "passive": "true sum(h_i) >= 0",
+    "margin": "margin of (4) >= 0",
+}
+"""Name -> what passing means, in words."""
+_ANGLES: Final = 4096
+
+
+class Border(NamedTuple):
+    """The largest value of a key that passes, and all below it; shape of the other keys of a field.
+
+    NaN where a scene was not run; 0 where not even the least passes; `open` where the largest does, too.
+    """
+
+    value: Array
+    open: Mask
+
+
+def usual_judgement(field: Field) -> str:
+    """Returns how an algorithm is judged unless the user says otherwise.
+
+    The plain wall promises nothing of its port: with what the device dissipates it is stable or not. The others are
+    held to what they promise.
+    """
+    if (field.controller or field.scene.axes[0].passivity.name) == "direct":
+        return "stable" if field.has(RADIUS) or field.has("diverged") else "passive"
+    return "passive" if field.has("least_interaction") else "margin"
+
+
+def passes(field: Field, judgement: str) -> Mask:
+    """Returns which scenes pass, shaped as a figure of the field."""
+    if judgement != "stable":
+        figure = field.figure("least_interaction" if judgement == "passive" else "margin")
+        return figure >= -PASSIVE_TOLERANCE
+    passed = field.judged()
+    if field.has("diverged"):
+        passed &= field.figure("diverged") == 0.0
+    if field.has(RADIUS) and (field.controller or field.scene.axes[0].passivity.name) == "direct":
+        radius = field.figure(RADIUS)
+        passed &= ~(radius >= 1.0)
+    return passed
+
+
+def border_of(field: Field, key: str, kept: list[str], judgement: str) -> Border:
+    """Returns the largest value of a key that passes, the worst over every key that is not kept.
+
+    Args:
+        field: A grid.
+        key: Whose largest value is asked, as environment.stiffness.
+        kept: Keys that the result has as dimensions, in this order.
+        judgement: A name of `JUDGEMENTS`.
+    """
+    order = [field.keys.index(name) for name in (key, *kept)]
+    others = [i for i in range(len(field.keys) + 1) if i not in order]
+    passed = passes(field, judgement).transpose(*order, *others)
+    judged = field.judged().transpose(*order, *others)
+    folded = tuple(range(1 + len(kept), passed.ndim))
+    values = np.sort(field.values[key])
+    rank = np.argsort(field.values[key])
+    good = np.asarray((passed | ~judged).all(axis=folded))[rank]
+    known = np.asarray(np.asarray(judged.any(axis=folded)).all(axis=0))
+    count = np.logical_and.accumulate(good, axis=0).sum(axis=0)
+    largest = np.where(count > 0, values[np.maximum(count, 1) - 1], 0.0)
+    return Border(np.where(known, largest, np.nan), known & (count == len(values)))
+
+
+def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
+    """Returns the largest stiffness [N/m or N*m/rad] that the condition above permits.
+
+    Args:
+        damping: b of the device [N*s/m or N*m*s/rad].
+        wall_damping: Of the wall, on the backward difference of the position [N*s/m or N*m*s/rad].
+        sample_time: T [s].
+        delay: Whole holds, inside H.
+    """
+    angle = np.linspace(math.pi / _ANGLES, math.pi, _ANGLES)
+    forward = 1.0 - np.exp(-1j * angle)
+    common = forward * np.exp(-1j * delay * angle) / (2.0 * (1.0 - np.cos(angle)))
+    of_spring, of_damper = sample_time * common.real, (common * forward).real
+    left = damping - wall_damping * of_damper
+    if float(left.min()) <= 0.0:
+        return 0.0
+    asked = of_spring > 0.0
+    return float((left[asked] / of_spring[asked]).min())
+
+
+class Theory(NamedTuple):
+    """What theory permits at one place of a map [N/m or N*m/rad]; None where it says nothing."""
+
+    colgate: float | None
+    abbott_okamura: float | None
+
+
+def theory_at(field: Field, values: Mapping[str, float]) -> Theory:
+    """Returns the lines of theory for the plain wall at some values of a field's keys.
+
+    Args:
+        field: Whose scene and axis are meant.
+        values: Key -> value; keys that no formula knows are left out.
+    """
+    scene = _scene_at(field, values)
+    [axis] = scene.axes
+    simulation, environment = axis.simulation, axis.environment.parameters
+    if simulation is None or not hasattr(environment, "stiffness"):
+        return Theory(None, None)
+    delay = 1 if scene.bus.rpdo == "synchronous" else 0
+    viscous = sum(
+        float(getattr(effect.parameters, "damping", 0.0))
+        for effect in simulation.effects
+        if effect.name == "viscous_friction"
+    )
+    device, wall = simulation.plant.damping + viscous, float(getattr(environment, "damping", 0.0))
+    colgate = colgate_stiffness(device, wall, scene.bus.sample_time, delay)
+    counts = [hint.limit for hint in stability_hints(axis) if "quantisation" in hint.what]
+    friction = counts[0] if counts and counts[0] is not None and math.isfinite(counts[0]) else None
+    return Theory(colgate, friction)
+
+
+def _scene_at(field: Field, values: Mapping[str, float]) -> Scene:
+    names = {batch_key(key, field.index, field.axis): value for key, value in values.items()}
+    return scene_with(field.scene, {name: value for name, value in names.items() if name in BATCHED})

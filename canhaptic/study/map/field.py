@@ -1,0 +1,146 @@
+"""The figures of a sweep by the values of its keys: a grid as arrays with one dimension per key, samples as lists."""
+
+import json
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.errors import InputError
+from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.models import Scene
+from canhaptic.study.compare import with_algorithm
+from canhaptic.study.loop import Array
+from canhaptic.study.sweep.points import CONTROLLER
+from canhaptic.study.sweep.table import SweepTable
+
+Mask = NDArray[np.bool_]
+
+_COMPLETED: Final = 1
+_UNITS: Final[dict[str, tuple[str, str]]] = {
+    "stiffness": ("N/m", "N*m/rad"),
+    "damping": ("N*s/m", "N*m*s/rad"),
+    "device_damping": ("N*s/m", "N*m*s/rad"),
+    "mass": ("kg", "kg*m^2"),
+    "moving_mass": ("kg", "kg*m^2"),
+    "position": ("m", "rad"),
+    "amplitude": ("m", "rad"),
+    "rest": ("m", "rad"),
+    "push": ("N", "N*m"),
+    "hand_force": ("N", "N*m"),
+    "torque_limit": ("N", "N*m"),
+    "rated_torque": ("N", "N*m"),
+    "hand_speed": ("m/s", "rad/s"),
+    "counts_per_unit": ("count/m", "count/rad"),
+    "rate": ("Hz", "Hz"),
+    "frequency": ("Hz", "Hz"),
+    "bitrate": ("bit/s", "bit/s"),
+    "credit": ("J", "J"),
+    "alpha": ("s/m^2", "s/rad^2"),
+}
+
+
+class Field:
+    """One axis of a sweep under one algorithm.
+
+    Args:
+        table: The file.
+        axis: Name of the axis.
+        controller: Name of the algorithm; "" for that of the scene where none was varied.
+
+    Attributes:
+        keys: Numeric keys with more than one value, in the order given.
+        values: Every value of each of them, in the order of a grid; of each scene, for samples.
+        is_grid: Whether figures have one dimension per key.
+    """
+
+    def __init__(self, table: SweepTable, axis: str, controller: str = "") -> None:
+        self._table, self.axis, self.controller = table, axis, controller
+        self.index = table.axes.index(axis)
+        self.is_grid = not table.identity["samples"]
+        varied = table.identity["varied"]
+        names = [str(entry["key"]) for entry in varied]
+        self._rows: Any = slice(None)
+        if controller:
+            self._rows = np.array(table.values(CONTROLLER)) == controller
+        if self.is_grid:
+            self._levels = {key: _levels(table.values(key)) for key in names if key != CONTROLLER}
+        numeric = {str(entry["key"]) for entry in varied if entry["numbers"]}
+        self.keys = [key for key in names if key in numeric and self._is_varied(key)]
+        self.values = {key: self._values(key) for key in self.keys}
+        self.scene = _scene(table, axis, controller)
+        self.unit = self.scene.axes[0].parameters.unit
+
+    def figure(self, metric: str) -> Array:
+        """Returns a figure, one dimension per key of `keys` and one for all others in a grid; NaN where none is."""
+        found = self._shaped(self._table.figure(self.axis, metric))
+        return np.where(self.judged(), found, np.nan)
+
+    def judged(self) -> Mask:
+        """Returns which scenes were run to their end, shaped as a figure."""
+        found: Mask = self._shaped(self._table.status() == _COMPLETED)
+        return found
+
+    def has(self, metric: str) -> bool:
+        """Whether the sweep asked for a figure."""
+        return metric in self._table.metrics
+
+    def label(self, key: str) -> str:
+        """Returns a key with its unit, for an axis of a picture."""
+        units = _UNITS.get(key.rpartition(".")[2])
+        return f"{key} [{units[self.unit == 'rad']}]" if units else key
+
+    def _is_varied(self, key: str) -> bool:
+        return len(self._levels[key]) > 1 if self.is_grid else len(_levels(self._table.values(key))) > 1
+
+    def _values(self, key: str) -> Array:
+        if self.is_grid:
+            return np.array(self._levels[key])
+        found: Array = np.asarray(self._table.values(key))[self._rows]
+        return found
+
+    def _shaped(self, column: NDArray[Any]) -> Any:
+        """Returns a column of this algorithm; of a grid with the numeric keys first, all others last."""
+        rows = column[self._rows]
+        if not self.is_grid:
+            return rows
+        names = list(self._levels)
+        cube = rows.reshape([len(self._levels[key]) for key in names])
+        order = [names.index(key) for key in self.keys] + [i for i, key in enumerate(names) if key not in self.keys]
+        cube = cube.transpose(order)
+        return cube.reshape(*cube.shape[: len(self.keys)], -1)
+
+
+def fields_of(table: SweepTable, axis: str | None = None) -> list[Field]:
+    """Returns one field per algorithm.
+
+    Args:
+        table: The file.
+        axis: Name of the axis; the first by default.
+
+    Raises:
+        InputError: No such axis, nothing is finished, or nothing numeric varies.
+    """
+    name = axis or table.axes[0]
+    if name not in table.axes:
+        raise InputError(f"{table.path}: has no axis {name!r}, expected one of: {', '.join(table.axes)}")
+    if not table.done().any():
+        raise InputError(f"{table.path}: no chunk is finished yet, there is nothing to draw; let the sweep run on")
+    controllers = list(dict.fromkeys(table.values(CONTROLLER))) if CONTROLLER in table.keys else [""]
+    fields = [Field(table, name, str(controller)) for controller in controllers]
+    if not fields[0].keys:
+        raise InputError(f"{table.path}: no key with numbers was varied, there is no axis to draw along")
+    return fields
+
+
+def _levels(column: Any) -> list[Any]:
+    values = column.tolist() if isinstance(column, np.ndarray) else column
+    return list(dict.fromkeys(values))
+
+
+def _scene(table: SweepTable, axis: str, controller: str) -> Scene:
+    """Returns the scene before anything varied, of one axis alone."""
+    scene = scene_from_text(table.note("scene"), table.note("source"), json.loads(table.note("overrides")))
+    [chosen] = [one for one in scene.axes if one.parameters.name == axis]
+    return replace(scene, axes=(with_algorithm(chosen, controller) if controller else chosen,))

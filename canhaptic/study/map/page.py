@@ -1,0 +1,112 @@
+"""A map as one self-contained HTML page, drawn by Bokeh: every cell and point says its values under the pointer."""
+
+import html
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.study.map.panels import Cells, Lines, Panel
+from canhaptic.study.map.picture import COLOURS, common_limits, edges_of
+
+_WIDTH, _HEIGHT = 560, 380
+_DASHES: Final = {"measured": "solid", "colgate": "dashed", "abbott_okamura": "dotted"}
+_BLANK: Final = "#F2F2F2"
+
+
+def write_map(columns: Sequence[Sequence[Panel]], caption: str, path: Path) -> None:
+    """Writes panels as a page.
+
+    Raises:
+        InputError: Bokeh is not installed, or the page cannot be written.
+    """
+    try:
+        from bokeh.embed import file_html
+        from bokeh.layouts import column, gridplot
+        from bokeh.models import Div
+        from bokeh.resources import INLINE
+    except ImportError as error:
+        raise InputError("an HTML page needs Bokeh; install it with: pip install 'canhaptic[report]'") from error
+    rows = []
+    for row in range(max(len(panels) for panels in columns)):
+        panels = [panels[row] if row < len(panels) else None for panels in columns]
+        limits = common_limits([panel for panel in panels if isinstance(panel, Cells)])
+        rows.append([None if panel is None else _figure(panel, limits) for panel in panels])
+    heading = Div(text=f"<b>{html.escape(caption)}</b>")
+    text = file_html(column(heading, gridplot(rows)), INLINE, title=f"{caption} - canhaptic")
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: the page cannot be written ({error.strerror})") from error
+
+
+def _figure(panel: Panel, limits: tuple[float, float]) -> Any:
+    from bokeh.plotting import figure
+
+    types = {
+        "x_axis_type": "log" if panel.x_log else "linear",
+        "y_axis_type": "log" if panel.y_log else "linear",
+    }
+    place = figure(
+        width=_WIDTH, height=_HEIGHT, title=panel.title, x_axis_label=panel.x_label, y_axis_label=panel.y_label,
+        tools="pan,wheel_zoom,box_zoom,reset,save", **types,
+    )  # fmt: skip
+    if isinstance(panel, Lines):
+        _lines(place, panel)
+    else:
+        _cells(place, panel, limits)
+    return place
+
+
+def _lines(place: Any, panel: Lines) -> None:
+    from bokeh.models import HoverTool, Title
+
+    for line in panel.lines:
+        colour = "black" if line.style == "abbott_okamura" else COLOURS[line.colour % len(COLOURS)]
+        given = {"x": line.x, "y": line.y}
+        place.line(**given, color=colour, line_dash=_DASHES[line.style], line_width=2, legend_label=line.label)
+        dots = place.scatter(**given, color=colour, size=6 if line.style == "measured" else 2, name=line.label)
+        tips = [("", "$name"), (panel.x_label, "@x"), (panel.y_label, "@y")]
+        place.add_tools(HoverTool(renderers=[dots], tooltips=tips))
+    if panel.note:
+        place.add_layout(Title(text=panel.note, text_font_size="8pt", text_font_style="normal"), "below")
+    if panel.lines:
+        place.legend.background_fill_alpha = 0.7
+        place.legend.label_text_font_size = "8pt"
+        place.legend.click_policy = "hide"
+
+
+def _cells(place: Any, panel: Cells, limits: tuple[float, float]) -> None:
+    from bokeh.models import ColorBar, HoverTool, LinearColorMapper, LogColorMapper
+
+    mapper = (LogColorMapper if panel.value_log else LinearColorMapper)(
+        palette="Magma256" if panel.value_log and not panel.is_width else "Viridis256",
+        low=limits[0], high=limits[1], nan_color=_BLANK,
+    )  # fmt: skip
+    if panel.value_log and not panel.is_width:
+        mapper.palette = list(reversed(mapper.palette))
+    colour = {"field": "value", "transform": mapper}
+    if panel.dots:
+        given = {"x": panel.x, "y": panel.y, "value": panel.values}
+        drawn = place.scatter("x", "y", source=given, color=colour, size=6)
+    else:
+        drawn = place.quad("left", "right", "bottom", "top", source=_quads(panel), color=colour, line_color=None)
+    tips = [(panel.x_label, "@x"), (panel.y_label, "@y"), (panel.value_label, "@value")]
+    place.add_tools(HoverTool(renderers=[drawn], tooltips=tips))
+    place.add_layout(ColorBar(color_mapper=mapper, title=panel.value_label, title_text_font_size="8pt"), "right")
+
+
+def _quads(panel: Cells) -> dict[str, Any]:
+    x, y = edges_of(panel.x, log=panel.x_log), edges_of(panel.y, log=panel.y_log)
+    rows, columns = panel.values.shape
+    return {
+        "left": np.tile(x[:-1], rows),
+        "right": np.tile(x[1:], rows),
+        "bottom": np.repeat(y[:-1], columns),
+        "top": np.repeat(y[1:], columns),
+        "x": np.tile(panel.x, rows),
+        "y": np.repeat(panel.y, columns),
+        "value": panel.values.ravel(),
+    }

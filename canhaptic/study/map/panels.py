@@ -1,0 +1,258 @@
+"""What a map draws, as plain values: the same panels become a picture and a page."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.study.loop import Array
+from canhaptic.study.map.border import JUDGEMENTS, border_of, passes, theory_at, usual_judgement
+from canhaptic.study.map.field import Field
+
+STIFFNESS: Final = "environment.stiffness"
+_PREFERRED: Final = ("bus.rate", "environment.damping")
+_MOST_LINES: Final = 5
+_LOG_SPAN: Final = 20.0
+"""Ratio of largest and least value from which an axis is logarithmic."""
+_LEAST_ENERGY: Final = 1e-6  # [J]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of a panel."""
+
+    label: str
+    x: Array
+    y: Array
+    style: str  # "measured", "colgate", "abbott_okamura"
+    colour: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """A panel of lines; both axes positive where logarithmic."""
+
+    title: str
+    x_label: str
+    y_label: str
+    lines: tuple[Line, ...]
+    x_log: bool
+    y_log: bool
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """A panel of coloured cells, or of dots where the scenes are no grid."""
+
+    title: str
+    x_label: str
+    y_label: str
+    x: Array  # of the columns, (nx,); of each dot, (n,)
+    y: Array  # of the rows, (ny,); of each dot, (n,)
+    values: Array  # (ny, nx), or (n,); NaN is blank
+    value_label: str
+    x_log: bool
+    y_log: bool
+    value_log: bool = False
+    limits: tuple[float, float] | None = None
+    contour: float | None = None
+    dots: bool = False
+    is_width: bool = False
+
+
+Panel = Lines | Cells
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Which keys and figure a map is of; None: chosen by what was varied."""
+
+    x: str | None = None
+    y: str | None = None
+    metric: str | None = None
+    judgement: str | None = None
+
+
+def panels_of(fields: list[Field], chosen: Chosen) -> list[list[Panel]]:
+    """Returns the panels of a map, one column per algorithm.
+
+    Raises:
+        InputError: A key that was not varied or a figure that was not asked for.
+    """
+    _check(fields[0], chosen)
+    if chosen.metric is not None or not fields[0].is_grid:
+        return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
+    return [_usual_panels(one, chosen) for one in fields]
+
+
+def _check(field: Field, chosen: Chosen) -> None:
+    for name in (chosen.x, chosen.y):
+        if name is not None and name not in field.keys:
+            raise InputError(f"--x, --y: {name!r} was not varied in numbers, expected of: {', '.join(field.keys)}")
+    if chosen.x is not None and chosen.x == chosen.y:
+        raise InputError(f"--x and --y: got {chosen.x} twice; give two keys")
+    if chosen.metric is not None and not field.has(chosen.metric):
+        raise InputError(f"--metric: {chosen.metric!r} is not in the file; sweep again with --metrics {chosen.metric}")
+
+
+def _usual_panels(field: Field, chosen: Chosen) -> list[Panel]:
+    free = [key for key in field.keys if key != chosen.x] or field.keys
+    z = STIFFNESS if STIFFNESS in free else free[-1]
+    if len(field.keys) == 1:
+        return [_profile(field, z, metric) for metric in ("margin", "stiffness_rendered.share") if field.has(metric)]
+    others = sorted((key for key in field.keys if key != z), key=_preference)
+    x = chosen.x or others[0]
+    y = chosen.y if chosen.y not in (None, z) else next((key for key in others if key != x), None)
+    judgement = chosen.judgement or usual_judgement(field)
+    panels: list[Panel] = [_width(field, z, x, y, judgement)]
+    for metric in ("margin", "stiffness_rendered.share", "damping_rendered.mean"):
+        if field.has(metric):
+            panels.append(_metric_panel(field, Chosen(x, z), metric))
+    return panels
+
+
+def _preference(key: str) -> int:
+    return _PREFERRED.index(key) if key in _PREFERRED else len(_PREFERRED)
+
+
+def _name(field: Field) -> str:
+    return field.controller or field.scene.axes[0].passivity.name
+
+
+def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel:
+    """Returns the largest z that passes over x (and y), the worst over every other key."""
+    border = border_of(field, z, [x] if y is None else [x, y], judgement)
+    order = np.argsort(field.values[x])
+    places = field.values[x][order]
+    title = f"{_name(field)}: largest {z.rpartition('.')[2]}"
+    note = f"{JUDGEMENTS[judgement]}, worst of all else"
+    levels = [None] if y is None else sorted(field.values[y].tolist())
+    if y is not None and len(levels) > _MOST_LINES:
+        ranks = np.argsort(field.values[y])
+        cells, rows = _positive(border.value[order][:, ranks].T), field.values[y][ranks]
+        return Cells(
+            f"{title}, {note}", field.label(x), field.label(y), places, rows, cells, field.label(z),
+            _is_log(places), _is_log(rows), value_log=True, is_width=True,
+        )  # fmt: skip
+    lines: list[Line] = []
+    for colour, level in enumerate(levels):
+        kept = (
+            border.value if level is None else border.value[:, int(np.flatnonzero(field.values[y or ""] == level)[0])]
+        )
+        of_level = "" if level is None or y is None else f", {y.rpartition('.')[2]} {level:.3g}"
+        lines.append(Line(f"measured{of_level}", places, _positive(kept[order]), "measured", colour))
+        if z == STIFFNESS and _name(field) == "direct":
+            lines += _theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
+    if border.open.any():
+        note += f"; on top: all of the range, {field.values[z].max():.3g}, passes"
+    zero = any(line.style == "abbott_okamura" and not np.isfinite(line.y).any() for line in lines)
+    note += "; Abbott-Okamura: 0, no Coulomb friction" if zero else ""
+    shown = tuple(line for line in lines if np.isfinite(line.y).any())
+    return Lines(title, field.label(x), field.label(z), shown, _is_log(places), _is_log(field.values[z]), note)
+
+
+def _theory(field: Field, x: str, places: Array, at: dict[str, float], of_level: str, colour: int) -> list[Line]:
+    """Returns the lines of theory; where a further key is worst of all, theory is taken at the scene's own value."""
+    found = [theory_at(field, {**at, x: float(place)}) for place in places]
+    lines = []
+    if all(one.colgate is not None for one in found):
+        values = np.array([one.colgate for one in found], dtype=float)
+        lines.append(Line(f"Colgate{of_level}", places, _positive(values), "colgate", colour))
+    if colour == 0 and all(one.abbott_okamura is not None for one in found):
+        values = np.array([one.abbott_okamura for one in found], dtype=float)
+        lines.append(Line("Abbott-Okamura", places, _positive(values), "abbott_okamura"))
+    return lines
+
+
+def _positive(values: Array) -> Array:
+    return np.where(values > 0.0, values, np.nan)
+
+
+def _metric_panel(field: Field, chosen: Chosen, metric: str) -> Panel:
+    if len(field.keys) == 1:
+        return _profile(field, field.keys[0], metric)
+    others = sorted(field.keys, key=_preference)
+    x = chosen.x or next(key for key in others if key != chosen.y)
+    y = chosen.y or (STIFFNESS if STIFFNESS in others and x != STIFFNESS else next(key for key in others if key != x))
+    values, label, kind = _shown(field, metric)
+    title = f"{_name(field)}: {label}"
+    if field.is_grid:
+        keys = [field.keys.index(key) for key in (y, x)]
+        rest = [i for i in range(values.ndim) if i not in keys]
+        values = _worst(values.transpose(*keys, *rest), tuple(range(2, values.ndim)), kind)
+        rows, columns = (np.argsort(field.values[key]) for key in (y, x))
+        values = values[rows][:, columns]
+        title += ", worst of all else" if any(np.array(field.figure(metric).shape)[rest] > 1) else ""
+        places = field.values[x][columns], field.values[y][rows]
+    else:
+        places = field.values[x], field.values[y]
+    limits = {"share": (0.0, 1.2), "energy": None, "plain": None}[kind]
+    return Cells(
+        title, field.label(x), field.label(y), *places, values, label, _is_log(places[0]), _is_log(places[1]),
+        value_log=kind == "energy", limits=limits, contour=0.95 if kind == "share" else None, dots=not field.is_grid,
+    )  # fmt: skip
+
+
+def _shown(field: Field, metric: str) -> tuple[Array, str, str]:
+    """Returns a figure as it is drawn: energies below zero as what is missing, renderings as shares of the asked."""
+    values = field.figure(metric)
+    if metric in ("margin", "least_interaction", "believed_margin"):
+        words = {"margin": "missing in (4)", "least_interaction": "given out beyond what came in"}
+        return (
+            np.where(np.isnan(values), np.nan, np.maximum(-values, _LEAST_ENERGY)),
+            f"{words.get(metric, metric)} [J]",
+            "energy",
+        )
+    if metric == "damping_rendered.mean":
+        asked = _asked_damping(field, values)
+        with np.errstate(all="ignore"):
+            return np.where(asked > 0.0, values / asked, np.nan), "damping rendered over asked", "share"
+    if metric.endswith(".share"):
+        return values, "stiffness rendered over asked", "share"
+    return values, metric, "plain"
+
+
+def _asked_damping(field: Field, values: Array) -> Array:
+    key = "environment.damping"
+    if key not in field.keys:
+        return np.full(values.shape, float(getattr(field.scene.axes[0].environment.parameters, "damping", 0.0)))
+    if not field.is_grid:
+        return field.values[key]
+    shape = [1] * values.ndim
+    shape[field.keys.index(key)] = -1
+    return np.broadcast_to(field.values[key].reshape(shape), values.shape)
+
+
+def _worst(values: Array, over: tuple[int, ...], kind: str) -> Array:
+    """Returns the worst of some dimensions: the most energy missing, the share furthest from one, else the least."""
+    if not over:
+        return values
+    flat = values.reshape(*values.shape[:2], -1)
+    score = {"energy": flat, "share": np.abs(flat - 1.0), "plain": -flat}[kind]
+    unknown = np.isnan(score)
+    worst = np.where(unknown, -np.inf, score).argmax(axis=2)
+    found: Array = np.take_along_axis(flat, worst[:, :, None], axis=2)[:, :, 0]
+    return np.where(unknown.all(axis=2), np.nan, found)
+
+
+def _profile(field: Field, key: str, metric: str) -> Panel:
+    """Returns a figure along the only key that was varied."""
+    values, label, kind = _shown(field, metric)
+    order = np.argsort(field.values[key])
+    flat = _worst(values.reshape(len(order), 1, -1), (2,), kind)[:, 0] if field.is_grid else values
+    places = field.values[key][order]
+    line = Line(_name(field), places, flat[order], "measured")
+    log = kind == "energy"
+    return Lines(f"{_name(field)}: {label}", field.label(key), label, (line,), _is_log(places), log)
+
+
+def _is_log(values: Array) -> bool:
+    return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
+
+
+def passing_share(field: Field, judgement: str) -> float:
+    """Returns the share of the judged scenes that pass."""
+    judged = field.judged()
+    return float((passes(field, judgement) & judged).sum() / max(1, judged.sum()))

@@ -1,0 +1,130 @@
+"""A map as a picture (.png, .svg, .pdf): one column per algorithm, scales shared along a row."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.study.loop import Array
+from canhaptic.study.map.panels import Cells, Lines, Panel
+
+COLOURS: Final = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_STYLES: Final[dict[str, dict[str, Any]]] = {
+    "measured": {"linewidth": 2.0, "marker": "o", "markersize": 4.0},
+    "colgate": {"linewidth": 1.4, "linestyle": "--", "zorder": 4},
+    "abbott_okamura": {"linewidth": 1.4, "linestyle": ":", "color": "black"},
+}
+_STYLE: Final[Any] = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#808080",
+    "axes.axisbelow": True,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.6,
+    "svg.hashsalt": "canhaptic",
+}
+
+
+def draw_map(columns: Sequence[Sequence[Panel]], caption: str, path: str | Path) -> None:
+    """Draws panels into a file; its suffix says how.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    try:
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
+    rows = max(len(column) for column in columns)
+    with mpl.rc_context(_STYLE):
+        figure: Any = Figure(figsize=(0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows), dpi=110, layout="constrained")
+        axes: Any = figure.subplots(rows, len(columns), squeeze=False)
+        for row in range(rows):
+            panels = [column[row] if row < len(column) else None for column in columns]
+            _draw_row(figure, axes[row], panels)
+        figure.suptitle(caption, x=0.01, ha="left", fontsize=9.5, color="#404040")
+        try:
+            figure.savefig(path)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: the picture cannot be written ({error})") from error
+
+
+def _draw_row(figure: Any, axes: Any, panels: Sequence[Panel | None]) -> None:
+    limits = common_limits([panel for panel in panels if isinstance(panel, Cells)])
+    for place, panel in zip(axes, panels, strict=True):
+        if panel is None:
+            place.set_visible(False)
+            continue
+        place.set_title(panel.title, loc="left", fontweight="bold", fontsize=9.0)
+        place.set_xlabel(panel.x_label)
+        place.set_ylabel(panel.y_label)
+        place.set_xscale("log" if panel.x_log else "linear")
+        place.set_yscale("log" if panel.y_log else "linear")
+        if isinstance(panel, Lines):
+            _draw_lines(place, panel)
+        else:
+            _draw_cells(figure, place, panel, limits)
+
+
+def _draw_lines(place: Any, panel: Lines) -> None:
+    place.grid(visible=True)
+    for line in panel.lines:
+        style = {"color": COLOURS[line.colour % len(COLOURS)], **_STYLES[line.style]}
+        place.plot(line.x, line.y, label=line.label, **style)
+    if panel.note:
+        place.text(0.0, -0.17, panel.note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")
+    place.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=8.0, loc="best")
+
+
+def _draw_cells(figure: Any, place: Any, panel: Cells, limits: tuple[float, float]) -> None:
+    from matplotlib.colors import LogNorm, Normalize
+
+    norm = (LogNorm if panel.value_log else Normalize)(*limits)
+    colours = "magma_r" if panel.value_log and not panel.is_width else "viridis"
+    if panel.dots:
+        drawn = place.scatter(panel.x, panel.y, c=panel.values, norm=norm, cmap=colours, s=14.0, edgecolors="none")
+    else:
+        edges = edges_of(panel.x, log=panel.x_log), edges_of(panel.y, log=panel.y_log)
+        drawn = place.pcolormesh(*edges, panel.values, norm=norm, cmap=colours, rasterized=True)
+        _draw_contour(place, panel)
+    figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
+
+
+def _draw_contour(place: Any, panel: Cells) -> None:
+    if panel.contour is None or min(panel.values.shape) < 2 or not np.isfinite(panel.values).any():
+        return
+    if not np.nanmin(panel.values) < panel.contour < np.nanmax(panel.values):
+        return
+    drawn = place.contour(panel.x, panel.y, panel.values, levels=[panel.contour], colors="white", linewidths=1.2)
+    place.clabel(drawn, fmt=f"{100.0 * panel.contour:g} %%", fontsize=8.0)
+
+
+def edges_of(values: Array, *, log: bool) -> Array:
+    """Returns the edges of cells around sorted values, shape (n + 1,): halfway between neighbours."""
+    scaled = np.log(values) if log else values
+    if len(values) == 1:
+        half = np.array([0.5 if log else 0.5 * max(abs(float(values[0])), 1.0)])
+        edges = np.concatenate([scaled - half, scaled + half])
+    else:
+        middle = 0.5 * (scaled[1:] + scaled[:-1])
+        edges = np.concatenate([[2.0 * scaled[0] - middle[0]], middle, [2.0 * scaled[-1] - middle[-1]]])
+    return np.asarray(np.exp(edges) if log else edges)
+
+
+def common_limits(panels: Sequence[Cells]) -> tuple[float, float]:
+    """Returns limits of the colours that fit every panel of a row."""
+    if not panels:
+        return 0.0, 1.0
+    if panels[0].limits is not None:
+        return panels[0].limits
+    known = np.concatenate([panel.values[np.isfinite(panel.values)].ravel() for panel in panels])
+    if not len(known):
+        return (1.0, 10.0) if panels[0].value_log else (0.0, 1.0)
+    low, high = float(known.min()), float(known.max())
+    if panels[0].value_log:
+        return low, max(high, 10.0 * low)
+    return low, high if high > low else low + 1.0
