@@ -16,7 +16,7 @@ from canhaptic.drive.bus_budget import BusBudget, require_budget
 from canhaptic.drive.fitness import Finding, check_dictionary
 from canhaptic.drive.pdo_map import choose_map
 from canhaptic.drive.realtime import GRANTED, Realtime
-from canhaptic.scene.hints import Hint, stability_hints
+from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.view.energy_table import make_console
 
@@ -42,7 +42,7 @@ def execute(arguments: argparse.Namespace) -> int:
     findings = {
         axis.name: check_dictionary(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)
     }
-    hints = [hint for axis in scene.axes for hint in stability_hints(axis)]
+    hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
     if arguments.json:
         write_json(_as_json(scene, budgets, findings, hints))
     else:

@@ -1,6 +1,7 @@
 """Stability hints: what the rate, the delay and the device allow, beside what the scene asks for."""
 
 import math
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 from canhaptic.haptics.passivity.certificates import (
@@ -11,7 +12,7 @@ from canhaptic.haptics.passivity.certificates import (
     start_speed,
 )
 from canhaptic.haptics.recovery import largest_stable_damping, least_oscillating_damping
-from canhaptic.scene.models import AxisScene
+from canhaptic.scene.models import AxisScene, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
 """Algorithms that certain damping of the device certifies."""
@@ -36,7 +37,24 @@ class Hint(NamedTuple):
 
 def stability_hints(axis: AxisScene) -> list[Hint]:
     """Returns the limits of one axis; none of them is enforced here, the passivity algorithm is what protects."""
+    if axis.group:
+        return []  # see `group_hints`
     return [*_stiffness_hints(axis), _quantisation_hint(axis), *_damping_hints(axis), *_certificate_hints(axis)]
+
+
+def group_hints(scene: Scene) -> list[Hint]:
+    """Returns what the certificates of each group hold on each of its axes, alone, in motor coordinates.
+
+    What the network asks for is in task space; the two are the same where the kinematics are `identity`.
+    """
+    hints = []
+    for group in scene.groups:
+        for name in group.axes:
+            axis = scene.axis(name)
+            asked = group.network if group.kinematics.name == "identity" else axis.environment
+            alone = replace(axis, passivity=group.passivity, environment=asked)
+            hints += [*_certificate_hints(alone), *_damping_hints(alone)]
+    return hints
 
 
 def _hint(axis: AxisScene, what: str, quantity: str, limit: float | None, asked: float | None, text: str) -> Hint:

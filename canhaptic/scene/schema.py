@@ -14,6 +14,7 @@ from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS, OWN_SECTIONS, SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.scene.buses import BUS_KEY, BusTitle, FurtherBus
+from canhaptic.scene.group_schema import group_schema, mechanism_schema
 from canhaptic.scene.models import AutoAccuracy, RunParameters, SimulationParameters
 from canhaptic.scene.profiles import PROFILE_KEY
 from canhaptic.sim.bus_effects import BusEffects
@@ -32,6 +33,7 @@ def scene_schema() -> Schema:
     sections = {
         "bus": _bus(definitions),
         "axes": {"type": "array", "minItems": 1, "items": _axis(definitions)},
+        "groups": _or_null({"type": "array", "items": group_schema(_of, definitions)}),
         "environment": _environment(definitions),
         "passivity": _passivity(definitions),
         "simulation": _simulation(definitions),
@@ -132,7 +134,13 @@ def _simulation(definitions: Schema) -> Schema:
     return _or_null(
         {
             "type": "object",
-            "properties": {**parts, **seed, "bus": bus, "axes": {"type": "object", "additionalProperties": own}},
+            "properties": {
+                **parts,
+                **seed,
+                "bus": bus,
+                "mechanisms": _or_null({"type": "array", "items": mechanism_schema(_of, definitions)}),
+                "axes": {"type": "object", "additionalProperties": own},
+            },
             "additionalProperties": False,
         }
     )

@@ -75,6 +75,8 @@ def compare(
         InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
     """
     names = chosen_algorithms(algorithms)
+    if scene.groups:
+        raise InputError(f"{scene.source}: has groups of axes, expected axes that render by themselves; run it instead")
     if not all(axis.simulation is not None for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
     if rate is not None:

@@ -16,6 +16,10 @@ _PER_MILLE = 1e-3
 
 def environment_of(axis: AxisScene) -> Environment:
     """Returns the environment of an axis; every class of `ENVIRONMENTS` is one."""
+    if axis.group:
+        raise InputError(
+            f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected one that renders by itself"
+        )
     return cast(Environment, axis.environment.parameters)
 
 
