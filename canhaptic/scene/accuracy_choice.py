@@ -30,7 +30,6 @@ _FEW_BITS: Final = (8, 16, 24)
 _SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
 _FINE: Final = AccuracyParameters(substeps=16)
 """Of the run that the torques are taken from."""
-_PER_MILLE: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +155,6 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
     simulation, period = simulation_of(axis), scene.bus.sample_time_ns
     plant = build_plant(replace(simulation, accuracy=accuracy, compiled=False), period)
     controller, limit = build_axis_controller(axis), axis.parameters.torque_limit
-    rated = axis.parameters.rated_torque
 
     def step(position: float, held: float) -> EnergyBalance:
         balance = controller.step(position, held)
@@ -166,7 +164,7 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
 
     rig = DirectRig(
         plant, step, period, 1 if scene.bus.rpdo == "synchronous" else 0, axis.parameters.counts_per_unit,
-        None if rated is None else rated * _PER_MILLE,
+        axis.loop.torque_quantum or None,
     )  # fmt: skip
     held: list[float] = rig.run(holds + 1).torque_applied[1:].tolist()
     return held

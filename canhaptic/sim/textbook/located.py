@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any, Final
 
 from canhaptic.errors import InputError
+from canhaptic.sim.textbook.elements import Floats, Way
 from canhaptic.sim.textbook.model import Model, Modes
 from canhaptic.sim.textbook.motion import Motion, motion_of
 
@@ -47,7 +48,20 @@ def located(
     atol: float,
     stop: Callable[[], bool] | None = None,
 ) -> Motion:
-    """Returns the motion under the torques by a solver of `scipy.integrate.solve_ivp`.
+    """Returns the motion under the torques; arguments and errors as for `located_states`."""
+    return motion_of(located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
+
+
+def located_states(
+    model: Model,
+    torques: Sequence[float],
+    sample_time_ns: int,
+    method: str,
+    rtol: float,
+    atol: float,
+    stop: Callable[[], bool] | None = None,
+) -> list[Floats]:
+    """Returns every state at the end of each hold, by a solver of `scipy.integrate.solve_ivp`.
 
     Args:
         model: The plant.
@@ -79,7 +93,7 @@ def located(
         for start, finish in pairwise(cuts):
             state, modes = _hold(model, solve, state, modes, torque, (start, finish))
         states.append(list(state))
-    return motion_of(states)
+    return states
 
 
 def _hold(
@@ -91,7 +105,7 @@ def _hold(
         state, modes = settled(model, now, state, torque, modes)
         ways = model.ways(modes)
         result = solve(
-            model.rates, (now, end), state, events=[_event(way.value) for way in ways] or None, args=(torque, modes)
+            model.rates, (now, end), state, events=[_event(way) for way in ways] or None, args=(torque, modes)
         )
         if result.status < 0:
             raise InputError(f"the reference failed at {now:g} s ({result.message}); shorten the study or the scene")
@@ -114,9 +128,11 @@ def settled(model: Model, time: float, state: list[float], torque: float, modes:
     return state, modes
 
 
-def _event(value: Callable[[float, Any, float], float]) -> Any:
+def _event(way: Way) -> Any:
+    """Returns what falls through zero a hair beyond the guard: a guard that stays at zero is no event."""
+
     def event(time: float, state: Any, torque: float, _modes: Modes) -> float:
-        return value(time, state, torque)
+        return way.value(time, state, torque) + way.rounding
 
     event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]
     return event

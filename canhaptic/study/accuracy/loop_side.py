@@ -15,7 +15,9 @@ from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.pdo_map import AxisMap, choose_map
 from canhaptic.errors import ParameterError
 from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.study.accuracy.continuous_loop import ContinuousLoop
 from canhaptic.study.compare import with_algorithm, with_known_plant
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
@@ -24,6 +26,8 @@ from canhaptic.study.scenes import loop_case
 FINEST: Final = 4
 """Highest rate over that of the scene; the reference is read at that rate."""
 _FURTHEST: Final = 10.0  # travels of the continuous axis
+_FINE: Final = AccuracyParameters(substeps=8)
+"""Of every plant: the plant's own error is the business of the other side."""
 _LEAST_TRAVEL: Final = 5e-3  # [m or rad]
 _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
 
@@ -58,14 +62,11 @@ class LoopRow:
 
 
 def variants(axis: AxisScene, scene: Scene) -> list[Variant]:
-    """Returns the scene itself and everything beside it, one change each."""
-    base = Variant("as it is", axis.passivity.name, axis, scene.bus, _case(axis, scene), is_scene=True)
+    """Returns the scene itself and everything beside it, one change each, on a finely solved plant."""
+    axis = replace(axis, simulation=replace(simulation_of(axis), accuracy=_FINE))
+    base = Variant("as it is", axis.passivity.name, axis, scene.bus, loop_case(axis, scene), is_scene=True)
     found = [base, *_rates(base, scene), *_delays(base, scene), *_algorithms(base, scene), *_filters(base, scene)]
     return [*found, *_torques(base), *_encoders(base), *_without_encoder_effects(base, scene)]
-
-
-def _case(axis: AxisScene, scene: Scene) -> LoopCase:
-    return loop_case(axis, scene)
 
 
 def _rates(base: Variant, scene: Scene) -> list[Variant]:
@@ -150,9 +151,7 @@ def _encoders(base: Variant) -> list[Variant]:
 
 
 def _without_encoder_effects(base: Variant, scene: Scene) -> list[Variant]:
-    simulation = base.axis.simulation
-    assert simulation is not None
-    found = []
+    simulation, found = simulation_of(base.axis), []
     for name in dict.fromkeys(effect.name for effect in simulation.effects if effect.name in _ENCODER_EFFECTS):
         rest = tuple(effect for effect in simulation.effects if effect.name != name)
         axis = replace(base.axis, simulation=replace(simulation, effects=rest))

@@ -99,17 +99,17 @@ def _caption(result: Row) -> str:
 def _draw_ladder(panel: Any, result: Row, price: str, error: str) -> None:
     rows = [row for row in result["plant"] if row.get(price) is not None]
     stable = [row for row in rows if row["status"] == "ok"]
-    floor = FLOOR * (result["reference"]["travel"] if error == "position_error" else _energy_scale(stable))
+    floor = FLOOR * result["reference"]["travel" if error == "position_error" else "energy"]
     for method in dict.fromkeys(row["method"] for row in result["plant"]):
         colour, marker = STYLES[method]
-        own = [(row[price], max(row[error], floor)) for row in stable if row["method"] == method]
+        lines = _lines([row for row in stable if row["method"] == method])
         lost = sum(row["method"] == method and row["status"] != "ok" for row in result["plant"])
         label = f"{method} ({lost} unstable)" if lost else method
-        style = "-" if method != OURS or _is_one_line(stable) else ""
-        panel.plot(
-            [x for x, _ in own], [y for _, y in own], style, marker=marker, color=colour, label=label,
-            markersize=6.0, linewidth=1.0, alpha=0.85,
-        )  # fmt: skip
+        for number, own in enumerate(lines or [[]]):
+            panel.plot(
+                [row[price] for row in own], [max(row[error], floor) for row in own], marker=marker, color=colour,
+                label="_" * bool(number) + label, markersize=6.0, linewidth=1.0, alpha=0.85,
+            )  # fmt: skip
     front = sorted(_front([(row[price], max(row[error], floor)) for row in stable]))
     panel.plot(
         [x for x, _ in front], [y for _, y in front], color="black", linewidth=0.9, linestyle=(0, (4, 2)), marker="o",
@@ -122,16 +122,12 @@ def _draw_ladder(panel: Any, result: Row, price: str, error: str) -> None:
     panel.margins(0.08)
 
 
-def _is_one_line(stable: Sequence[Row]) -> bool:
-    """Whether our settings differ in one thing only, so that a line through them means something."""
-    ours = [row["accuracy"] for row in stable if row["method"] == OURS]
-    return len({a["event_bits"] for a in ours}) < 2 or len({a["substeps"] for a in ours}) < 2
-
-
-def _energy_scale(stable: Sequence[Row]) -> float:
-    """Returns the least energy error that is drawn as such, over FLOOR."""
-    largest = max((row["energy_error"] for row in stable), default=1.0)
-    return max(1e-3, min(1.0, largest))
+def _lines(own: Sequence[Row]) -> list[list[Row]]:
+    """Returns the rows of one method as lines along which one thing changes: for ours substeps, else event bits."""
+    if not own or own[0]["accuracy"] is None or len({row["accuracy"]["substeps"] for row in own}) < 2:
+        return [list(own)] if own else []
+    bits = sorted({row["accuracy"]["event_bits"] for row in own})
+    return [[row for row in own if row["accuracy"]["event_bits"] == b] for b in bits]
 
 
 def _front(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

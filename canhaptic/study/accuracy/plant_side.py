@@ -35,6 +35,7 @@ class PlantSide:
         torques: Of each hold, those that the scene's own controller asked for [N or N*m].
         exact: The reference.
         travel: Of the reference [m or rad].
+        energy: Largest of the works and the kinetic energy of the reference [J].
         rows: What was measured so far, one per rung of the ladder.
         effects: What was measured so far, one per effect of the scene.
     """
@@ -47,6 +48,8 @@ class PlantSide:
         self.exact: Motion = reference(model, self.torques, self._period, stop)
         self.evaluations = model.evaluations
         self.travel = max(float(np.ptp(self.exact.position)), 1e-9)
+        kinetic = 0.5 * self._simulation.plant.mass * self.exact.velocity**2
+        self.energy = max(float(np.abs(work).max()) for work in (self.exact.motor, self.exact.user, kinetic))
         self.candidates: list[Candidate] = candidates(self._simulation, self.torques, self._period)
         self.without: dict[str, Candidate] = {}
         self.rows: list[Row] = []

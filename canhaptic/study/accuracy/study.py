@@ -25,7 +25,7 @@ DEFAULT_BUDGET: Final = 12.0
 """Time for timings [s], the plant side's; runs for errors come on top."""
 UNITS: Final = 1000
 """Units of progress in the whole study."""
-_SHARES: Final = {"references": 200, "ladder": 250, "times": 300, "loops": 250}
+_SHARES: Final = {"references": 200, "ladder": 250, "loops": 250, "times": 300}
 _TENTH: Final = 0.1
 _REPEATS: Final = 3
 _TRACED: Final = 0.2
@@ -97,7 +97,7 @@ class AccuracyStudy:
         for number, variant in enumerate(every):
             self._loops.append(loop_row(variant, exact, self.holds * self.scene.bus.sample_time_ns, self._check))
             self._loop_rows.append(self._loop_row(self._loops[-1]))
-            self._advance("loops", (number + 1) / len(every) * 0.7)
+            self._advance("loops", (number + 1) / len(every))
         if self._budget > 0.0:
             self._time()
 
@@ -138,7 +138,7 @@ class AccuracyStudy:
         jobs: dict[str, Callable[[], object]] = {_WORKLOAD: workload}
         jobs |= {f"without {name}": candidate.spend for name, candidate in plant.without.items()}
         jobs |= {candidate.name: candidate.spend for candidate in stable}
-        self._times = interleaved(jobs, self._budget, self._stop, lambda share: self._advance("times", share))
+        self._times = interleaved(jobs, self._budget, self._stop, lambda share: self._advance("times", 0.9 * share))
         self._check()
         cases = {str(i): (row.variant.case, row.run) for i, row in enumerate(self._loops) if len(row.run.position) > 1}
         each = microseconds_per_step(cases, _REPEATS)
@@ -147,7 +147,7 @@ class AccuracyStudy:
             step = each.get(str(index))
             row["controller_us"] = step
             row["control_thread_us"] = None if step is None or exchange is None else step + exchange
-        self._advance("loops", 1.0)
+        self._advance("times", 1.0)
 
     def _loop_row(self, row: LoopRow) -> Row:
         variant, stable = row.variant, row.is_stable
@@ -215,6 +215,7 @@ class AccuracyStudy:
             "method": "DOP853, events located, relative tolerance 1e-12",
             "evaluations": plant.evaluations,
             "travel": plant.travel,
+            "energy": plant.energy,
             "witness": witness
             and {"method": "LSODA, events located, tolerance 1e-9", "apart": witness["position_error"]},
             "rank_agreement": rank_agreement(

@@ -120,3 +120,10 @@ def test_a_diverging_method_gives_an_infinite_error():
     motion = fixed_step(textbook_model(scene), torques, PERIOD, METHODS["RK4"][1](), 1)
     exact = observed(build_plant(scene, PERIOD), torques)
     assert not apart(motion, exact).is_finite
+
+
+def test_a_guard_that_stays_at_zero_is_no_event():
+    stop = {"type": "hard_stop", "position": 0.0, "stiffness": 1e5, "damping": 3.0}
+    scene = simulation(*EFFECTS["coulomb_friction"], stop, user=None)
+    exact = reference(textbook_model(scene), [0.1] * 5, PERIOD)  # stuck where the stop begins
+    assert float(abs(exact.position).max()) == 0.0

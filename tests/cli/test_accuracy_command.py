@@ -1,0 +1,123 @@
+"""`canhaptic accuracy` and `tools/accuracy.py`."""
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from canhaptic.cli.main import main
+from canhaptic.scene.load import load_scene
+from canhaptic.study.accuracy.study import AccuracyStudy
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SCENE = str(REPOSITORY / "configs" / "accuracy" / "delayed_bus.yaml")
+SHORT = ["--duration", "0.06 s", "--budget", "0"]
+
+
+def test_json_is_one_object_and_page_picture_and_tables_are_written(capsys, tmp_path):
+    files = {kind: tmp_path / f"a.{kind}" for kind in ("png", "html", "markdown")}
+    words = [word for kind, path in files.items() for word in (f"--{kind}", str(path))]
+    assert (
+        main(["accuracy", SCENE, "--duration", "0.06 s", "--budget", "0.1", "--tolerance", "1 um", "--json", *words])
+        == 0
+    )
+    result = json.loads(capsys.readouterr().out)
+    assert (result["status"], result["holds"], result["tolerance"]) == ("completed", 30, 1e-6)
+    assert result["workload"]["seconds"] > 0.0
+    assert result["advice"]["chosen"]["position_error"] <= 1e-6
+    assert all(row["control_thread_us"] > row["controller_us"] > 0.0 for row in result["loop"])
+    assert {row["effect"] for row in result["advice"]["effects"]} == {"cogging", "torque_ripple", "current_loop"}
+    assert files["png"].stat().st_size > 30_000
+    page = files["html"].read_text(encoding="utf-8")
+    assert "semi-implicit Euler" in page
+    assert "<script src=" not in page
+    assert "<link" not in page
+    assert "| canhaptic | 1 substep |" in files["markdown"].read_text(encoding="utf-8").replace("*", "")
+
+
+def test_the_table_ends_with_a_line_that_a_scene_takes(capsys):
+    assert main(["accuracy", SCENE, *SHORT, "--tolerance", "1e-7"]) == 0
+    shown = capsys.readouterr().out
+    [text] = [line.strip() for line in shown.splitlines() if line.strip().startswith("accuracy: {event_bits")]
+    scene = load_scene(
+        SCENE, [f"accuracy={yaml.safe_dump(yaml.safe_load(text)['accuracy'], default_flow_style=True).strip()}"]
+    )
+    assert scene.axes[0].simulation.accuracy.substeps == yaml.safe_load(text)["accuracy"]["substeps"]
+    assert "Pareto front" in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--axis", "knee"], "got axis 'knee', expected one of: handle"),
+        (["--png", "/no/such/folder/a.png"], "no such folder"),
+        (["--png", "picture.bmp"], "expected a name that ends in"),
+        (["--html", "/no/such/folder/a.html"], "no such folder"),
+        (["--set", "simulation=null", "--set", "bus.channel=x"], "is not simulated"),
+    ],
+)
+def test_bad_arguments_end_with_2(capsys, arguments, message):
+    assert main(["accuracy", SCENE, *SHORT, *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_bad_tolerance_ends_with_2(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["accuracy", SCENE, "--tolerance", "1 N"])
+    assert ended.value.code == 2
+    assert "unit 'N' does not fit" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("calls", [0, 3, 10, 40])
+def test_a_study_that_is_stopped_keeps_what_it_measured(calls):
+    asked = []
+
+    def stop():
+        asked.append(None)
+        return len(asked) > calls
+
+    result = AccuracyStudy(load_scene(SCENE), duration=0.04, budget=0.0, stop=stop).run()
+    assert result["status"] == "stopped"
+    whole = AccuracyStudy(load_scene(SCENE), duration=0.04, budget=0.0).run()
+    assert whole["status"] == "completed"
+    assert result["plant"] == whole["plant"][: len(result["plant"])] or len(result["plant"]) < len(whole["plant"])
+    assert len(result["plant"]) >= max(0, min(calls - 12, 10))
+    assert (result["advice"] is None) == (not result["plant"] and result["reference"] is None)
+
+
+def test_ctrl_c_prints_what_was_measured_and_ends_with_130(tmp_path):
+    program = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
+    words = ["accuracy", SCENE, "--duration", "0.1 s", "--budget", "600"]
+    screen, terminal = pty.openpty()  # a terminal, so that there is a progress bar to wait for
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *words], stdout=subprocess.PIPE, stderr=terminal, text=True
+    ) as process:
+        os.close(terminal)
+        try:
+            seen = ""
+            while not any(int(part) > 71 for part in re.findall(r"(\d+) %", seen)):  # the times are being measured
+                seen += os.read(screen, 4096).decode(errors="replace")
+            process.send_signal(signal.SIGINT)
+            out = process.communicate(timeout=60)[0]
+        finally:
+            process.kill()
+            os.close(screen)
+    assert process.returncode == 130
+    assert "stopped" in out
+    assert "semi-implicit Euler" in out
+    assert "accuracy: {event_bits" in out
+
+
+def test_the_tool_says_the_same(tmp_path):
+    words = [sys.executable, str(REPOSITORY / "tools" / "accuracy.py"), SCENE, *SHORT, "--json"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(REPOSITORY), os.environ.get("PYTHONPATH", "")))}
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["status"] == "completed"
