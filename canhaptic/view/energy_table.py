@@ -171,7 +171,7 @@ _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("least margin (eq. 4)", _margin),
     ("  reached at", _margin_place),
     ("damping rendered", _damping),
-    ("energy known to (0x6077)", _known_to),
+    ("energy known to", _known_to),
     ("weakest certificate", lambda port: str(port["certificate"]).replace("_", " ") + "   "),
 )
 _TRUTH_ROWS: Final[tuple[_Row, ...]] = (
