@@ -28,8 +28,6 @@ from canhaptic.object_dictionary import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Sdo
 
 _MOST_WAITING: Final = 1000  # requests per bus
 _MOST_ANSWERS: Final = 16  # kept between two looks
-_INITIATE_ANSWERS: Final = (0x40, 0x60)
-_SPECIFIER: Final = 0xE0
 _OWNED: Final = frozenset(
     {
         # of the cycle and of the start that confirmed them: written by nobody else while the rig runs
@@ -63,7 +61,7 @@ _PDO_OBJECTS: Final = range(od.RPDO_COMMUNICATION, 0x1C00)
 class _Request:
     """One transfer, from the thread that asked for it to the one that hands the result over."""
 
-    __slots__ = ("attempts", "convert", "drive", "frame", "future", "index", "subindex", "transfer", "verb")
+    __slots__ = ("attempts", "convert", "drive", "frame", "future", "index", "object", "subindex", "transfer", "verb")
 
     def __init__(
         self,
@@ -78,6 +76,7 @@ class _Request:
         self.verb = verb
         self.index = index
         self.subindex = subindex
+        self.object = sdo_transfer.address(index, subindex)
         self.transfer = transfer
         self.convert = convert
         self.future: Future[Any] = Future()
@@ -259,7 +258,7 @@ class SdoLine:
             answer = self._answers.popleft()
             if len(answer) != FRAME_LENGTH:
                 self._link.statistics.short += 1
-            elif not _answers_to(answer, request.frame, request):
+            elif not sdo_transfer.may_answer(answer, request.frame, request.object):
                 self._link.statistics.late += 1
             elif answer[0] == ABORT:
                 code = int.from_bytes(answer[4:8], "little")
@@ -282,7 +281,7 @@ class SdoLine:
 
     def _ask_again(self, request: _Request) -> None:
         """Repeats an unanswered first request; a segment is not repeated, for it may have been taken."""
-        if request.attempts < ATTEMPTS and request.frame[0] & _SPECIFIER in (0x20, 0x40):
+        if request.attempts < ATTEMPTS and sdo_transfer.initiates(request.frame):
             return self._ask(request)
         self._send(sdo_transfer.abort(request.index, request.subindex, SdoAbort.TIMEOUT))
         timeout = f"{request.attempts} requests, {request.drive.axis.sdo_timeout:g} s each"
@@ -315,14 +314,6 @@ class SdoLine:
             except IndexError:
                 return
             self._done.put((request, request.failure("the rig has stopped before the request was sent")))
-
-
-def _answers_to(answer: bytes, frame: bytes, request: _Request) -> bool:
-    """Whether an answer may be one to the frame that was sent: of the same kind, and of the same object if it says."""
-    specifier, initiates = answer[0] & _SPECIFIER, frame[0] & _SPECIFIER in (0x20, 0x40)
-    if answer[0] == ABORT or (initiates and specifier in _INITIATE_ANSWERS):
-        return answer[1:4] == sdo_transfer.address(request.index, request.subindex)
-    return not initiates and specifier not in _INITIATE_ANSWERS
 
 
 def _hand_over(done: "SimpleQueue[tuple[_Request, Any] | None]") -> None:

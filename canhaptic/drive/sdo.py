@@ -1,8 +1,8 @@
-"""SDO in the caller's thread: canopen's client, pumped through the Link, with retries and errors that name the object.
+"""SDO in the caller's thread: transfers pumped through the Link, with retries and errors that name the object.
 
-canopen's own client waits on a queue that its Notifier thread fills, never repeats a request, takes a late answer for
-the next request and aborts with index 0. Here the answer is pumped from the bus, an unanswered first request is
-repeated, and an answer for another object is counted as late and left out.
+canopen's client waits on a queue that its Notifier thread fills, never repeats a request, takes a late answer for the
+next request, aborts with index 0 and reads an object without end for ever. Here the answer is pumped from the bus, an
+unanswered first request is repeated, and an answer for another object is counted as late and left out.
 """
 
 from collections.abc import Iterator
@@ -11,42 +11,39 @@ from typing import Final
 
 from canopen import ObjectDictionary
 from canopen.objectdictionary import datatypes
-from canopen.sdo.client import SdoClient
-from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+from canopen.sdo.exceptions import SdoAbortedError
 
+from canhaptic.drive import sdo_transfer
 from canhaptic.drive.link import Link
+from canhaptic.drive.sdo_transfer import FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.errors import LinkError, SdoError
-from canhaptic.object_dictionary import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
+from canhaptic.object_dictionary import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
 
-_ABORT: Final = 0x80  # command specifier of an abort, either way
-_INITIATE_REQUESTS: Final = (0x20, 0x40)  # initiate download, initiate upload
-_INITIATE_RESPONSES: Final = (0x60, 0x40)
-_SPECIFIER: Final = 0xE0
-_FRAME_LENGTH: Final = 8
-_TIMED_OUT: Final = 0x05040000
 ATTEMPTS: Final = 3
 """How often an unanswered first request is sent."""
 
 
-class _PumpedClient(SdoClient):
-    """canopen's client with the transport replaced; it never sees a thread, a Network or a wall clock."""
+class _NoAnswerError(Exception):
+    """The node said nothing."""
 
-    def __init__(self, link: Link, node_id: int, dictionary: ObjectDictionary, timeout: int, attempts: int) -> None:
-        super().__init__(  # type: ignore[no-untyped-call]
-            SDO_REQUEST_BASE + node_id, SDO_RESPONSE_BASE + node_id, dictionary
-        )
+
+class _Client:
+    """Walks one transfer after the other."""
+
+    def __init__(self, link: Link, node_id: int, timeout: int, attempts: int) -> None:
         self._link = link
+        self._request_cob_id = SDO_REQUEST_BASE + node_id
+        self._response_cob_id = SDO_RESPONSE_BASE + node_id
         self._timeout = timeout
         self._attempts = attempts
         self._object = b"\0\0\0"  # index and subindex of the transfer, as on the wire
+        self._request = b""  # that an answer is awaited for; empty while none is
         self._answer: bytes | None = None
-        self._waits_for_initiate = False
-        self._waits = False
         self.listen()
 
     def listen(self) -> None:
         """Takes the answers of the drive from now on, in place of whoever took them before."""
-        self._link.subscribe(self.tx_cobid, self._take)
+        self._link.subscribe(self._response_cob_id, self._take)
 
     @contextmanager
     def patience(self, timeout: int, attempts: int) -> Iterator[None]:
@@ -58,46 +55,53 @@ class _PumpedClient(SdoClient):
         finally:
             self._timeout, self._attempts = before
 
+    def run(self, transfer: Transfer, index: int, subindex: int) -> bytes:
+        """Returns the value of a transfer.
+
+        Raises:
+            SdoAbortedError: By the server.
+            ProtocolError: What it answered is no answer; the transfer was aborted.
+            _NoAnswerError: It did not answer in time; the transfer was aborted.
+            LinkError: The bus failed.
+        """
+        self._object = sdo_transfer.address(index, subindex)
+        request = next(transfer)
+        while True:
+            try:
+                answer = self._ask(request)
+                request = transfer.send(answer)
+            except StopIteration as end:
+                return bytes(end.value)
+            except _NoAnswerError:
+                self._link.send(self._request_cob_id, sdo_transfer.abort(index, subindex, SdoAbort.TIMEOUT))
+                raise
+            except ProtocolError:
+                self._link.send(self._request_cob_id, sdo_transfer.abort(index, subindex, SdoAbort.COMMAND_SPECIFIER))
+                raise
+
+    def _ask(self, request: bytes) -> bytes:
+        for _ in range(self._attempts if sdo_transfer.initiates(request) else 1):
+            self._answer, self._request = None, request
+            self._link.send(self._request_cob_id, request)
+            answered = self._link.wait_for(self._is_answered, self._timeout)
+            self._request = b""
+            if answered and self._answer is not None:
+                if self._answer[0] == sdo_transfer.ABORT:
+                    raise SdoAbortedError(int.from_bytes(self._answer[4:8], "little"))
+                return self._answer
+        raise _NoAnswerError("no answer")
+
     def _take(self, data: bytearray) -> None:
-        if len(data) != _FRAME_LENGTH:
+        if len(data) != FRAME_LENGTH:
             self._link.statistics.short += 1
             return
-        names_object = data[0] == _ABORT or data[0] & _SPECIFIER in _INITIATE_RESPONSES
-        is_ours = data[1:4] == self._object if names_object else not self._waits_for_initiate
-        if not self._waits or not is_ours:
+        if not self._request or not sdo_transfer.may_answer(data, self._request, self._object):
             self._link.statistics.late += 1
             return
         self._answer = bytes(data)
 
-    def send_request(self, request: bytes | bytearray) -> None:
-        self._link.send(self.rx_cobid, bytes(request))
-
-    def request_response(self, sdo_request: bytes | bytearray) -> bytes:
-        initiates = sdo_request[0] & _SPECIFIER in _INITIATE_REQUESTS
-        if initiates:
-            self._object = bytes(sdo_request[1:4])
-        self._waits_for_initiate = initiates
-        for _ in range(self._attempts if initiates else 1):
-            self._answer, self._waits = None, True
-            self.send_request(sdo_request)
-            answered = self._link.wait_for(self._is_answered, self._timeout)
-            self._waits = False
-            if answered:
-                return self.read_response()
-        self.abort(_TIMED_OUT)
-        raise SdoCommunicationError("no answer")
-
     def _is_answered(self) -> bool:
         return self._answer is not None
-
-    def read_response(self) -> bytes:
-        answer = self._answer or b""
-        if answer[0] == _ABORT:
-            raise SdoAbortedError(int.from_bytes(answer[4:8], "little"))
-        return answer
-
-    def abort(self, abort_code: int = 0x08000000) -> None:
-        self.send_request(bytes([_ABORT]) + self._object + abort_code.to_bytes(4, "little"))
 
 
 class SdoChannel:
@@ -116,7 +120,7 @@ class SdoChannel:
         self, link: Link, node_id: int, dictionary: ObjectDictionary, name: str, timeout: int, attempts: int = ATTEMPTS
     ) -> None:
         self.dictionary = dictionary
-        self._client = _PumpedClient(link, node_id, dictionary, timeout, attempts)
+        self._client = _Client(link, node_id, timeout, attempts)
         self._node_id = node_id
         self._name = name
         self._timeout, self._attempts = timeout, attempts
@@ -129,14 +133,16 @@ class SdoChannel:
             SdoError: Aborted by the drive or not answered.
         """
         try:
-            data = self._client.upload(index, subindex)
+            data = self._client.run(sdo_transfer.upload(index, subindex), index, subindex)
         except SdoAbortedError as error:
             raise self.aborted("read", index, subindex, error.code) from error
-        except (SdoCommunicationError, LinkError) as error:
+        except (ProtocolError, _NoAnswerError, LinkError) as error:
             raise self._unanswered("read", index, subindex, error) from error
         variable = self.dictionary.get_variable(index, subindex)
         signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
-        return int.from_bytes(data, "little", signed=signed)
+        is_integer = variable is not None and variable.data_type in datatypes.INTEGER_TYPES
+        size = len(variable) // 8 if variable is not None and is_integer else None  # more came, without its length
+        return int.from_bytes(data[:size], "little", signed=signed)
 
     def probe(self, index: int, subindex: int = 0) -> int:
         """Returns the value of an object like `read`, but asks only once.
@@ -172,7 +178,8 @@ class SdoChannel:
         if size is None:
             size = len(variable) // 8 if variable is not None else 4
         try:
-            self._client.download(index, subindex, value.to_bytes(size, "little", signed=value < 0))
+            data = value.to_bytes(size, "little", signed=value < 0)
+            self._client.run(sdo_transfer.download(index, subindex, data), index, subindex)
         except OverflowError as error:
             raise SdoError(
                 f"{self._name}: write {self.describe(index, subindex)}: {value} does not fit {size} bytes",
@@ -181,7 +188,7 @@ class SdoChannel:
             ) from error
         except SdoAbortedError as error:
             raise self.aborted("write", index, subindex, error.code) from error
-        except (SdoCommunicationError, LinkError) as error:
+        except (ProtocolError, _NoAnswerError, LinkError) as error:
             raise self._unanswered("write", index, subindex, error) from error
 
     def describe(self, index: int, subindex: int = 0) -> str:

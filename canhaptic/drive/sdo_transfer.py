@@ -73,6 +73,22 @@ def download(index: int, subindex: int, data: bytes) -> Transfer:
     return b""
 
 
+def initiates(request: bytes) -> bool:
+    """Whether a request begins a transfer, and so may be repeated when nobody answers."""
+    return request[0] & _SPECIFIER in (_UPLOAD, _DOWNLOAD)
+
+
+def may_answer(answer: bytes | bytearray, request: bytes, of_object: bytes) -> bool:
+    """Whether a frame of a server may answer a request: of the same kind, and of the same object if it says of which.
+
+    The first answer names its object and those to segments do not; an abort always does.
+    """
+    is_first = answer[0] & _SPECIFIER in (_UPLOAD_ANSWER, _DOWNLOAD_ANSWER)
+    if answer[0] == ABORT or (is_first and initiates(request)):
+        return bytes(answer[1:4]) == of_object
+    return not is_first and not initiates(request)
+
+
 def abort(index: int, subindex: int, code: int) -> bytes:
     """Returns the frame that ends a transfer."""
     return bytes([ABORT]) + address(index, subindex) + code.to_bytes(4, "little")

@@ -12,7 +12,7 @@ ROWS = re.findall(r"^\| (\d+) \| .* \| (.*) \|$", (ROOT / "docs" / "traps.md").r
 
 
 @cache
-def tests_of(path: str) -> set[str]:
+def functions_of(path: str) -> set[str]:
     """Returns the names of the test functions of a file."""
     tree = ast.parse((ROOT / path).read_text())
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
@@ -23,8 +23,8 @@ def test_every_trap_has_a_row() -> None:
 
 
 @pytest.mark.parametrize(("number", "cell"), ROWS)
-def test_the_tests_of_a_trap_exist(number: str, cell: str) -> None:
+def test_the_functions_of_a_trap_exist(number: str, cell: str) -> None:
     names = re.findall(r"`([^`]+)::([^`]+)`", cell)
     assert names, f"trap {number} names no test"
     for path, name in names:
-        assert name in tests_of(path), f"trap {number}: {path} has no {name}"
+        assert name in functions_of(path), f"trap {number}: {path} has no {name}"
