@@ -19,7 +19,7 @@ from canhaptic.sim.stability_map import Loops, decay_per_hold
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch import METRICS
 from canhaptic.study.batch.cases import loop_in_arrays
-from canhaptic.study.batch.march import march
+from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.batch.scalar import run_case
 from canhaptic.study.standard import PLANT, USER_S, standard_case

@@ -23,7 +23,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.cases import batch_case, check_values, why_not
 from canhaptic.study.batch.graph import NotBatchableError
-from canhaptic.study.batch.march import Engine, march
+from canhaptic.study.batch.marching import Engine, march
 from canhaptic.study.batch.meter import METRICS
 from canhaptic.study.batch.radius import radii
 from canhaptic.study.batch.scalar import run_scalar

@@ -43,29 +43,30 @@ class Layout:
         used = {arg for node in self.steps for arg in node.args} | set(goals)
         self.fixed = sorted((node for node in used if not node.changes), key=lambda node: node.number)
         self._lane_states = self._differing_states()
-        self.lanes = self._differing(below([*goals, *program.first.values()]))
+        self.lanes = self._differing(below([*goals, *program.first.values()]), self._lane_states)
 
     def state_differs(self, name: str) -> bool:
         """Returns whether a state differs between scenes."""
         return name in self._lane_states
 
-    def _differing_states(self) -> set[str]:
-        self._lane_states: set[str] = set()
+    def _differing_states(self) -> frozenset[str]:
+        """Returns the states that differ; of those that the results are made of every one, as it may be kept early."""
         program = self.program
+        found = frozenset(node.value for node in below(program.results.values()) if node.op in ("state", "array"))
         while True:
-            lanes = self._differing(below([*program.then.values(), *program.first.values()]))
-            found = {n for n in self.states if program.then[n] in lanes or program.first[n] in lanes}
-            if found == self._lane_states:
+            lanes = self._differing(below([*program.then.values(), *program.first.values()]), found)
+            more = found | {n for n in self.states if program.then[n] in lanes or program.first[n] in lanes}
+            if more == found:
                 return found
-            self._lane_states = found
+            found = more
 
-    def _differing(self, nodes: list[Node]) -> set[Node]:
+    def _differing(self, nodes: list[Node], states: frozenset[str]) -> set[Node]:
         lanes: set[Node] = set()
         for node in nodes:
             if node.op == "param":
                 differs = self.program.kinds[node.value].differs
             elif node.op == "state":
-                differs = node.value in self._lane_states
+                differs = node.value in states
             elif node.op in _ALWAYS:
                 differs = True
             else:

@@ -1,0 +1,74 @@
+"""Loops for the tests of the batch: many in arrays, and the same ones with floats in Python, operation by operation."""
+
+from typing import Any
+
+import numpy as np
+
+from canhaptic.haptics.environments import ENVIRONMENTS
+from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.study.batch.cases import loop_in_arrays
+from canhaptic.study.batch.meter import METRICS, metrics_of, sums_of
+from canhaptic.study.batch.program import BatchCase
+from canhaptic.study.batch.scalar import axis_of
+from canhaptic.study.loop import LoopCase
+from canhaptic.study.standard import standard_case
+from canhaptic.tables import load
+
+PLANT = PlantParameters(mass=0.25, damping=0.1, initial_position=0.002)
+USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=4.0))
+COUNTED = ("diverged", "cycles")
+
+WORLDS: dict[str, dict[str, Any]] = {
+    "spring_damper_wall": {"stiffness": 1000.0, "damping": 5.0, "position": 0.001},
+    "two_sided_wall": {"stiffness": 1000.0, "damping": 5.0, "lower": -0.01, "upper": 0.01},
+    "hardening_wall": {"stiffness": 500.0, "hardening": 1e6, "damping": 2.0},
+    "detents": {"peak": 1.0, "pitch": 0.01, "damping": 0.5},
+    "viscous_medium": {"damping": 3.0},
+    "viscoelastic_medium": {"stiffness": 300.0, "relaxation_time": 0.2, "damping": 1.0},
+    "coulomb_surface": {"friction": 1.0, "stiffness": 2000.0, "damping": 1.0},
+    "damper_wall": {"damping": 5.0},
+    "free_space": {},
+}
+
+
+def scalar_case(world: str, algorithm: str, **named: Any) -> LoopCase:
+    """Returns one loop."""
+    values = {**WORLDS[world], **named.pop("environment", {})}
+    environment: Any = load(ENVIRONMENTS, world, "environment")(**values)
+    if algorithm == "energy_bounding":
+        named.setdefault("declared_damping", 0.05)
+    return standard_case(environment, algorithm, named.pop("rate", 1000.0), USER, plant=PLANT, **named)
+
+
+def in_arrays(case: LoopCase, numbers: dict[str, np.ndarray] | None = None) -> BatchCase:
+    """Returns the same loop for many scenes."""
+    return loop_in_arrays(case, PLANT, USER, numbers or {})
+
+
+def with_floats(case: LoopCase, batch: BatchCase, cycles: int) -> dict[str, float]:
+    """Returns the figures of one loop by the scalar classes, its plant moved term by term in Python.
+
+    Args:
+        case: What the scalar classes are made of.
+        batch: Whose flow is used; of numbers, not arrays.
+        cycles: SYNCs.
+    """
+    flow: Any = batch.numbers
+    states = batch.size - 2
+    state = [float(flow[f"start.{i}"]) for i in range(states)]
+    axis = axis_of(case)
+    axis.sync(state[0])
+    for _ in range(cycles - 1):
+        before = [*state, axis.held, 1.0]
+        state = []
+        for row in range(states):
+            total = 0.0
+            for column in range(states + 2):
+                if f"flow.{row}.{column}" in flow:
+                    total = total + flow[f"flow.{row}.{column}"] * before[column]
+            state.append(total)
+        axis.sync(state[0])
+    names = [name for name in METRICS if name not in COUNTED]
+    sums = {name: np.array([getattr(axis.meter, name)]) for name in sums_of(names)}
+    return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}
