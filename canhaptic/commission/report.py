@@ -34,7 +34,7 @@ class Value(NamedTuple):
 
     axis: str
     key: str  # path in the axis, as `counts_per_unit` or `passivity.moving_mass`
-    value: float | int
+    value: float | int | str
     unit: str
     comment: str = ""
 
@@ -109,5 +109,6 @@ def _axis_snippet(axis: str, values: Iterable[Value]) -> str:
             lines.append(f"{head}:")
         section = head
         indent, comment = "  " if head else "", f"  # {value.comment}" if value.comment else ""
-        lines.append(f"{indent}{key}: {value.value:.6g} {value.unit}".rstrip() + comment)
+        number = value.value if isinstance(value.value, str) else f"{value.value:.6g}"
+        lines.append(f"{indent}{key}: {number} {value.unit}".rstrip() + comment)
     return "\n".join(lines) + "\n"

@@ -4,7 +4,7 @@ from canhaptic.commission.identify import identify
 from canhaptic.commission.motion import move_by_hand, stand_still
 from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
-from canhaptic.commission.torque import identify_dynamics, pulse
+from canhaptic.commission.torque import identify_dynamics, pulse, time_the_read_back
 from canhaptic.commission.watchdog import pull_the_master, time_the_cycle
 from canhaptic.errors import InputError
 
@@ -66,3 +66,5 @@ def _with_torque(session: Session) -> None:
         rough_mass = pulse(session, axis)
         if rough_mass is not None and not session.stop_requested():
             identify_dynamics(session, axis, rough_mass)
+    if not session.report.failed and not session.stop_requested():
+        time_the_read_back(session)

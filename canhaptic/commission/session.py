@@ -134,7 +134,7 @@ class Session:
         self.report.add(Finding(name, item, configured, found, verdict, text))
         self.dialogue.tell(f"  {name}: {item}: {found} ({verdict.value})")
 
-    def propose(self, axis: int, key: str, value: float | int, unit: str = "", comment: str = "") -> None:
+    def propose(self, axis: int, key: str, value: float | int | str, unit: str = "", comment: str = "") -> None:
         """Adds a value to paste."""
         self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 

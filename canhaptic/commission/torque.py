@@ -9,6 +9,7 @@ from canhaptic.commission.estimate import Dynamics, estimate
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
 from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
+from canhaptic.drive.readback_timing import measure_read_back
 
 _FIRST: Final = 0.01  # of the rated torque
 _PULSE: Final = 0.04  # [s]
@@ -17,6 +18,7 @@ _SEEN_COUNTS: Final = 20  # of motion in the first part of a pulse: enough to kn
 _SWEEP: Final = (2.0, 8.0, 4.0)  # [Hz] first and last, [s]
 _HALF_BASE: Final = 0.02  # [s] of the weights of the estimate
 _SURE: Final = 2.0  # standard deviations
+_RATTLE: Final = 64  # cycles
 _SCALE_TOLERANCE: Final = 0.1
 
 
@@ -58,6 +60,36 @@ def pulse(session: Session, axis: int) -> float | None:
     found = f"{moved:+.3g} {parameters.unit} at {torque:+.3g} {unit}"
     session.found(axis, "torque sign", "+", found, Verdict.AGREES if right else Verdict.FAILED, text)
     return torque * (cycles * session.sample_time) ** 2 / (2.0 * moved) if right else None  # as the encoder has it
+
+
+def time_the_read_back(session: Session) -> None:
+    """Finds out whether each drive reports its torque just before or just after the update at a SYNC.
+
+    Raises:
+        RigError: Drive or link failed.
+    """
+    amplitude = min(largest_torque(session, axis) for axis in range(len(session.axes)))
+    reads = all(drive.map.read_back != "none" for drive in session.drives)
+    asked = f"all axes: hands off. A rattle of {amplitude:.3g} N or N*m that moves nothing, {_RATTLE} cycles, now?"
+    if not reads or not session.dialogue.confirm(asked):
+        for axis in range(len(session.axes)):
+            session.found(axis, "demand reported", "", "not tried", Verdict.UNKNOWN)
+        return
+    session.rig.start()
+    try:
+        timings = measure_read_back(session.rig, amplitude, _RATTLE)
+    finally:
+        session.rig.stop(ramp=False)
+    for axis, timing in enumerate(timings):
+        configured = session.axes[axis].parameters.demand_reported
+        if timing.reported is None:
+            session.found(axis, "demand reported", configured, "unclear", Verdict.UNKNOWN, timing.text)
+            continue
+        same = timing.reported == configured
+        verdict, text = (Verdict.AGREES, "") if same else (Verdict.DIFFERS, "every hold is booked with its neighbour's")
+        session.found(axis, "demand reported", configured, timing.reported, verdict, text)
+        if not same:
+            session.propose(axis, "demand_reported", timing.reported)
 
 
 def _first_motion(law: OpenLoop, cycles: int) -> float:

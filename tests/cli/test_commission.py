@@ -61,6 +61,7 @@ ANSWERS = {
     "Pulses of at most": "yes",
     "A sweep of": "y",
     "moving mass from a scale": "0.25 kg",
+    "A rattle of": "y",
     "falls silent. Now": "y",
     "reset the faults": "y",
 }

@@ -53,7 +53,7 @@ def row(report: Report, item: str) -> Finding:
     return found
 
 
-def value(report: Report, key: str) -> float:
+def value(report: Report, key: str) -> float | int | str:
     [found] = [v.value for v in report.values if v.key == key]
     return found
 
@@ -118,6 +118,14 @@ def test_a_rated_torque_that_the_drive_does_not_have_is_found_by_a_known_mass() 
 
 def test_a_declared_mass_above_the_real_one_is_a_failure() -> None:
     assert row(commissioned("passivity.moving_mass=0.3 kg"), "moving mass").verdict is Verdict.FAILED
+
+
+def test_a_drive_that_reports_its_torque_after_the_update_is_told_from_one_that_does_before() -> None:
+    assert row(commissioned(), "demand reported").verdict is Verdict.AGREES
+    report = commissioned("simulation.drive.torque_read_back=after_update")
+    assert row(report, "demand reported").verdict is Verdict.DIFFERS
+    assert value(report, "demand_reported") == "after"
+    assert not commissioned("simulation.drive.torque_read_back=after_update", "axes.0.demand_reported=after").differs
 
 
 def test_dry_friction_is_measured() -> None:
