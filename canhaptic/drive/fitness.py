@@ -12,6 +12,7 @@ from canopen import ObjectDictionary
 from canhaptic import object_dictionary as od
 from canhaptic.drive.parameters import AxisParameters
 from canhaptic.drive.pdo_map import choose_map
+from canhaptic.drive.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
 _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
@@ -123,6 +124,11 @@ def _drive_modes(dictionary: ObjectDictionary) -> Finding:
 def _rated_torque(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
     item = "0x6076 rated torque"
     stated = _stated(dictionary, od.RATED_TORQUE)
+    is_read = quirks_of(axis.quirks).reads_rated_torque
+    if axis.rated_torque is not None and not is_read:
+        return Finding(item, Verdict.UNKNOWN, f"{axis.rated_torque:g} from the configuration alone (quirks)")
+    if not is_read:
+        return Finding(item, Verdict.REFUSED, "not read (quirks), and the configuration has no rated_torque; set it")
     if axis.rated_torque is not None:
         return Finding(item, Verdict.FIT, f"{axis.rated_torque:g} from the configuration, compared with the drive")
     if od.RATED_TORQUE not in dictionary:
@@ -139,6 +145,8 @@ def _max_torque(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
         return Finding(
             item, Verdict.UNKNOWN, f"missing; the limit of {axis.torque_limit:g} is kept by the master alone"
         )
+    if not quirks_of(axis.quirks).writes_max_torque:
+        return Finding(item, Verdict.UNKNOWN, f"not written (quirks); the master alone keeps {axis.torque_limit:g}")
     if not variable.writable:
         return Finding(item, Verdict.UNKNOWN, f"read-only; the limit of {axis.torque_limit:g} is kept by the master")
     return Finding(item, Verdict.FIT, f"written from torque_limit {axis.torque_limit:g}")

@@ -17,6 +17,7 @@ from canhaptic.drive.bus_budget import BusBudget, bus_budget
 from canhaptic.drive.fitness import Finding, Verdict, check_dictionary
 from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.drive.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
+from canhaptic.drive.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
 RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
@@ -255,8 +256,9 @@ def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> Survey
 
 def _limits(dictionary: ObjectDictionary, axis: AxisParameters) -> list[SurveyRow]:
     limit, rated = _variable(dictionary, od.MAX_TORQUE), _variable(dictionary, od.RATED_TORQUE)
-    if limit is None or not limit.writable:
-        state = "not listed" if limit is None else "read-only"
+    quirks = quirks_of(axis.quirks)
+    if limit is None or not limit.writable or not quirks.writes_max_torque:
+        state = "not listed" if limit is None else "read-only" if not limit.writable else "not written (quirks)"
         text = f"{state}; torque_limit is kept by the master alone: set a limit in the drive with the vendor's tool"
         rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.UNKNOWN, text)]
     else:
@@ -265,7 +267,7 @@ def _limits(dictionary: ObjectDictionary, axis: AxisParameters) -> list[SurveyRo
     value = _stated(dictionary, od.RATED_TORQUE)
     if axis.rated_torque is not None:
         verdict, text = Verdict.FIT, f"{axis.rated_torque:g} from the configuration"
-    elif rated is None:
+    elif rated is None or not quirks.reads_rated_torque:
         verdict, text = Verdict.UNKNOWN, "not listed; rated_torque must be set"
     elif not value:
         verdict, text = Verdict.UNKNOWN, "no value; read from the drive, and rated_torque must be set if that is 0"

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from drive_bench import OUR_EDS, RATED_TORQUE, Bench, axis, dictionary
 
+from canhaptic.drive.fitness import Verdict, check_dictionary
 from canhaptic.drive.pdo_map import choose_map
 from canhaptic.drive.quirks import QUIRKS
 from canhaptic.errors import CommandLostError, DictionaryError, StartError
@@ -132,6 +133,23 @@ def test_a_drive_that_follows_late_loses_its_first_torques_unless_the_start_wait
         made.run(3, torque=1.0)
         assert made.drives[0].torque == pytest.approx(1.0)
         assert before > 200_000_000
+
+
+@pytest.mark.parametrize(
+    ("quirk", "rated_torque", "item", "verdict", "words"),
+    [
+        ("rated_torque_absent", 10.0, "0x6076", Verdict.UNKNOWN, "10 from the configuration alone"),
+        ("rated_torque_absent", None, "0x6076", Verdict.REFUSED, "the configuration has no rated_torque; set it"),
+        ("max_torque_absent", 10.0, "0x6072", Verdict.UNKNOWN, "the master alone keeps 8"),
+    ],
+)
+def test_the_check_of_a_dictionary_knows_the_quirks(
+    quirk: str, rated_torque: float | None, item: str, verdict: Verdict, words: str
+) -> None:
+    parameters = axis(quirks=(quirk,), rated_torque=rated_torque)
+    [finding] = [f for f in check_dictionary(dictionary(parameters), parameters) if f.item.startswith(item)]
+    assert finding.verdict is verdict
+    assert words in finding.text
 
 
 def test_without_a_demand_the_measured_torque_is_read_back(bench: Make) -> None:

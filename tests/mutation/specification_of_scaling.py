@@ -1,10 +1,12 @@
 """What `canhaptic.drive.scaling` must do: values by hand, and where a torque is rounded to."""
 
 import math
+from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from canhaptic.drive.parameters import AxisParameters
 from canhaptic.errors import ParameterError
 
 INT16 = 32_767
@@ -29,6 +31,7 @@ def judge(module: ModuleType) -> None:
     """Raises when the module does not convert."""
     _positions(module)
     _torques(module)
+    _axes(module)
     for rated in (7.3, 1.27, 0.11):
         limits = [n / 1000.0 * rated for n in (*range(60), 999, 1000, 1001, 1999)]
         assert [module.torque_limit_per_mille(limit, rated) for limit in limits] == [*range(60), 999, 1000, 1001, 1999]
@@ -51,6 +54,19 @@ def _positions(module: ModuleType) -> None:
             scaling.reset()
             assert scaling.position(counts) == direction * counts / 8.0
         assert scaling.position_quantum == 0.125
+
+
+def _axes(module: ModuleType) -> None:
+    """An axis of 8 counts per metre and 2.5 N rated, whose drive counts torque in per mille, per cent, per 10 000."""
+    for quirks, counts in (((), 1000), (("torque_per_cent",), 100), (("torque_per_ten_thousand",), 10_000)):
+        for direction in (1, -1):
+            axis = AxisParameters(
+                name="a", node_id=1, eds=Path("a.eds"), counts_per_unit=8.0, torque_limit=1.0, direction=direction,
+                quirks=quirks,
+            )  # fmt: skip
+            scaling = module.axis_scaling(axis, 2.5)
+            assert scaling.position(16) == 2.0 * direction
+            assert scaling.torque(counts) == pytest.approx(2.5 * direction, rel=1e-15)
 
 
 def _torques(module: ModuleType) -> None:
