@@ -127,9 +127,13 @@ class ScaledState:
         network, available, model = self._network, self.h_s + h_m, list(self._network.room.step)
         h_r = min(max(0.0, power), max(0.0, available))
         rest, left, empty = self._to_rest(), max(0.0, available) - h_r, available <= 0.0
-        sunk = Line(network.tables, network.user, network.state, rest).solve(left - self.h_s, 0.0, 1.0)
-        if left <= _ROUNDING * self.h_s or sunk.found:  # the very bottom is a double root
-            change = [(1.0 if left <= _ROUNDING * self.h_s else sunk.share) * r for r in rest]
+        line = Line(network.tables, network.user, network.state, rest)
+        bottom = left <= _ROUNDING * self.h_s  # a double root, not to be searched for
+        sunk = line.solve(left - self.h_s, 0.0, 1.0)
+        if bottom and line.taken(1.0, 0.0).energy <= (_ROUNDING - 1.0) * self.h_s:
+            change = rest
+        elif sunk.found:
+            change = [sunk.share * r for r in rest]
         else:
             change = [deepest * s for s in model]
         self._take(change)

@@ -19,12 +19,14 @@ EVALUATIONS: Final = 60
 """Most evaluations of the equation in one sample."""
 _CLOSE: Final = 4e-16
 """Of the terms of the equation: rounding."""
+_FLOOR: Final = 1e-11
+"""Below it a residual that falls no more is rounding: forces of very stiff springs cancel."""
 _ROUNDING: Final = 1e-14
 """Below it the residual need not fall any more."""
-_HALVINGS: Final = 4
+_HALVINGS: Final = 8
 """Of a Newton step after which the residual has not fallen; the shortest is taken all the same."""
-_QUADRATIC: Final = 1e-8
-"""A Newton step this small, relative to s, leaves its own square."""
+_LEAST_SCALE: Final = 1e-3
+"""Added to the root of a stiffness, for states that it leaves without a scale."""
 
 
 class Room(NamedTuple):
@@ -40,6 +42,7 @@ class Room(NamedTuple):
     driven: Vector  # g dc
     residual: Vector
     direction: Vector  # of Newton's step
+    scale: Vector  # of the residual, fixed in the first evaluation of a sample
     jacobian: Matrix
     mobility: Matrix  # T (J - R) as it acts on e
 
@@ -52,7 +55,7 @@ def new_room(states: int, dissipators: int) -> Room:
 
     n, d = states, dissipators
     return Room(
-        zeros(n), zeros(n), zeros(n), zeros(d), zeros(d), zeros(d), zeros(d), zeros(n), zeros(n), zeros(n),
+        zeros(n), zeros(n), zeros(n), zeros(d), zeros(d), zeros(d), zeros(d), zeros(n), zeros(n), zeros(n), zeros(n),
         [zeros(n) for _ in range(n)], [zeros(n) for _ in range(n)],
     )  # fmt: skip
 
@@ -135,6 +138,15 @@ def evaluate(tables: Tables, state: Vector, displacement: Vector, sample_time: f
         if abs(missing) > worst * size:
             worst = abs(missing) / size
     return worst
+
+
+def merit_of(room: Room) -> float:
+    """Returns the size of the residual in the scale of the sample."""
+    total = 0.0
+    for i in range(len(room.residual)):
+        part = room.residual[i] * room.scale[i]
+        total += part * part
+    return total
 
 
 def linearise(tables: Tables, sample_time: float, room: Room, user: Any) -> None:
@@ -241,28 +253,22 @@ def advance(tables: Tables, state: Vector, displacement: Vector, sample_time: fl
         return 1
     worst = evaluate(tables, state, displacement, sample_time, room, user)
     evaluations = 1
+    for i in range(len(room.scale)):
+        room.scale[i] = math.sqrt(abs(tables.stiffness[i])) + _LEAST_SCALE
     while worst > _CLOSE:
+        before, merit = worst, merit_of(room)
         linearise(tables, sample_time, room, user)
         if not solve_linear(room.jacobian, room.residual):
             return -evaluations
-        change = take_direction(room)
-        worst, tried = descend(tables, state, displacement, sample_time, room, user, worst)
+        for i in range(len(room.step)):
+            room.direction[i] = room.residual[i]
+        worst, tried = descend(tables, state, displacement, sample_time, room, user, merit)
         evaluations += tried
-        if change < _QUADRATIC and tried == 1:
-            break
+        if worst <= _FLOOR and worst > 0.25 * before:
+            break  # Newton's method gains nothing more: rounding
         if evaluations >= EVALUATIONS - _HALVINGS:
             return -evaluations
     return evaluations
-
-
-def take_direction(room: Room) -> float:
-    """Keeps the Newton step that elimination left in the residual; returns its largest entry relative to s."""
-    change = largest = 0.0
-    for i in range(len(room.step)):
-        room.direction[i] = room.residual[i]
-        change = max(change, abs(room.residual[i]))
-        largest = max(largest, abs(room.step[i]))
-    return change / largest if largest > 0.0 else 1.0
 
 
 def descend(
@@ -270,13 +276,13 @@ def descend(
 ) -> tuple[float, int]:
     """Goes along the Newton step as far as the residual falls; returns (residual, evaluations)."""
     share, taken = 1.0, 0.0
-    worst = before
+    worst = 1.0
     for tried in range(1, _HALVINGS + 1):
         for i in range(len(room.step)):
             room.step[i] -= (share - taken) * room.direction[i]
         taken = share
         worst = evaluate(tables, state, displacement, sample_time, room, user)
-        if worst < before or worst <= _ROUNDING:
+        if worst <= _ROUNDING or merit_of(room) < before:
             return worst, tried
         share *= 0.5
     return worst, _HALVINGS

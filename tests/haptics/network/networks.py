@@ -12,7 +12,7 @@ from canhaptic.haptics.network.virtual_mass import VirtualMass
 from canhaptic.haptics.passivity.protocol import LoopProperties
 
 MASS, FRICTION = 0.25, 0.1
-EXAMPLE = VirtualMass(mass=0.3, stiffness=600.0, hardening=2e6, damping=4.0, floor=2.0)
+EXAMPLE = VirtualMass(mass=0.3, stiffness=800.0, hardening=1e6, damping=2.0, floor=2.0)
 
 
 def loops(axes, sample_time=1e-3, delay=0, **known):
