@@ -102,37 +102,46 @@ def starter_scene(found: Survey, dictionary: ObjectDictionary, *, simulate: bool
     if found.suitability is Suitability.UNFIT:
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
         raise DictionaryError(f"{found.path} is not fit for cyclic torque: {reasons}")
-    stated = _stated_torque(dictionary, found, drive)
-    rated = stated or _GUESSED_RATED_TORQUE
+    rated = _stated_torque(dictionary, drive) or _GUESSED_RATED_TORQUE
     limit = _round(_CAUTIOUS * rated)
-    rate = _rate(found)
-    fits_full = rate >= _FASTEST
     text = _TEXT.substitute(
         to_set=TO_SET,
         title=_plain(f"{found.vendor} {found.product}".strip() or "A CiA 402 drive"),
         eds=_plain(str(found.path)),
         eds_quoted=_EDS_TOKEN,
         hint="      needs no hardware: drive, motor and hand are simulated" if simulate else "",
-        bus=_bus(simulate),
-        bitrate=found.bitrate,
-        bitrate_note="" if found.bitrates else f"    # {TO_SET}: the dictionary lists none; as set in the drive",
-        rate=f"{rate:g}",
-        rate_note="" if fits_full else "             # the fastest that fits the bus at this bit rate",
-        identity=_identity(found, drive),
-        counts=f"{_counts(dictionary):.10g}",
-        counts_note=_counts_note(dictionary),
-        rated=_rated_lines(dictionary, stated),
-        transmission="    transmission: 1         # gear ratio, where 0x6076 is the torque of the motor\n"
-        if od.RATED_TORQUE in dictionary
-        else "",
+        **_bus_values(found, simulate),
+        **_axis_values(found, dictionary, drive),
         limit=f"{limit:g}",
-        limit_note=_limit_note(dictionary),
-        read_back=_read_back_lines(found),
-        watchdog=_watchdog_lines(dictionary),
         **_scaled(limit),
         simulation=_simulation(dictionary, rated, limit) if simulate else "",
     )
     return _aligned(text).replace(_EDS_TOKEN, json.dumps(str(found.path), ensure_ascii=False))
+
+
+def _bus_values(found: Survey, simulate: bool) -> dict[str, str]:
+    rate = _rate(found)
+    return {
+        "bus": _bus(simulate),
+        "bitrate": str(found.bitrate),
+        "bitrate_note": "" if found.bitrates else f"    # {TO_SET}: the dictionary lists none; as set in the drive",
+        "rate": f"{rate:g}",
+        "rate_note": "" if rate >= _FASTEST else "    # the fastest that fits the bus at this bit rate",
+    }
+
+
+def _axis_values(found: Survey, dictionary: ObjectDictionary, drive: str | None) -> dict[str, str]:
+    transmission = "    transmission: 1         # gear ratio, where 0x6076 is the torque of the motor\n"
+    return {
+        "identity": _identity(found, drive),
+        "counts": f"{_counts(dictionary):.10g}",
+        "counts_note": _counts_note(dictionary),
+        "rated": _rated_lines(dictionary, _stated_torque(dictionary, drive)),
+        "transmission": transmission if od.RATED_TORQUE in dictionary else "",
+        "limit_note": _limit_note(dictionary),
+        "read_back": _read_back_lines(found),
+        "watchdog": _watchdog_lines(dictionary),
+    }
 
 
 def _aligned(text: str) -> str:
@@ -204,7 +213,7 @@ def _counts_note(dictionary: ObjectDictionary) -> str:
     return f"\n                              # here {_GUESSED_COUNTS:g} counts per revolution, a guess"
 
 
-def _stated_torque(dictionary: ObjectDictionary, found: Survey, drive: str | None) -> float | None:
+def _stated_torque(dictionary: ObjectDictionary, drive: str | None) -> float | None:
     """Returns the rated torque that the dictionary states [N*m]; None when it has none or a value of zero."""
     counts = _value(dictionary, od.RATED_TORQUE)
     return counts * _resolution_of(drive) if counts else None
