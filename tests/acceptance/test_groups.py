@@ -1,0 +1,192 @@
+"""Groups of axes over the whole CAN path: the account of the group, the part of each axis, and the truth of both."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from group_runs import AXES, GROUP, REPOSITORY, encoder_bound, identity, logged, run_config
+
+from canhaptic.cli.main import main
+from canhaptic.haptics.balance import Branch
+from canhaptic.haptics.kinematics.five_bar import FiveBar as MastersFiveBar
+from canhaptic.replay.replay import replay
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.mechanism.shared_mechanism import MechanismMotor
+from canhaptic.view.inspection import inspect
+from canhaptic.view.recompute import recompute_all
+from canhaptic.view.rederive import rederive
+
+NO_LOSS = "simulation.bus=null"
+CYCLES = 2500
+
+
+def lossless(name: str) -> list[str]:
+    return [NO_LOSS] if name == "two_handles" else []
+
+
+@pytest.mark.parametrize("name", AXES)
+def test_the_true_energy_of_the_group_never_falls_below_zero_and_the_account_closes(name: str, tmp_path: Path) -> None:
+    with logged(name, CYCLES, tmp_path, lossless(name)) as (experiment, log):
+        judge, group = experiment.cycle.judge, log.ports[GROUP[name]]
+        assert judge is not None
+        assert judge.least[2] >= -1e-6
+        assert np.abs(group["torque_command"]).max() > 0.05
+        assert identity(group).max() <= 1e-12
+        parts = sum(log.ports[axis]["h_i"] for axis in AXES[name])
+        assert np.abs(parts - group["h_i"]).max() <= 1e-12 * np.abs(group["h_i"]).max()
+        true = -log.truth[GROUP[name]]["motor"]
+        assert true[-1] == pytest.approx(judge.interaction[2], abs=1e-15)
+        assert np.array_equal(true, -sum(log.truth[axis]["motor"] for axis in AXES[name]))
+
+
+@pytest.mark.parametrize("name", AXES)
+def test_what_is_believed_of_each_axis_and_of_the_group_is_true_within_the_encoders_bound(
+    name: str, tmp_path: Path
+) -> None:
+    with logged(name, CYCLES, tmp_path, lossless(name)) as (experiment, log):
+        judge, bounds = experiment.cycle.judge, []
+        assert judge is not None
+        for place, axis in enumerate(AXES[name]):
+            port = log.ports[axis]
+            bounds.append(encoder_bound(port, experiment.scene.axis(axis).loop.encoder_count))
+            assert 0.0 < judge.believed_error[place] <= bounds[place]
+            moved = np.diff(port["position"])
+            assert np.array_equal(port["h_i"][1:], -port["torque_applied"][1:] * moved)
+            assert set(port["branch"]) == {Branch.GROUP.value}
+        assert judge.believed_error[2] <= sum(bounds)
+
+
+@pytest.mark.parametrize("name", ["five_bar_sphere", "xy_box"])
+def test_the_energies_of_the_mechanism_close_over_the_run(name: str, tmp_path: Path) -> None:
+    with logged(name, CYCLES, tmp_path) as (_, log):
+        sums = {part: log.truth[GROUP[name]][part] for part in ("motor", "user", "dissipated", "stored")}
+        left = sums["motor"] + sums["user"] - sums["dissipated"] - sums["stored"]
+        assert sums["user"].max() > 1e-3
+        assert np.abs(left).max() < 1e-12
+
+
+def test_master_and_plant_agree_on_where_the_handle_is_though_neither_knows_the_other() -> None:
+    experiment = run_config("five_bar_sphere", 700)
+    assert experiment.far_side is not None
+    motor = experiment.far_side.drives[0].servo.motor
+    assert isinstance(motor, MechanismMotor)
+    mechanism, group = motor.shared.mechanism, experiment.scene.groups[0]
+    kinematics = group.kinematics.parameters
+    assert isinstance(kinematics, MastersFiveBar)
+    assert kinematics.forward(mechanism.positions) == pytest.approx(mechanism.handle, abs=1e-14)
+    assert abs(mechanism.handle[0]) > 0.01
+
+
+@pytest.mark.parametrize("name", AXES)
+def test_log_and_frames_give_the_same_account_again_bit_for_bit(name: str, tmp_path: Path) -> None:
+    from canhaptic.logs.energy_reader import EnergyLog
+
+    energy, frames = tmp_path / "run.h5", tmp_path / "run.log"
+    experiment = run_config(name, 800, energy, (), frames)
+    with EnergyLog.open(energy) as log:
+        found = recompute_all(log)
+        assert {entry["port"] for entry in found} == {*AXES[name], GROUP[name]}
+        assert all(entry["mismatch"] is None for entry in found)
+        again = rederive(frames, experiment.scene, log)
+        assert again["differences"] == []
+        seen = inspect(log)["ports"]
+        assert again["ports"][GROUP[name]]["in"] == pytest.approx(seen[GROUP[name]]["in"], rel=1e-12)
+    assert replay(frames, experiment.scene)["status"] == "identical"
+
+
+def test_a_recomputed_group_shows_a_row_that_was_tampered_with(tmp_path: Path) -> None:
+    import h5py
+
+    from canhaptic.logs.energy_reader import EnergyLog
+
+    path = tmp_path / "run.h5"
+    run_config("xy_box", 400, path)
+    with h5py.File(path, "r+") as file:
+        file["ports/y/position"][300] += 1e-6
+    with EnergyLog.open(path) as log:
+        mismatch = {entry["port"]: entry["mismatch"] for entry in recompute_all(log)}
+    assert mismatch["y"]["cycle"] == 300
+    assert mismatch["stage"]["cycle"] == 300
+
+
+@pytest.mark.parametrize(
+    ("overrides", "limit", "words"),
+    [
+        ([], "singular", "closer to a singular one"),
+        (
+            ["groups.0.kinematics.workspace_lower=[-0.1, 0.1]", "groups.0.kinematics.workspace_upper=[0.1, 0.325]"],
+            "workspace",
+            "outside its declared workspace",
+        ),
+    ],
+)
+def test_at_the_edge_and_near_a_singular_pose_there_is_no_torque_and_the_log_says_why(
+    overrides: list[str], limit: str, words: str, tmp_path: Path
+) -> None:
+    reaching = [
+        "simulation.mechanisms.0.hand.rest=[0, 0.28]",
+        "simulation.mechanisms.0.hand.motion={y: {amplitude: 0.12, frequency: 0.5}}",
+        "groups.0.network={type: sphere, centre: [0.0, 0.28], radius: 0.03, side: inside, stiffness: 100, damping: 1}",
+    ]
+    with logged("five_bar_sphere", 1500, tmp_path, [*reaching, *overrides]) as (experiment, log):
+        group, judge = experiment.cycle.groups[0], experiment.cycle.judge
+        assert judge is not None
+        assert group.limits[limit] > 50
+        assert judge.least[2] >= -1e-6
+        told = [event for event in log.events if event.kind == "limit" and words in event.text]
+        assert told
+        assert told[0].port == "stylus"
+        commands = np.hypot(log.ports["left"]["torque_command"], log.ports["right"]["torque_command"])
+        first = told[0].sync_index
+        assert commands[:first].max() > 0.02
+        assert np.all(commands[first : first + 40] == 0.0)
+        assert identity(log.ports["stylus"]).max() <= 1e-12
+
+
+def test_an_axis_beside_a_group_renders_as_if_it_were_alone(tmp_path: Path) -> None:
+    import yaml
+
+    alone = yaml.safe_load((REPOSITORY / "configs" / "demo.yaml").read_text())
+    both = yaml.safe_load((REPOSITORY / "configs" / "two_handles.yaml").read_text())
+    eds = str(REPOSITORY / "eds" / "cia402_servo.eds")
+    handle = {**alone["axes"][0], "node_id": 9, "eds": eds}
+    both["axes"] = [{**both["axes"][0], "eds": eds}, handle, {**both["axes"][1], "eds": eds}]
+    both |= {"environment": alone["environment"], "passivity": alone["passivity"], "duration": 1.0}
+    del both["simulation"]["bus"]
+    both["simulation"]["drive"] = {"objects": {"0x6502": 0x200}}
+    both["simulation"]["axes"]["handle"] = {"plant": alone["simulation"]["plant"], "user": alone["simulation"]["user"]}
+    path = tmp_path / "both.yaml"
+    path.write_text(yaml.safe_dump(both))
+    from canhaptic.cycle import run
+    from canhaptic.scene.build import build
+
+    accounts = []
+    slower = "bus.rate=500 Hz"  # three axes do not fit one bus at 1 kHz
+    demo = REPOSITORY / "configs" / "demo.yaml"
+    for scene in (load_scene(path, [slower]), load_scene(demo, [slower, "axes.0.node_id=9"])):
+        with build(scene, "free") as experiment:
+            run(experiment.cycle, 1500)
+        place = [axis.parameters.name for axis in scene.axes].index("handle")
+        accounts.append(experiment.cycle.ledgers[place].summary())
+    assert accounts[0] == accounts[1]
+    assert accounts[0].energy_in > 0.0
+
+
+def test_the_account_on_the_terminal_and_as_json_is_that_of_the_group(capsys: pytest.CaptureFixture[str]) -> None:
+    config = str(REPOSITORY / "configs" / "xy_box.yaml")
+    assert main(["run", config, "--duration", "0.3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["ports"]["stage"]["axes"] == ["x", "y"]
+    assert {"group", "unit", "in", "out"} <= result["ports"]["x"].keys()
+    assert not {"margin", "least_interaction", "deficit", "branches"} & result["ports"]["x"].keys()
+    assert result["ports"]["stage"]["limits"] == {"workspace": 0, "singular": 0, "unsolved": 0}
+    assert result["truth"]["stage"]["interaction"] == pytest.approx(
+        result["truth"]["x"]["interaction"] + result["truth"]["y"]["interaction"], abs=1e-15
+    )
+    assert main(["run", config, "--duration", "0.3"]) == 0
+    shown = capsys.readouterr().out
+    heading = next(line for line in shown.splitlines() if "energy account" in line).split()
+    assert heading == ["energy", "account", "stage", "x", "y"]
+    passive = next(line for line in shown.splitlines() if "passive (eq. 3)" in line).split()
+    assert passive[3:] == ["yes", "-", "-"]

@@ -1,0 +1,49 @@
+"""Two handles over one bus at 1 kHz, delay 1, one frame in a hundred lost: passive together, and no drift."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from group_runs import identity, logged
+
+from canhaptic.logs.energy_reader import EnergyLog
+
+STIFFNESS = 1000.0  # of the coupling in the scene [N/m]
+
+
+def zero_force_extension(log: EnergyLog, seconds: float) -> float:
+    """Returns the true extension at which the coupling was without force in the last seconds [m].
+
+    Median of x + F / k: what the delay, the damper and a torque limited for a while add is of both signs.
+    """
+    rows = slice(-round(seconds * 1000), None)
+    extension = log.truth["first"]["position"] - log.truth["second"]["position"]
+    return float(np.median(extension[rows] + log.ports["first"]["torque_applied"][rows] / STIFFNESS))
+
+
+def check_together(log: EnergyLog, lost: float) -> None:
+    first, second, coupling = (log.ports[name] for name in ("first", "second", "coupling"))
+    heard = (first["fresh"] & second["fresh"]).astype(bool)
+    assert 1.0 - heard.mean() == pytest.approx(lost, rel=0.3)
+    assert (-log.truth["coupling"]["motor"]).min() >= -1e-6
+    assert identity(coupling).max() <= 1e-12
+    extension = first["position"] - second["position"]
+    assert np.abs(coupling["state"] - extension)[heard].max() < 1e-12  # the state follows, however often it was held
+    assert abs(zero_force_extension(log, 4.0)) < 1e-4
+    passed_on = [-float(log.truth[name]["motor"].min()) for name in ("first", "second")]
+    assert max(passed_on) > 0.05  # energy does go from hand to hand
+
+
+def test_two_handles_are_passive_together_under_loss(tmp_path: Path) -> None:
+    with logged("two_handles", 8000, tmp_path) as (experiment, log):
+        assert experiment.scene.axes[0].loop.delay == 1
+        assert experiment.faulty_bus is not None
+        check_together(log, 0.029)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("seed", [7, 8])
+def test_two_handles_have_not_drifted_after_a_minute(seed: int, tmp_path: Path) -> None:
+    with logged("two_handles", 60_000, tmp_path, [f"simulation.seed={seed}"]) as (_, log):
+        check_together(log, 0.029)
