@@ -1,8 +1,6 @@
 """Reads recorded frames: candump text by ourselves, to the microsecond; BLF, TRC and ASC through python-can."""
 
 import re
-import struct
-import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -65,7 +63,7 @@ def _read_with_python_can(path: Path) -> Iterator[Frame]:
                     nanoseconds = round(message.timestamp * 1e6) * 1000
                     can_id, data = message.arbitration_id, bytes(message.data)
                     yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
-        except (OSError, ValueError, can.CanError, EOFError, struct.error, zlib.error) as error:
+        except Exception as error:  # its readers raise whatever they stumble over in a damaged file
             raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
 
 
