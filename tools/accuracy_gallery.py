@@ -10,7 +10,7 @@ from typing import Any, Final
 from canhaptic.scene.load import load_scene
 from canhaptic.study.accuracy.picture import draw_accuracy
 from canhaptic.study.accuracy.study import AccuracyStudy
-from canhaptic.study.accuracy.table import advice_lines, markdown
+from canhaptic.study.accuracy.table import advice_lines, length, markdown
 from tools.bench.report import machine, versions
 
 ROOT: Final = Path(__file__).resolve().parents[1]
@@ -30,6 +30,31 @@ def make(name: str, folder: Path) -> None:
     text = f"# {title}\n\n{comment}\n\n![{title}]({name}.png)\n\n{markdown(result)}"
     (folder / f"{name}.md").write_text(text, encoding="utf-8")
     print("\n".join([name, *(f"  {line}" for line in advice_lines(result))]))
+
+
+def write_index(folder: Path) -> None:
+    """Writes README.md with the advice for every scene that has been made."""
+    lines = [
+        "# What accuracy costs in time: five scenes", "",
+        "Made by `python -m tools.accuracy_gallery`. Evaluations are the same on every machine; times are of the one",
+        "named in each JSON file, least of interleaved repeats.", "",
+        "| scene | tolerance | cheapest a scene can name | error | evaluations a period | us a period | cheaper yet |",
+        "|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for name in SCENES:
+        path = folder / f"{name}.json"
+        if not path.exists():
+            continue
+        result = json.loads(path.read_text(encoding="utf-8"))
+        advice, unit = result["advice"], result["unit"]
+        chosen = advice["chosen"]
+        other = [f"{row['method']}, {row['setting']}" for row in advice["cheaper_elsewhere"][:1]]
+        lines.append(
+            f"| [{name.replace('_', ' ')}]({name}.md) | {length(advice['tolerance'], unit)} | `{advice['line']}` | "
+            f"{length(chosen['position_error'], unit)} | {chosen['evaluations_per_period']:.3g} | "
+            f"{chosen['us_per_period']:.3g} | {' '.join(other) or '-'} |"
+        )
+    (folder / "README.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _comment(path: Path) -> str:
@@ -54,6 +79,7 @@ def main() -> int:
     arguments.folder.mkdir(parents=True, exist_ok=True)
     for name in SCENES if arguments.only is None else (arguments.only,):
         make(name, arguments.folder)
+    write_index(arguments.folder)
     return 0
 
 

@@ -5,6 +5,7 @@ DOP853 at 1e-12 is the reference of the accuracy study, LSODA at 1e-9 its witnes
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any, Final
 
@@ -81,9 +82,7 @@ def located_states(
         raise InputError(_MISSING) from error
     period = sample_time_ns * 1e-9
     longest = min(0.25 * period, _LONGEST_STEP) if model.switches else math.inf
-    solve: Callable[..., Any] = lambda *args, **kw: solve_ivp(  # noqa: E731
-        *args, method=method, rtol=rtol, atol=atol, max_step=longest, **kw
-    )
+    solve = partial(solve_ivp, method=method, rtol=rtol, atol=atol, max_step=longest)
     state, modes, states = list(model.start), model.first, []
     for k, torque in enumerate(torques):
         if stop is not None and k % 16 == 0 and stop():

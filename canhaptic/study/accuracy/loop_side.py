@@ -11,6 +11,7 @@ import numpy as np
 
 from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.bus_budget import bus_budget
+from canhaptic.drive.clock import WallClock
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.pdo_map import AxisMap, choose_map
 from canhaptic.errors import ParameterError
@@ -54,6 +55,7 @@ class LoopRow:
     position_error: float
     force_error: float
     energy_error: float
+    seconds: float  # wall time of the run, plant and recording included
 
     @property
     def is_stable(self) -> bool:
@@ -171,20 +173,24 @@ def loop_row(variant: Variant, exact: ContinuousLoop, duration_ns: int, tick: Ca
     period = variant.case.sample_time_ns
     centre = 0.5 * float(exact.position.max() + exact.position.min())
     travel = max(float(np.ptp(exact.position)), _LEAST_TRAVEL)
+    clock = WallClock()
+    begin = clock.now()
     run = render(variant.case, duration_ns // period + 1, Recorder(_FURTHEST * travel, centre), tick)
+    seconds = (clock.now() - begin) * 1e-9
     stride = period // exact.step_ns
     shown = min(len(run.position), (len(exact.position) - 1) // stride + 1)
     rows = slice(0, (shown - 1) * stride + 1, stride)
     mean = np.diff(exact.impulse[rows], prepend=0.0) / (period * 1e-9)
     if run.ended:
         infinite = float("inf")
-        return LoopRow(variant, run, infinite, infinite, infinite)
+        return LoopRow(variant, run, infinite, infinite, infinite, seconds)
     return LoopRow(
         variant,
         run,
         _most(run.true_position[:shown] - exact.position[rows]),
         _most(run.torque[:shown] - mean),
         _most(run.interaction[:shown] - exact.interaction[rows]),
+        seconds,
     )
 
 

@@ -171,6 +171,7 @@ class AccuracyStudy:
             "energy_error": row.energy_error if stable else None,
             "energy_uncertainty": row.run.believed_error,
             "energy_given_out": -row.run.least_interaction,
+            "wall_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
             "bytecodes_per_second": round(executed_bytecodes(work) / len(positions) * variant.bus.rate),
             **bus_figures(variant, self.scene),
         }

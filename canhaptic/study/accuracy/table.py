@@ -24,6 +24,11 @@ EFFECT_HEADS: Final = (
     "left out", "order", "position", "force", "energy", "evals\nsaved", "us\nsaved", "error\nper us",
 )  # fmt: skip
 
+_NEARER: Final = 0.8
+"""Part of the scene's own error below which a change is worth naming."""
+_SHOWN: Final = 4
+_PASSIVE: Final = 1e-6
+"""Energy that a loop may give out [J] before it is told."""
 _LOOK: Final[Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False, "padding": (0, 1, 0, 0)}
 
 
@@ -101,7 +106,29 @@ def advice_lines(result: Row) -> list[str]:
         names = ", ".join(f"{effect['effect']} ({length(effect['position_error'], unit)})" for effect in worth)
         lines.append(f"effects, most error per microsecond saved first: {names}")
     lines += [f"{effect['effect']}: {effect['remark']}" for effect in advice["effects"] if effect["remark"]]
-    return lines
+    return [*lines, *_loop_advice(result)]
+
+
+def _loop_advice(result: Row) -> list[str]:
+    """Returns what brings the rendered axis nearer to the continuous one and fits the bus, best first."""
+    base = next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
+    if base is None:
+        return []
+    nearer = [
+        row
+        for row in result["loop"]
+        if row["status"] == "ok" and row["bus_fits"] and row["position_error"] < _NEARER * base["position_error"]
+    ]
+    if not nearer:
+        return ["loop: no single change that fits the bus brings it clearly nearer to the continuous axis"]
+    words = []
+    for row in sorted(nearer, key=lambda row: float(row["position_error"]))[:_SHOWN]:
+        load = f"bus {100.0 * row['bus_load']:.0f} %"
+        given = max(0.0, row["energy_given_out"])
+        out = f", gives out {si(given, 'J', 2)}" if given > _PASSIVE else ""
+        words.append(f"{row['group']} {row['setting']} ({length(row['position_error'], result['unit'])}, {load}{out})")
+    error = length(base["position_error"], result["unit"])
+    return [f"loop: {error} from the continuous axis; nearer: {'; '.join(words)}"]
 
 
 def length(value: float, unit: str) -> str:

@@ -1,13 +1,17 @@
 """The plant and its textbook twin agree: equations written twice, solved by methods that share nothing."""
 
+import math
+
 import pytest
 from accuracy_scenes import EFFECTS, EXACT, PERIOD, PLANT, WARM, random_torques, simulation, smooth_torques
 
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import observed, textbook_model
 from canhaptic.scene.parts import build_plant
+from canhaptic.sim.effects import read_effect
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
 from canhaptic.sim.textbook.located import located, reference
+from canhaptic.sim.textbook.model import Model
 from canhaptic.sim.textbook.motion import difference
 from canhaptic.study.accuracy.advice import fitted_order
 
@@ -127,3 +131,16 @@ def test_a_guard_that_stays_at_zero_is_no_event():
     scene = simulation(*EFFECTS["coulomb_friction"], stop, user=None)
     exact = reference(textbook_model(scene), [0.1] * 5, PERIOD)  # stuck where the stop begins
     assert float(abs(exact.position).max()) == 0.0
+
+
+def test_closed_forms_of_a_slide_to_rest_and_of_an_elastic_bounce():
+    moving = PLANT.model_copy(update={"damping": 0.0, "initial_velocity": 0.3})
+    friction = [read_effect({"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5})]
+    slide = reference(Model(moving, None, friction), [0.0] * 300, PERIOD)
+    assert slide.position[-1] == pytest.approx(0.25 * 0.3**2 / (2.0 * 0.3), rel=1e-11)  # m v^2 / (2 F)
+    assert slide.velocity[-1] == 0.0
+    stop = [read_effect({"type": "hard_stop", "position": 0.01, "stiffness": 1e6})]
+    bounce = reference(Model(moving, None, stop), [0.0] * 60, PERIOD)
+    contact = math.pi * math.sqrt(0.25 / 1e6)  # half a period of mass and spring
+    assert bounce.velocity[-1] == pytest.approx(-0.3, rel=1e-10)
+    assert bounce.position[-1] == pytest.approx(0.01 - 0.3 * (0.06 - 0.01 / 0.3 - contact), rel=1e-9)
