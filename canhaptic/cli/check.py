@@ -18,6 +18,7 @@ from canhaptic.drive.pdo_map import choose_map
 from canhaptic.drive.realtime import GRANTED, Realtime
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.starter import TO_SET, guesses_left
 from canhaptic.view.energy_table import make_console
 
 
@@ -57,6 +58,7 @@ def _as_json(
     return {
         "status": "ok",
         "config_hash": scene.config_hash(),
+        "to_set": guesses_left(scene),
         "config": scene.resolved(),
         **({"buses": buses} if scene.bus_name else {"bus": buses[""]}),
         "drives": {
@@ -83,6 +85,11 @@ def _print(
     console: Console, scene: Scene, budgets: dict[str, BusBudget], findings: dict[str, list[Finding]], hints: list[Hint]
 ) -> None:
     console.print(f"[bold]configuration[/] {scene.config_hash()[:12]}")
+    if lines := guesses_left(scene):
+        shown = ", ".join(map(str, lines))
+        console.print(
+            f"{len(lines)} values are still marked {TO_SET}, in lines {shown}: real drives do not run on guesses"
+        )
     console.print(yaml.safe_dump(_changed(scene), sort_keys=False, allow_unicode=True), markup=False)
     for name, budget in budgets.items():
         console.print(_bus_table(name, budget))

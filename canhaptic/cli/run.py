@@ -19,6 +19,7 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.method import method_line
 from canhaptic.scene.plant_price import plant_prices
 from canhaptic.scene.preflight import require_preflight
+from canhaptic.scene.starter import require_no_guesses
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +46,7 @@ def execute(arguments: argparse.Namespace) -> int:
             check_picture(arguments.png)
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
+        require_no_guesses(scene)
         for note in require_preflight(scene):
             write_note(f"  {note.interface}: {note.item}: {note.seen}: {note.text}")
         stop = stack.enter_context(StopSignal())

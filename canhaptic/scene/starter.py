@@ -15,7 +15,8 @@ from canhaptic import object_dictionary as od
 from canhaptic.drive.pdo_map import is_writable
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey
-from canhaptic.errors import DictionaryError
+from canhaptic.errors import DictionaryError, InputError
+from canhaptic.scene.models import Scene
 from canhaptic.scene.profiles import profile_values
 
 TO_SET: Final = "TO SET"
@@ -25,6 +26,7 @@ _GUESSED_RATED_TORQUE: Final = 1.0  # [N*m]
 _GUESSED_COUNTS: Final = 65536  # per revolution
 _FEWEST_COUNTS: Final = 64  # per revolution; a dictionary that states fewer states the default of an unset object
 _COMMENT_COLUMN: Final = 30
+_MARKED: Final = re.compile(rf"\s#\s*{TO_SET}\b")
 _TRAILING_COMMENT: Final = re.compile(r"^( *[^#\s][^#\n]*?) +# ", re.MULTILINE)
 _EDS_TOKEN: Final = "@EDS@"  # put in last: nothing else may touch a path
 _FASTEST: Final = 1000.0  # [Hz]
@@ -34,7 +36,8 @@ _TEXT: Final = Template("""\
 # $title
 #
 # Written by `canhaptic new` from $eds.
-# Every line marked $to_set holds a guess: put the value of your rig there before any torque.
+# Every line marked $to_set holds a guess: put the value of your rig there and take the mark away. Real drives do not
+# run before.
 #
 #     canhaptic check rig.yaml    what would be done, and whether the drive is fit for it
 #     canhaptic run rig.yaml$hint
@@ -142,6 +145,26 @@ def _axis_values(found: Survey, dictionary: ObjectDictionary, drive: str | None)
         "read_back": _read_back_lines(found),
         "watchdog": _watchdog_lines(dictionary),
     }
+
+
+def guesses_left(scene: Scene) -> list[int]:
+    """Returns the lines of a scene file that are still marked as guesses."""
+    lines = enumerate(scene.text.splitlines(), start=1)
+    return [number for number, line in lines if _MARKED.search(line) and not line.lstrip().startswith("#")]
+
+
+def require_no_guesses(scene: Scene) -> None:
+    """Returns when no value of a scene for real drives is marked as a guess.
+
+    Raises:
+        InputError: Some are; names their lines.
+    """
+    lines = guesses_left(scene)
+    if lines and not scene.simulated:
+        raise InputError(
+            f"{scene.source}: lines {', '.join(map(str, lines))}: marked {TO_SET}, and the drives are real; put the "
+            "values of your rig there and take the marks away"
+        )
 
 
 def _aligned(text: str) -> str:

@@ -173,6 +173,26 @@ def test_every_guess_is_marked(tmp_path: Path, capsys: Captured) -> None:
     assert {"moving_mass", "demand_reported"} <= set(marked)
 
 
+def test_real_drives_do_not_run_on_guesses(tmp_path: Path, capsys: Captured) -> None:
+    scene = started(OURS, tmp_path, capsys)
+    assert main(["run", str(scene)]) == 2
+    lines = scene.read_text().splitlines()
+    marked = [number for number, line in enumerate(lines, 1) if f"# {TO_SET}" in line]
+    assert f"lines {', '.join(map(str, marked))}: marked TO SET" in capsys.readouterr().err
+    scene.write_text("\n".join(line.split(f"# {TO_SET}")[0] for line in lines))
+    main(["run", str(scene), "--set", "bus.interface=virtual", "--set", "bus.channel=nobody-there"])
+    assert "marked TO SET" not in capsys.readouterr().err
+
+
+def test_check_counts_the_guesses_that_are_left(tmp_path: Path, capsys: Captured) -> None:
+    scene = started(OURS, tmp_path, capsys)
+    marked = scene.read_text().count(f" # {TO_SET}")
+    assert main(["check", str(scene)]) == 0
+    assert f"{marked} values are still marked TO SET" in " ".join(capsys.readouterr().out.split())
+    assert main(["check", str(scene), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["to_set"]) == marked
+
+
 def test_what_a_dictionary_states_is_taken_over(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "known.eds"
     text = OURS.read_text().replace(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from drive_bench import OUR_EDS, RATED_TORQUE, Bench, axis, dictionary
+from drive_bench import OUR_EDS, RATED_TORQUE, REPOSITORY, Bench, axis, dictionary
 
 from canhaptic.drive.fitness import Verdict, check_dictionary
 from canhaptic.drive.pdo_map import choose_map
@@ -224,3 +224,8 @@ def test_a_wrong_wiring_turns_one_of_them_alone(bench: Make, wrong: str, positio
 
 def test_the_rated_torque_of_the_bench_is_what_the_literal_bytes_above_assume() -> None:
     assert RATED_TORQUE == 10.0
+
+
+def test_every_quirk_is_described() -> None:
+    described = (REPOSITORY / "docs" / "drives.md").read_text(encoding="utf-8")
+    assert [name for name in QUIRKS if f"`{name}`" not in described] == []
