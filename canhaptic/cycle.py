@@ -109,8 +109,8 @@ class Cycle:
     ) -> None:
         """Everything that may happen after the torque is on its way."""
         index = samples[0].sync_index
-        for ledger, balance in zip(self.ledgers, balances, strict=True):
-            ledger.add(balance, index)
+        for axis, balance in enumerate(balances):
+            self.ledgers[axis].add(balance, index)
         if self.judge is not None and truths is not None:
             self.judge.compare(self.ledgers, truths)
         if self.groups:
@@ -179,8 +179,8 @@ class TruthJudge:
 
     def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth]) -> None:
         """Takes the truth of the SYNC whose balances the ledgers have just taken."""
-        for axis, (ledger, truth) in enumerate(zip(ledgers, truths, strict=True)):
-            self._take(axis, -truth.energy.motor, ledger.interaction)
+        for axis, truth in enumerate(truths):
+            self._take(axis, -truth.energy.motor, ledgers[axis].interaction)
         for place, axes in self._groups:
             true = -sum([truths[axis].energy.motor for axis in axes])
             self._take(place, true, sum([ledgers[axis].interaction for axis in axes]))

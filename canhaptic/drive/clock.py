@@ -100,24 +100,22 @@ class VirtualClock:
     def wait_until(self, deadline: int) -> None:
         """Lets the far sides live until `deadline` [ns]."""
         while self._now < deadline:
-            self._process()
+            for far_side in self._far_sides:
+                far_side.process(self._now)
             self._now, _ = self._next_event(deadline)
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
         """Returns the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
-        self._process()
+        is_due = True
         while True:
+            if is_due:
+                now = self._now
+                for far_side in self._far_sides:
+                    far_side.process(now)
             message = bus.recv(0.0)
             if message is not None or self._now >= deadline:
                 return message
             self._now, is_due = self._next_event(deadline)
-            if is_due:
-                self._process()
-
-    def _process(self) -> None:
-        now = self._now
-        for far_side in self._far_sides:
-            far_side.process(now)
 
     def _next_event(self, deadline: int) -> tuple[int, bool]:
         """Returns the next instant at which something happens, and whether anything is due then.

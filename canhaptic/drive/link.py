@@ -4,7 +4,7 @@ There is no Notifier and no callback thread: whoever waits pumps the bus, and an
 """
 
 from collections.abc import Callable
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import can
 
@@ -40,17 +40,6 @@ class LinkStatistics:
         return {name: getattr(self, name) for name in self.__slots__}
 
 
-class _Frame(can.Message):
-    """A data frame to send; the deep copy that the virtual bus makes for each receiver is one object and its data."""
-
-    __slots__ = ()
-
-    def __deepcopy__(self, memo: dict[int, Any] | None) -> can.Message:
-        """Returns a frame of its own, whose data nobody else can change."""
-        data = bytearray(self.data)
-        return can.Message(self.timestamp, self.arbitration_id, False, False, False, None, len(data), data)
-
-
 class Link:
     """Sends and receives through a python-can bus, by a clock.
 
@@ -70,7 +59,7 @@ class Link:
         self._recorder = recorder
         self._echoes = echoes
         self._handlers: dict[int, Handler] = {}
-        self._frames: dict[int, can.Message] = {}
+        self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
 
     def subscribe(self, can_id: int, handler: Handler) -> None:
         """Calls `handler(data)` for each frame of this COB-ID from now on, in place of the one before."""
@@ -88,10 +77,10 @@ class Link:
         """
         message = self._frames.get(can_id)
         if message is None:
-            message = self._frames[can_id] = _Frame(arbitration_id=can_id, is_extended_id=False, is_rx=False)
+            message = self._frames[can_id] = can.Message(arbitration_id=can_id, is_extended_id=False, is_rx=False)
         now = self.clock.now()
         message.timestamp = now * 1e-9
-        message.data = cast(bytearray, data)  # bytes: python-can copies them faster and never changes them
+        message.data = data  # bytes: python-can never changes them
         message.dlc = len(data)
         try:
             self._bus.send(message)

@@ -166,7 +166,11 @@ class CompensatedSum:
 
 
 class Ledger:
-    """The compensated sums of a run: one `add` per cycle, one `summary` whenever it is wanted."""
+    """The compensated sums of a run: one `add` per cycle, one `summary` whenever it is wanted.
+
+    Attributes:
+        interaction: Sum of h_i so far [J] (eq. 3).
+    """
 
     def __init__(self) -> None:
         self.reset()
@@ -177,31 +181,30 @@ class Ledger:
         self._recovered, self._leaked, self._paid, self._deficit, self._generated = (CompensatedSum() for _ in range(5))
         self._branches = [0] * len(Branch)
         self._last = AT_REST
-        self._least_interaction = self._least_margin = self._surplus_max = 0.0
+        self.interaction = self._least_interaction = self._least_margin = self._surplus_max = 0.0
         self._least_margin_cycle = 0
         self._certificate = 0
         self._damping_least, self._damping_most = float("inf"), 0.0
 
-    @property
-    def interaction(self) -> float:
-        """Sum of h_i so far [J] (eq. 3)."""
-        return self._interaction.value
-
     def add(self, balance: EnergyBalance, cycle: int) -> None:
         """Adds the account of the hold that ended at SYNC `cycle`."""
-        h_i, h_r = balance.h_i, balance.h_r
+        h_i, h_r, surplus, certificate = balance.h_i, balance.h_r, balance.h_dis, balance.certificate
         self._branches[balance.branch] += 1
         self._last = balance
-        self._surplus_max = max(self._surplus_max, balance.h_dis)
-        self._certificate = max(self._certificate, balance.certificate)
+        if surplus > self._surplus_max:
+            self._surplus_max = surplus
+        if certificate > self._certificate:
+            self._certificate = certificate
         if h_i or h_r:
             self._add_flows(h_i, h_r, cycle)
         if balance.h_pas or balance.leak or balance.deficit or balance.gen:
             self._add_corrections(balance)
         if balance.branch not in _OUT_OF_CONTACT:
             rendered = balance.damping_rendered
-            self._damping_least = min(self._damping_least, rendered)
-            self._damping_most = max(self._damping_most, rendered)
+            if rendered < self._damping_least:
+                self._damping_least = rendered
+            if rendered > self._damping_most:
+                self._damping_most = rendered
 
     def _add_corrections(self, balance: EnergyBalance) -> None:
         if balance.h_pas:
@@ -216,7 +219,7 @@ class Ledger:
             self._generated.add(balance.gen)
 
     def _add_flows(self, h_i: float, h_r: float, cycle: int) -> None:
-        interaction = self._interaction.add(h_i)
+        self.interaction = interaction = self._interaction.add(h_i)
         if h_i > 0.0:
             self._in.add(h_i)
         elif interaction < self._least_interaction:

@@ -98,22 +98,19 @@ class EnergyLogWriter:
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
-        row: list[float] = [self._unreported, sync_index]
-        row += timing
-        for sample, balance in zip(samples, balances, strict=True):
-            row += sample
-            row += balance
+        row: tuple[float, ...] = (self._unreported, sync_index, *timing)
+        for port, sample in enumerate(samples):
+            row += sample + balances[port]
         if truths is not None:
-            for truth in truths:
-                row.append(truth.position)
-                row += truth.energy
+            for position, energy in truths:
+                row += (position, *energy)
         if self._push(row):
             self._unreported = 0
         elif not (self._free and self._push_patiently(row)):
             self._unreported += 1
             self.dropped += 1
 
-    def _push_patiently(self, row: list[float]) -> bool:
+    def _push_patiently(self, row: tuple[float, ...]) -> bool:
         """Waits for room; returns False when there will be none."""
         pause = threading.Event()
         while not self._push(row):

@@ -116,8 +116,7 @@ class Ring:
             if number >= self._limit:
                 return False
         self._pack_into(self._memory, self._start + number % self.capacity * self._size, *values)
-        self._next = number + 1
-        self._cells[self._head_cell] = number + 1
+        self._next = self._cells[self._head_cell] = number + 1
         return True
 
     @property

@@ -247,7 +247,7 @@ def _build_clock(scene: Scene, pace: Pace, groups: Sequence[DriveGroup], faulty:
 
 
 def _recorder(bus_log: BusLogWriter | None, index: int) -> Recorder | None:
-    return cast(Recorder | None, bus_log if bus_log is None or index == 0 else bus_log.on(index))
+    return None if bus_log is None else cast(Recorder, bus_log.on(index))
 
 
 def _build_rig(scene: Scene, links: Sequence[Link]) -> Rig:

@@ -38,6 +38,7 @@ class Machine:
         self.tick_time = scene.sample_time / TICKS
         self._settings = Settings(max_events, event_bits, self.tick_time)
         self._modes: list[Mode] = []
+        self._storage_products: list[Any] = []  # by mode: z -> P z with z'Pz the stored energy
         self._index: dict[tuple[str, ...], int] = {}
         self._tables = Tables(*([] for _ in Tables._fields))
         self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
@@ -115,7 +116,8 @@ class Machine:
 
     def works(self) -> Array:
         """Returns the work booked since the start, in the order of `scene.works` [J]."""
-        return self._sums + (self._carries + self.totals)
+        works: Array = self._sums + (self._carries + self._books[0].totals)
+        return works
 
     def tidy(self) -> None:
         """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.
@@ -134,7 +136,8 @@ class Machine:
 
     def stored(self) -> float:
         """Returns the kinetic and elastic energy [J]."""
-        return stepper.stored(self.mode.storage, self.state)
+        state = self.state
+        return float(self._storage_products[self._counts[MODE]](state).dot(state))
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Puts one part into another mode, at a time that the scene fixed beforehand."""
@@ -227,6 +230,7 @@ class Machine:
     def _add(self, mode: Mode) -> None:
         """Puts a mode at the end of the tables."""
         self._modes.append(mode)
+        self._storage_products.append(mode.storage.dot)
         resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
         row = Tables(
             mode.flows, mode.works, mode.base, mode.guards, len(mode.exits), [NONE] * len(mode.exits),

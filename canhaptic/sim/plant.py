@@ -25,6 +25,7 @@ from canhaptic.sim.timetable import Timetable
 from canhaptic.sim.user import UserParameters
 
 _ACCOUNTS: Final = ("motor", "user", "dissipated")
+_tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
 _TIDY: Final = TICKS << 10
 """Ticks between two tidyings of rounding: every 1024 sample times, whoever reads in between."""
 
@@ -295,7 +296,7 @@ class Plant:
         if self._splitting:
             work = self._splitting.work
             motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
-        return PlantEnergy(motor, user, dissipated, self._stored() - self.stored_at_start)
+        return _tuple(PlantEnergy, (motor, user, dissipated, self._stored() - self.stored_at_start))
 
     def work_by_part(self) -> dict[str, float]:
         """Returns the work of each part since the start [J]; losses positive, as in `PlantEnergy.dissipated`."""

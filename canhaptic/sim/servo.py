@@ -36,6 +36,7 @@ _SENSOR_FAULT: Final = 0x7300  # error code of 0x603F: a position that is no num
 _COUNTS: Final = 1 << 32  # 0x6064 and 0x606C are 32 bits wide and wrap, as an encoder counter does
 _ENABLE_BIT: Final = 0x08  # of the controlword
 _ENABLED: Final = DriveState.OPERATION_ENABLED
+_ENABLED_WORD: Final = STATUSWORDS[_ENABLED]
 _POWERED: Final = frozenset(
     (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, _ENABLED, DriveState.QUICK_STOP_ACTIVE)
 )
@@ -139,6 +140,7 @@ class Servo:
         self._statusword.value = STATUSWORDS[self.machine.state]
         self._stage.reload()
         self._meter.reset()
+        self._enabling_word: object = None  # controlword of the last obedience that ended in OPERATION ENABLED
         self._enabling_since = self._enabled_since = -1  # [ns]; -1: not
         self.has_event = True
         self.measure()
@@ -155,12 +157,14 @@ class Servo:
 
     def obey(self) -> None:
         """Acts on controlword, mode and target torque as they now stand."""
-        before = self.machine.state
-        self.machine.obey(self._delayed(self._controlword.number), self._quick_stop_option.number)
-        if before is DriveState.FAULT and self.machine.state is not before:
-            self.was_reset = True
-        mode = self._mode.number
-        if mode != self._mode_display.value and self._check_mode(mode) is None:
+        machine, word, mode = self.machine, self._controlword.value, self._mode.value
+        before = machine.state
+        if before is not _ENABLED or word != self._enabling_word:  # the word that enabled the operation keeps it so
+            machine.obey(self._delayed(self._controlword.number), self._quick_stop_option.number)
+            self._enabling_word = word if machine.state is _ENABLED else None
+            if before is DriveState.FAULT and machine.state is not before:
+                self.was_reset = True
+        if mode != self._mode_display.value and self._check_mode(self._mode.number) is None:
             self._mode_display.value = mode
         self.update(before)
 
@@ -189,8 +193,8 @@ class Servo:
         Args:
             before: State before a change; None when only the torque may differ.
         """
-        state = self.machine.state
-        demand, word = 0, STATUSWORDS[state]
+        state, demand = self.machine.state, 0
+        word = _ENABLED_WORD if state is _ENABLED else STATUSWORDS[state]
         if state is not _ENABLED:
             self._enabled_since = -1
         elif self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
@@ -244,8 +248,9 @@ class Servo:
 
     def show_torque(self) -> None:
         """Lets 0x6074 show the demand in force, 0x6077 and 0x6078 what is measured; the current is as the torque."""
-        self._torque_demand.value = self.demand
-        measured = self._meter.counts(self.now, self.torque, self._torque_sign * self._stage.quantum)
+        self._torque_demand.value = measured = self.demand
+        if not self._meter.is_ideal:
+            measured = self._meter.counts(self.now, self.torque, self._torque_sign * self._stage.quantum)
         self._torque_actual.value = self._current_actual.value = measured
 
     def measure(self) -> None:

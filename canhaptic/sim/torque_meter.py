@@ -25,6 +25,9 @@ class TorqueMeter:
     Args:
         motor: What is measured.
         parameters: Lag and ripple.
+
+    Attributes:
+        is_ideal: What it measures is the demand.
     """
 
     def __init__(self, motor: TorqueSource, parameters: SimulatedDriveParameters) -> None:
@@ -32,6 +35,7 @@ class TorqueMeter:
         self._has_own_torque = getattr(motor, "motor_torque", None) is not None
         self._lag = parameters.torque_lag
         self._ripple = parameters.torque_ripple
+        self.is_ideal = not (self._has_own_torque or self._lag or self._ripple)
         self._wave_number = 2.0 * math.pi / parameters.torque_ripple_pitch
         self.reset()
 

@@ -34,7 +34,8 @@ class LeanVirtualBus(VirtualBus):
         Raises:
             can.CanOperationError: The connection was shut down.
         """
-        self._check_if_open()
+        if not self._open:
+            self._check_if_open()
         own = self.queue
         for queue in self.channel:
             if queue is not own:
@@ -59,11 +60,10 @@ class LeanVirtualBus(VirtualBus):
         Raises:
             can.CanOperationError: The connection was shut down.
         """
-        if timeout == 0.0 and self._open and self._is_empty():
-            return None
-        self._check_if_open()
-        if self._filters is not None:
+        if not self._open or self._filters is not None:
             return super().recv(timeout)
+        if timeout == 0.0 and self._is_empty():
+            return None
         try:
             return self._take(True, timeout)
         except Empty:
