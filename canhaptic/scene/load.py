@@ -127,15 +127,16 @@ def _sections(
     axes = _axes(sections, buses, simulation.seed if simulation else 0, faults, entries, moved)
     _check_members(entries, sections, faults)
     groups = read_groups(entries, axes, LOOP_KEYS, faults)
+    check_axis_names([(entry.section, entry.axes) for entry in moved], _axis_names(sections), "mechanism", faults)
+    mechanisms = read_mechanisms(moved, axes, faults)
     if run is None or log is None or buses is None or accuracy is None or not axes:
         return None
     tolerance = accuracy.auto if isinstance(accuracy, AutoAccuracy) else None
     solved = AccuracyParameters() if isinstance(accuracy, AutoAccuracy) else accuracy
     axes = tuple(_solved(axis, solved, simulation is not None and simulation.compiled) for axis in axes)
-    mechanisms = read_mechanisms(moved, axes, solved.substeps, faults)
     return Scene(
         source, text, overrides, buses.first, axes, log, run, simulation, bus_effects, buses.name, buses.further,
-        tolerance, groups=groups, mechanisms=mechanisms,
+        tolerance, groups=groups, mechanisms=tuple(replace(of, substeps=solved.substeps) for of in mechanisms),
     )  # fmt: skip
 
 
@@ -191,12 +192,18 @@ def _bus_effects(sections: MarkedMapping, faults: Faults) -> "BusEffects | None"
     return None if section is None else read_section(BusEffects, section, faults)
 
 
+def _axis_names(sections: MarkedMapping) -> list[str]:
+    """Returns the names of all axes as written, right or wrong otherwise."""
+    axes = sections.get("axes")
+    entries = axes if isinstance(axes, MarkedList) else ()
+    return [str(entry.get("name")) for entry in entries if isinstance(entry, MarkedMapping)]
+
+
 def _check_members(entries: tuple[GroupEntry, ...], sections: MarkedMapping, faults: Faults) -> None:
     """Notes axes of groups that are none, and shared sections that no axis reads because groups render on all."""
-    axes = sections.get("axes")
-    if not entries or not isinstance(axes, MarkedList):
+    names = _axis_names(sections)
+    if not entries or not names:
         return
-    names = [str(entry.get("name")) for entry in axes if isinstance(entry, MarkedMapping)]
     check_axis_names([(entry.section, entry.axes) for entry in entries], names, "group", faults)
     if all(group_of(name, entries) for name in names):
         for key in ("environment", "passivity"):

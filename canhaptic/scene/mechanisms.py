@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.faults import Faults
-from canhaptic.scene.groups import check_axis_names, read_axis_names
+from canhaptic.scene.groups import read_axis_names
 from canhaptic.scene.models import AxisScene, MechanismScene, Typed
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type
 
@@ -49,21 +49,14 @@ def moves_mechanism(name: str, entries: Sequence[MechanismEntry]) -> bool:
 
 
 def read_mechanisms(
-    entries: Sequence[MechanismEntry], axes: Sequence[AxisScene], substeps: int, faults: Faults
+    entries: Sequence[MechanismEntry], axes: Sequence[AxisScene], faults: Faults
 ) -> tuple[MechanismScene, ...]:
     """Returns the mechanisms whose sections are right; the faults of the others are noted."""
-    if not entries:
-        return ()
-    check_axis_names(
-        [(e.section, e.axes) for e in entries], [axis.parameters.name for axis in axes], "mechanism", faults
-    )
-    found = (_read_mechanism(entry, axes, substeps, faults) for entry in entries)
+    found = (_read_mechanism(entry, axes, faults) for entry in entries)
     return tuple(mechanism for mechanism in found if mechanism is not None)
 
 
-def _read_mechanism(
-    entry: MechanismEntry, axes: Sequence[AxisScene], substeps: int, faults: Faults
-) -> MechanismScene | None:
+def _read_mechanism(entry: MechanismEntry, axes: Sequence[AxisScene], faults: Faults) -> MechanismScene | None:
     from canhaptic.sim.mechanism import MECHANISMS
     from canhaptic.sim.mechanism.task_hand import TaskHand
 
@@ -91,4 +84,4 @@ def _read_mechanism(
         faults.add(section.value_at("axes"), "got axes of several buses, expected one bus for what is simulated as one")
     if len(faults) > before or parameters is None:
         return None
-    return MechanismScene(entry.axes, Typed(name, parameters), hand, substeps)
+    return MechanismScene(entry.axes, Typed(name, parameters), hand)

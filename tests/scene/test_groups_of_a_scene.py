@@ -1,0 +1,185 @@
+"""Groups of axes and simulated mechanisms in a scene: read, checked, resolved, told to schema and `check`."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scene_text import REPOSITORY
+
+from canhaptic.cli.main import main
+from canhaptic.errors import ParameterError, SceneError
+from canhaptic.haptics.axis_group import AxisGroup
+from canhaptic.scene.build import build
+from canhaptic.scene.hints import group_hints, stability_hints
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.method import method_line
+from canhaptic.scene.parts import build_axis_controller, build_axis_groups
+from canhaptic.scene.schema import scene_schema
+
+CONFIGS = REPOSITORY / "configs"
+STAGE, LINKS, HANDLES = (CONFIGS / f"{name}.yaml" for name in ("xy_box", "five_bar_sphere", "two_handles"))
+
+LINEAR = "; ".join(f"axes.left.{key}" for key in ("unit=m", "counts_per_unit=1e6", "rated_torque=2", "torque_limit=2"))
+LINEAR += "; groups.0.passivity={algorithm: guarded, moving_mass: 0.001, hand_force: 0}"
+
+
+def faults(path: Path, *overrides: str) -> list[str]:
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, overrides)
+    return list(caught.value.faults)
+
+
+@pytest.mark.parametrize(
+    ("path", "override", "words"),
+    [
+        (STAGE, "groups.0.axes=[x, z]", "groups.0.axes.1: got 'z', expected the name of an axis: x, y"),
+        (STAGE, "groups.0.axes=[x, x]", "'x', which is in a group already"),
+        (STAGE, "groups.0.axes=[]", "expected names of axes"),
+        (STAGE, "groups.0.axes=[x]", "environment: missing; give it here or in the axis"),
+        (STAGE, "groups.0.kinematics={type: identity, axes: 3}", "has 3 motor axes, expected the 2 of the group: x, y"),
+        (STAGE, "groups.0.network={type: sphere, centre: [0.0], radius: 1, stiffness: 1}", "sphere.centre: got 1"),
+        (STAGE, "groups.0.name=x", "groups.0.name: got 'x', which is the name of an axis"),
+        (STAGE, "groups.0.colour=red", "groups.0.colour: unknown key"),
+        (STAGE, "groups.0.network.type=bax", "unknown network 'bax', expected one of"),
+        (STAGE, "groups.0.network.stiffness=-1", "groups.0.network.stiffness: got -1, expected 0 <= stiffness"),
+        (STAGE, "groups.0.network.stiffness=5 N*m/rad", "does not fit; expected [N/m]"),
+        (STAGE, "groups.0.network.stifness=5", "groups.0.network.stifness: unknown key; did you mean 'stiffness'?"),
+        (STAGE, "groups.0.network=null", "groups.0.network: missing, expected type"),
+        (STAGE, "groups.0.passivity={algorithm: guarded}", "got neither moving_mass of every axis"),
+        (STAGE, "groups.0.passivity.algorithm=original", "unknown group algorithm 'original'"),
+        (STAGE, "groups.0.passivity.delay=0", "groups.0.passivity.delay: got 0, but bus.rpdo: synchronous"),
+        (STAGE, "groups=5", "groups: got 5, expected a list of groups"),
+        (STAGE, "environment={type: free_space}", "environment: no axis renders by itself"),
+        (STAGE, "axes.x.environment={type: free_space}", "group 'stage' renders on this axis; leave it out"),
+        (STAGE, "axes.x.passivity={alpha: 3 s/m^2}", "renders on this axis; give it in the group"),
+        (LINKS, "groups.0.kinematics.base=2 m", "base: got 2 m, expected < 0.7 m"),
+        (LINKS, "groups.0.kinematics.type=delta", "unknown kinematics 'delta'"),
+        (
+            LINKS,
+            "simulation.mechanisms.0.type=six_bar",
+            "unknown mechanism 'six_bar', expected one of: five_bar, xy_stage",
+        ),
+        (LINKS, "simulation.mechanisms.0.axes=[left]", "got 1 axes, expected the 2 of a five_bar"),
+        (LINKS, "simulation.mechanisms.0.axes=[left, middle]", "got 'middle', expected the name of an axis"),
+        (LINKS, "simulation.mechanisms.0.initial_angles=[180 deg, 0 deg]", "which is a singular pose"),
+        (LINKS, "simulation.mechanisms.0.handle_mass=-1", "handle_mass: got -1, expected 0 <= handle_mass"),
+        (LINKS, "simulation.mechanisms.0.hand.stiffness=1 N", "does not fit; expected [N/m]"),
+        (LINKS, "simulation.mechanisms.0.hand.grip=1", "hand.grip: unknown key"),
+        (
+            LINKS,
+            "simulation.axes={left: {plant: {mass: 1}}}",
+            "moves a mechanism, which has masses and hand of its own",
+        ),
+        (LINKS, LINEAR, "got 'left' with unit m, expected unit: rad, in which the motors of a five_bar move"),
+        (HANDLES, "simulation.mechanisms=[{type: xy_stage, axes: [first, second], mass_x: 1}]", "mass_y: missing"),
+    ],
+)
+def test_what_is_wrong_is_one_clear_fault_at_its_place(path: Path, override: str, words: str) -> None:
+    found = faults(path, *override.split("; "))
+    assert any(words in line for line in found), found
+
+
+def test_an_axis_may_know_more_of_its_own_loop_than_the_group() -> None:
+    scene = load_scene(STAGE, ["axes.y.passivity={moving_mass: 0.1 kg}"])
+    assert [axis.loop.moving_mass for axis in scene.axes] == [0.2, 0.1]
+    assert [axis.group for axis in scene.axes] == ["stage", "stage"]
+
+
+def test_the_identity_counts_the_axes_of_its_group() -> None:
+    scene = load_scene(HANDLES)
+    assert scene.groups[0].kinematics.name == "identity"
+    assert scene.groups[0].kinematics.parameters.model_dump()["axes"] == 2
+
+
+def test_groups_and_mechanisms_belong_to_the_configuration_in_effect() -> None:
+    scene, other = load_scene(LINKS), load_scene(LINKS, ["groups.0.network.stiffness=801"])
+    hand = load_scene(LINKS, ["simulation.mechanisms.0.hand.stiffness=201"])
+    assert len({scene.config_hash(), other.config_hash(), hand.config_hash()}) == 3
+    resolved = json.loads(json.dumps(scene.resolved()))
+    assert resolved["groups"]["stylus"]["axes"] == ["left", "right"]
+    assert resolved["groups"]["stylus"]["network"]["stiffness"] == 800.0
+    assert resolved["axes"]["left"]["environment"] == {"type": "group", "group": "stylus"}
+    assert resolved["simulation"]["mechanisms"][0]["hand"]["damping"] == 5.0
+    assert "plant" not in resolved["axes"]["left"]["simulation"]
+
+
+def test_a_scene_without_groups_says_nothing_of_them() -> None:
+    resolved = load_scene(CONFIGS / "demo.yaml").resolved()
+    assert "groups" not in resolved
+    assert "mechanisms" not in resolved["simulation"]
+
+
+def test_an_axis_of_a_group_has_no_controller_of_its_own() -> None:
+    scene = load_scene(STAGE)
+    with pytest.raises(ParameterError, match="group 'stage' renders on this axis"):
+        build_axis_controller(scene.axes[0])
+    [group] = build_axis_groups(scene)
+    assert isinstance(group, AxisGroup)
+    assert (group.name, group.axes) == ("stage", (0, 1))
+
+
+def test_the_method_says_what_of_the_far_side_is_not_exact() -> None:
+    assert "five_bar of order 2" in method_line(load_scene(LINKS))
+    assert "order" not in method_line(load_scene(STAGE))
+
+
+def test_substeps_of_the_accuracy_reach_the_mechanism() -> None:
+    assert load_scene(LINKS, ["accuracy={substeps: 4}"]).mechanisms[0].substeps == 4
+
+
+def test_hints_are_those_of_the_groups_certificates_for_each_axis() -> None:
+    scene = load_scene(STAGE)
+    assert [hint for axis in scene.axes for hint in stability_hints(axis)] == []
+    held = [hint for hint in group_hints(scene) if hint.what == "stiffness, certified by hand force"]
+    assert [(hint.axis, hint.asked, hint.unit) for hint in held] == [("x", 1500.0, "N/m"), ("y", 1500.0, "N/m")]
+    assert held[0].limit == pytest.approx(0.2 / (6 * 1e-3**2))  # m / 6 T^2 at delay 1 (design 2.4)
+    turning = [hint for hint in group_hints(load_scene(LINKS)) if hint.what == "stiffness, certified by hand force"]
+    assert [(hint.unit, hint.asked) for hint in turning] == [("N*m/rad", None)] * 2
+
+
+@pytest.mark.parametrize("path", [STAGE, LINKS, HANDLES], ids=lambda path: path.stem)
+def test_check_prints_the_groups(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert list(told["config"]["groups"]) == [group.name for group in load_scene(path).groups]
+    assert told["stability"]
+
+
+def test_the_schema_knows_the_keys_of_groups_and_mechanisms() -> None:
+    schema = scene_schema()
+    group = schema["properties"]["groups"]["anyOf"][0]["items"]
+    networks: dict[str, Any] = {n["properties"]["type"]["const"]: n for n in group["properties"]["network"]["oneOf"]}
+    assert {"box", "sphere", "coupled_handles"} <= set(networks)
+    assert "stiffness" in networks["box"]["properties"]
+    algorithms = [choice["properties"] for choice in group["properties"]["passivity"]["oneOf"]]
+    assert all("moving_mass" in properties for properties in algorithms)
+    simulation = schema["properties"]["simulation"]["anyOf"][0]["properties"]
+    mechanisms = simulation["mechanisms"]["anyOf"][0]["items"]["oneOf"]
+    assert {m["properties"]["type"]["const"] for m in mechanisms} == {"five_bar", "xy_stage"}
+    assert all("hand" in m["properties"] for m in mechanisms)
+
+
+def test_a_scene_of_axes_alone_imports_no_mechanism_and_no_network() -> None:
+    import subprocess
+    import sys
+
+    script = (
+        "import sys\nfrom canhaptic.scene.build import build\nfrom canhaptic.scene.load import load_scene\n"
+        f"build(load_scene({str(CONFIGS / 'demo.yaml')!r})).close()\n"
+        "print(*sorted(n for n in sys.modules if n.startswith('canhaptic')))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    names = set(done.stdout.split())
+    assert not names & {
+        "canhaptic.sim.mechanism.five_bar", "canhaptic.sim.mechanism.xy_stage", "canhaptic.sim.mechanism.linkage",
+        "canhaptic.haptics.network.step", "canhaptic.haptics.network.model", "canhaptic.haptics.kinematics.five_bar",
+    }  # fmt: skip
+
+
+def test_the_drives_of_a_mechanism_share_it() -> None:
+    with build(load_scene(STAGE)) as experiment:
+        assert experiment.far_side is not None
+        x, y = (drive.servo.motor for drive in experiment.far_side.drives)
+        assert x.shared is y.shared  # type: ignore[attr-defined]
+        assert experiment.plants == []
