@@ -55,7 +55,9 @@ def stability_map(algorithm: str, scenes: int, encoder_count: float = 0.0, *, ev
     return loop_in_arrays(case, PLANT, USER_S, numbers, varied)
 
 
-def rate_of(case: BatchCase, engine: Any, metrics: tuple[str, ...], scenes: int = SCENES, repeats: int = REPEATS) -> float:
+def rate_of(
+    case: BatchCase, engine: Any, metrics: tuple[str, ...], scenes: int = SCENES, repeats: int = REPEATS
+) -> float:
     """Returns the cycles per second [1e6/s], compiled beforehand: the best of some repeats."""
     march(case, scenes, 3, engine, metrics)
     best = 0.0
@@ -93,7 +95,15 @@ def rate_rows() -> list[Row]:
                 )  # fmt: skip
             if algorithm == "direct" and peer:
                 ratio = rows[-4].value / peer
-                rows.append(Row(f"{FIGURE}: direct, {engine}, over MuJoCo's rollout", ratio, "", target=">= 50", met=ratio >= 50.0))
+                rows.append(
+                    Row(
+                        f"{FIGURE}: direct, {engine}, over MuJoCo's rollout",
+                        ratio,
+                        "",
+                        target=">= 50",
+                        met=ratio >= 50.0,
+                    )
+                )
     return rows
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
-from canhaptic.study.batch.cases import batch_case, check_values, why_not
+from canhaptic.study.batch.cases import batch_case, check_values, why_not, why_not_beforehand
 from canhaptic.study.batch.graph import NotBatchableError
 from canhaptic.study.batch.marching import Engine, march
 from canhaptic.study.batch.meter import METRICS
@@ -82,7 +82,7 @@ def run_batch(
             f"run_batch: got metrics {unknown} and {cycles} cycles; expected {list(METRICS)}, 2 or more"
         )
     arrays = {key: np.asarray(values, dtype=float) for key, values in varied.items()}
-    reason = why_not(scene)
+    reason = why_not_beforehand(scene)
     if reason:
         raise NotBatchableError(f"{scene.source}: {reason}; run such scenes one by one with run_scalar")
     count = check_values(scene, arrays)

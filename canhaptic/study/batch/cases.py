@@ -1,6 +1,7 @@
 """From a scene and the keys in which many scenes differ to loops that can run in arrays."""
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch.graph import NotBatchableError
 from canhaptic.study.batch.plants import plant_numbers, why_not_linear
-from canhaptic.study.batch.program import BatchCase, build_program, numbers_of
+from canhaptic.study.batch.program import BatchCase, Structure, build_program, numbers_of
 from canhaptic.study.batch.scalar import FURTHEST
 from canhaptic.study.batch.varied import scene_with, split_key
 from canhaptic.study.loop import Array, LoopCase
@@ -23,21 +24,34 @@ _RATE: Final = "bus.rate"
 
 def why_not(scene: Scene) -> str:
     """Returns "" when the whole loop of a scene can run in arrays, else the reason by name."""
+    reason = why_not_beforehand(scene)
+    if reason:
+        return reason
+    try:
+        reason = _reason(Structure(batch_case(scene, {})))
+    except ParameterError as error:
+        return f"refused: {error}"
+    names = f"{scene.axes[0].environment.name} under {scene.axes[0].passivity.name}"
+    return f"{names}: the source has {reason}" if reason else ""
+
+
+@lru_cache(maxsize=256)
+def _reason(structure: Structure) -> str:
+    try:
+        build_program(structure.case, ())
+    except NotBatchableError as error:
+        return str(error)
+    return ""
+
+
+def why_not_beforehand(scene: Scene) -> str:
+    """Returns what `why_not` finds without looking at the source of the loop."""
     if len(scene.axes) != 1:
         return f"scene has {len(scene.axes)} axes, expected one"
     simulation = scene.axes[0].simulation
     if simulation is None:
         return "axis is not simulated"
-    reason = why_not_linear(simulation)
-    if reason:
-        return reason
-    try:
-        build_program(batch_case(scene, {}), ())
-    except NotBatchableError as error:
-        return f"{scene.axes[0].environment.name} under {scene.axes[0].passivity.name}: {error}"
-    except ParameterError as error:
-        return f"refused: {error}"
-    return ""
+    return why_not_linear(simulation)
 
 
 def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:

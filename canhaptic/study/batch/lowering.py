@@ -194,7 +194,9 @@ class Lowering(Expressions):
         """Runs one pass with variables in the place of all that passes leave to each other, and makes the loop of it."""
         graph, before, local, path = self.graph, self.heap.save(), dict(frame.local), self.path
         running, index = (graph.made("var", (), f"{name}{graph.count()}", name == "run") for name in ("run", "index"))
-        names = sorted({part.id for part in ast.walk(item) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)})
+        names = sorted(
+            {part.id for part in ast.walk(item) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)}
+        )
         carried = {name: graph.made("var", (), f"{name}{graph.count()}") for name in names}
         begin: dict[str, Any] = {}
         leaves: dict[str, Node] = {}

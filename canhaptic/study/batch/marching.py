@@ -11,7 +11,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.study.batch.layout import known_values, widened
 from canhaptic.study.batch.meter import metrics_of, sums_of
 from canhaptic.study.batch.numpy_form import NumpyForm
-from canhaptic.study.batch.program import BatchCase, Program, build_program
+from canhaptic.study.batch.program import BatchCase, Program, Structure, build_program
 from canhaptic.study.loop import Array
 
 Engine = Literal["numpy", "numba", "auto"]
@@ -121,24 +121,11 @@ def _with_escapes(form: _Form, numbers: Mapping[str, Any], count: int, cycles: i
 
 
 def _form(case: BatchCase, sums: tuple[str, ...], engine: str) -> _Form:
-    return _known_form(_Structure(case), sums, engine)
-
-
-class _Structure:
-    """A case by its structure alone, for remembering forms."""
-
-    def __init__(self, case: BatchCase) -> None:
-        self.case, self._key = case, case.structure()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Structure) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
+    return _known_form(Structure(case), sums, engine)
 
 
 @lru_cache(maxsize=64)
-def _known_form(structure: _Structure, sums: tuple[str, ...], engine: str) -> _Form:
+def _known_form(structure: Structure, sums: tuple[str, ...], engine: str) -> _Form:
     program = build_program(structure.case, sums)
     if engine == "numba":
         from canhaptic.study.batch.numba_form import NumbaForm

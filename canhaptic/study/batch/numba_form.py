@@ -51,7 +51,9 @@ class NumbaForm:
         given = [node for node in layout.fixed if node.op != "const"]
         self._lane_values = [node for node in given if node in layout.lanes]
         self._one_values = [node for node in given if node not in layout.lanes]
-        self.source = _source(layout, self._lane_states, self._one_states, self._lane_values, self._one_values, self._rings)
+        self.source = _source(
+            layout, self._lane_states, self._one_states, self._lane_values, self._one_values, self._rings
+        )
         self._kernel = compiled(self.source, len(self._rings))
 
     def run(self, numbers: Mapping[str, Any], count: int, cycles: int) -> tuple[dict[str, Any], Array]:

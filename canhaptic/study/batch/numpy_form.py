@@ -161,7 +161,11 @@ class _Writer:
         for part in body.inside():
             operands = [inside.get(arg) or self._text(arg) for arg in part.args]
             inside[part] = f"{own}t{part.number}"
-            call = f"get({', '.join(operands)})" if part.op == "load" else f"{_CALLS.get(part.op, 'where')}({', '.join(operands)})"
+            call = (
+                f"get({', '.join(operands)})"
+                if part.op == "load"
+                else f"{_CALLS.get(part.op, 'where')}({', '.join(operands)})"
+            )
             lines.append(f"    {inside[part]} = {call}")
         then = [inside.get(value) or self._text(value) for value in body.then]
         turned = [f"where({names[0]}, {value}, {name})" for name, value in zip(names[1:], then[1:], strict=True)]

@@ -52,6 +52,21 @@ class BatchCase:
         return repr((self.algorithm, self.delay, self.furthest, self.size, models, sorted(self.kinds().items())))
 
 
+class Structure:
+    """A case by what decides its program, for remembering what was made of it."""
+
+    def __init__(self, case: BatchCase) -> None:
+        self.case, self._key = case, case.structure()
+
+    def __eq__(self, other: object) -> bool:
+        """Returns whether both have the same program."""
+        return isinstance(other, Structure) and self._key == other._key
+
+    def __hash__(self) -> int:
+        """Returns the hash of the structure."""
+        return hash(self._key)
+
+
 class Kind(NamedTuple):
     """What is known of a number before its value: 0 itself, or its sign in all scenes, and whether they differ."""
 
