@@ -42,6 +42,8 @@ class GuardedGroupParameters(Parameters):
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
     lead: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
     """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
+    compiled: bool = False
+    """Whether the network's equation runs compiled by numba (the extra `fast`); pays with masses, some seconds once."""
 
 
 class GuardedGroup:
@@ -56,7 +58,7 @@ class GuardedGroup:
         parameters: GuardedGroupParameters,
         loops: tuple[LoopProperties, ...],
     ) -> None:
-        self._motion = motion = GroupMotion(environment, kinematics, loops)
+        self._motion = motion = GroupMotion(environment, kinematics, loops, parameters.compiled)
         self.axes = axes = kinematics.axes
         sample_time, delay = loops[0].sample_time, loops[0].delay
         self._known = known = axes_of(loops, parameters.hand_force, parameters.hand_speed)

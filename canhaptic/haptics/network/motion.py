@@ -47,7 +47,11 @@ class GroupMotion:
     """
 
     def __init__(
-        self, environment: NetworkEnvironment, kinematics: Kinematics, loops: tuple[LoopProperties, ...]
+        self,
+        environment: NetworkEnvironment,
+        kinematics: Kinematics,
+        loops: tuple[LoopProperties, ...],
+        compiled: bool = False,
     ) -> None:
         """Fits environment, mechanism and loops together.
 
@@ -64,7 +68,7 @@ class GroupMotion:
             )
         self._kinematics, self._geometry = kinematics, geometry
         self._sample_time, self._delay = loops[0].sample_time, loops[0].delay
-        self.network = SampledNetwork(network, self._sample_time)
+        self.network = SampledNetwork(network, self._sample_time, compiled)
         self.ports, self._axes = network.ports, kinematics.axes
         self._moves = geometry.mover(0.0) is not None
         self._windows = [

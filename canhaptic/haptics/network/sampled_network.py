@@ -1,10 +1,12 @@
 """A network followed sample by sample with the measured motion of its ports: the model-consistent state."""
 
 from collections.abc import Sequence
+from typing import Any
 
+from canhaptic.errors import ParameterError
 from canhaptic.haptics.network import step
 from canhaptic.haptics.network.model import Network
-from canhaptic.haptics.network.tables import extension, gradient, stored_energy
+from canhaptic.haptics.network.tables import Tables, extension, gradient, stored_energy
 
 
 def never_left(network: Network) -> bool:
@@ -18,6 +20,23 @@ def never_left(network: Network) -> bool:
     return any(
         beside < 0 and any(row) for beside, row in zip(tables.beside, tables.on_ports, strict=True)
     )  # fmt: skip
+
+
+def compiled_equation(tables: Tables, room: step.Room, network: Network) -> Any:
+    """Returns the equation of a network, compiled.
+
+    Raises:
+        ParameterError: numba is not installed, or the network has energies given as functions.
+    """
+    if network.user is not None:
+        raise ParameterError("compiled: got energies given as functions, expected storages of the table; leave it out")
+    try:
+        from canhaptic.haptics.network.compiled import CompiledEquation
+    except ImportError as error:
+        raise ParameterError(
+            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
+        ) from error
+    return CompiledEquation(tables, room)
 
 
 class SampledNetwork:
@@ -37,12 +56,16 @@ class SampledNetwork:
         evaluations: Of the equation in the last step; negative where it did not converge.
     """
 
-    def __init__(self, network: Network, sample_time: float) -> None:
+    def __init__(self, network: Network, sample_time: float, compiled: bool = False) -> None:
         """Makes a follower at rest.
 
         Args:
             network: What is followed; not shared state.
             sample_time: T [s].
+            compiled: Whether its equation runs compiled by numba.
+
+        Raises:
+            ParameterError: Compiled without numba, or with energies given as functions.
         """
         tables, n = network.tables, network.states
         self._network, self._sample_time = network, sample_time
@@ -51,6 +74,7 @@ class SampledNetwork:
         self.always = never_left(network)
         self.edged = [i for i in range(n) if tables.lower[i] != tables.upper[i]]
         self.room = step.new_room(n, len(tables.viscous))
+        self._equation = compiled_equation(self.tables, self.room, network) if compiled else None
         self._next, self._ahead = [0.0] * n, [0.0] * n
         self.begin((0.0,) * network.ports)
 
@@ -87,7 +111,11 @@ class SampledNetwork:
         room = self.room
         if self._network.structure_at is not None:
             self._fill_structure()
-        self.evaluations = step.advance(self.tables, self.state, displacement, elapsed, room, self.user)
+        if self._equation is None:
+            self.evaluations = step.advance(self.tables, self.state, displacement, elapsed, room, self.user)
+        else:
+            changed = self._network.structure_at is not None
+            self.evaluations = self._equation.advance(self.state, displacement, elapsed, changed)
         solved = self.evaluations >= 0
         if not solved:
             step.rest_on_ports(self.tables, self.state, displacement, elapsed, room, self.user)

@@ -31,6 +31,8 @@ class ScaledGroupParameters(Parameters):
 
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
+    compiled: bool = False
+    """Whether the network's equation runs compiled by numba (the extra `fast`); pays with masses, some seconds once."""
 
 
 class ScaledGroup:
@@ -45,7 +47,7 @@ class ScaledGroup:
         parameters: ScaledGroupParameters,
         loops: tuple[LoopProperties, ...],
     ) -> None:
-        self._motion = motion = GroupMotion(environment, kinematics, loops)
+        self._motion = motion = GroupMotion(environment, kinematics, loops, parameters.compiled)
         self._state = ScaledState(motion, loops[0].delay)
         self.axes = axes = kinematics.axes
         self._sample_time, self._alpha = loops[0].sample_time, parameters.alpha
