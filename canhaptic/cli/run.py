@@ -96,7 +96,7 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
             scene, experiment.plants, cycle.cycles, plant_prices(scene, experiment.plants, cycle.cycles)
         ),
     )
-    names = [axis.parameters.name for axis in scene.axes]
+    names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
     result["plants"] = {
         name: {"events": plant.events, "products": plant.products, "capped_holds": plant.capped_holds}
         for name, plant in zip(names, experiment.plants, strict=False)
