@@ -11,7 +11,7 @@ from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
-from canhaptic.study.batch.graph import NotBatchableError
+from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.plants import plant_numbers, why_not_linear
 from canhaptic.study.batch.program import BatchCase, Structure, build_program, numbers_of
 from canhaptic.study.batch.scalar import FURTHEST

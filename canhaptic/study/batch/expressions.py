@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from math import copysign, isfinite, sqrt
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
+from canhaptic.study.batch.graph import Graph
+from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.heap import Heap, Maybe
 from canhaptic.study.batch.rings import DataRange, Ring
 

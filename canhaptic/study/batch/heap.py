@@ -4,7 +4,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
-from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
+from canhaptic.study.batch.graph import Graph
+from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.rings import latest
 
 _CONTAINERS: Final = (deque, list, dict)

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.study.batch.graph import NUMBER, Node
+from canhaptic.study.batch.nodes import NUMBER, Node
 from canhaptic.study.batch.program import Program
 from canhaptic.study.batch.rings import below
 from canhaptic.study.loop import Array

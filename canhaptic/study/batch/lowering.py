@@ -18,7 +18,8 @@ from types import FunctionType, MethodType
 from typing import Any, Final, NamedTuple
 
 from canhaptic.study.batch.expressions import Expressions
-from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
+from canhaptic.study.batch.graph import Graph
+from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.heap import Maybe, differs
 from canhaptic.study.batch.rings import Body, DataRange, loop_of
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numba
 import numpy as np
 
-from canhaptic.study.batch.graph import Node
+from canhaptic.study.batch.nodes import Node
 from canhaptic.study.batch.layout import Layout, known_values, widened
 from canhaptic.study.batch.program import Program
 from canhaptic.study.loop import Array

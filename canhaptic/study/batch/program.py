@@ -13,7 +13,8 @@ from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.parameters import Parameters
 from canhaptic.study.batch.axis import SampledAxis
-from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
+from canhaptic.study.batch.graph import Graph
+from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.heap import differs
 from canhaptic.study.batch.lowering import Lowering
 from canhaptic.study.batch.rings import Body, below, loop_of

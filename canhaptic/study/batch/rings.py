@@ -2,7 +2,8 @@
 
 from typing import Any, NamedTuple
 
-from canhaptic.study.batch.graph import Graph, Node, NotBatchableError
+from canhaptic.study.batch.graph import Graph
+from canhaptic.study.batch.nodes import Node, NotBatchableError
 
 
 class Ring:

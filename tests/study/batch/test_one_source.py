@@ -5,7 +5,7 @@ import pytest
 from loops import COUNTED, WORLDS, in_arrays, scalar_case, with_floats
 
 from canhaptic.haptics.passivity import ALGORITHMS
-from canhaptic.study.batch.graph import NotBatchableError
+from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.meter import METRICS
 
