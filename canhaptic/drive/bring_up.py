@@ -278,7 +278,14 @@ class BringUp:
             od.SYNCHRONOUS_EVERY_SYNC if drive.bus.rpdo == "synchronous" else drive.quirks.event_transmission_type
         )
         with self.step("PDO map"):
-            write_map(self._sdo, drive.map, rpdo_type, self._expect("PDO map"))
+            write_map(self._sdo, drive.map, rpdo_type, self._expect("PDO map"), self._rpdo_deadline())
+
+    def _rpdo_deadline(self) -> int | None:
+        """Returns what the drive itself shall bear of a lost RPDO [ms], where nothing tells the master that it is."""
+        milliseconds = self._drive.bus.master_silence_ns // 1_000_000
+        if self._drive.map.read_back != "none" or not self._drive.axis.watchdog or milliseconds > _LARGEST_U16:
+            return None
+        return milliseconds
 
     def _mode(self) -> None:
         with self.step("mode of operation"):

@@ -136,7 +136,8 @@ READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
         "recorded: the torque that was given is read back",
     ),
     "none": (
-        "cannot be told by the master; the drive's own watchdog ends it when the master falls silent altogether",
+        "cannot be told by the master; the drive's own deadline of the RPDO (0x1400:05) ends it after "
+        "`bus.heartbeat_timeout`, where its dictionary has that and `watchdog` is on",
         "stop after more than `bus.hold_cycles` SYNCs in a row",
         "TORQUE_LIMITED after more than `bus.hold_cycles` SYNCs in a row, if it was not on at the start",
     ),

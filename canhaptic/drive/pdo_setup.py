@@ -12,7 +12,7 @@ from canhaptic.drive.pdo_map import AxisMap, PdoPlan, is_writable, pdo_numbers
 from canhaptic.drive.sdo import SdoChannel
 from canhaptic.object_dictionary import COB_ID_INVALID, RPDO_COMMUNICATION, SYNCHRONOUS_EVERY_SYNC, TPDO_COMMUNICATION
 
-_COB_ID, _TRANSMISSION_TYPE = 1, 2  # subindices of the communication parameters
+_COB_ID, _TRANSMISSION_TYPE, _EVENT_TIMER = 1, 2, 5  # subindices of the communication parameters
 _NO_RTR: Final = 1 << 30  # bit 30 of a TPDO's COB-ID: some drives insist on it
 _IDENTIFIER: Final = 0x7FF
 
@@ -20,7 +20,9 @@ Expect = Callable[[str, int, int], None]
 """Called as expect(object, seen, expected); raises when they differ."""
 
 
-def write_map(sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: Expect) -> None:
+def write_map(
+    sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: Expect, rpdo_deadline: int | None = None
+) -> None:
     """Configures the PDOs of one axis and switches all others off; every value is read back.
 
     Args:
@@ -28,6 +30,8 @@ def write_map(sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: Expect) 
         chosen: The PDOs to use.
         rpdo_type: Transmission type of the RPDO.
         expect: Judges each value read back.
+        rpdo_deadline: Silence of the RPDO after which the drive itself shall act [ms], where its dictionary has that
+            (CiA 301: the event timer of an RPDO); None: it is left as it is.
 
     Raises:
         SdoError: The drive refused a step.
@@ -35,7 +39,8 @@ def write_map(sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: Expect) 
     _disable_others(sdo, chosen)
     for plan in (*chosen.tpdos, chosen.rpdo):
         transmission_type = rpdo_type if plan.kind == "RPDO" else SYNCHRONOUS_EVERY_SYNC
-        _write_pdo(sdo, plan, transmission_type)
+        deadline = rpdo_deadline if plan.kind == "RPDO" else None
+        _write_pdo(sdo, plan, transmission_type, deadline, expect)
         _compare_pdo(sdo, plan, transmission_type, expect)
 
 
@@ -50,7 +55,7 @@ def _disable_others(sdo: SdoChannel, chosen: AxisMap) -> None:
                 sdo.write(index, _COB_ID, cob_id | COB_ID_INVALID)
 
 
-def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int) -> None:
+def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline: int | None, expect: Expect) -> None:
     communication, mapping = plan.communication_index, plan.mapping_index
     present = sdo.read(communication, _COB_ID)
     cob_id = plan.cob_id | present & _NO_RTR
@@ -58,6 +63,10 @@ def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int) -> None:
         sdo.write(communication, _COB_ID, cob_id | COB_ID_INVALID)
     if is_writable(sdo.dictionary, communication, _TRANSMISSION_TYPE):
         sdo.write(communication, _TRANSMISSION_TYPE, transmission_type)
+    if deadline is not None and is_writable(sdo.dictionary, communication, _EVENT_TIMER):
+        sdo.write(communication, _EVENT_TIMER, deadline)
+        seen = sdo.read(communication, _EVENT_TIMER)
+        expect(f"{plan.name} {sdo.describe(communication, _EVENT_TIMER)}", seen, deadline)
     if plan.is_written:
         sdo.write(mapping, 0, 0)
         for subindex, entry in enumerate(plan.entries, start=1):

@@ -7,7 +7,7 @@ import pytest
 from drive_bench import Bench, axis
 
 from canhaptic.drive.link_policy import StopReason
-from canhaptic.errors import CommandLostError, NotFollowingError, TorqueLimitedError
+from canhaptic.errors import CommandLostError, EmergencyError, NotFollowingError, TorqueLimitedError
 from canhaptic.object_dictionary import StatusBit
 from canhaptic.sim.state_machine import DriveState
 
@@ -180,3 +180,39 @@ def test_commands_near_the_old_one_tell_nothing_and_forget_nothing(bench: MakeBe
     assert b.rig.is_running
     with pytest.raises(CommandLostError):
         b.run(30, torque=1.0)
+
+
+# --- a torque that nobody reads back ------------------------------------------------------------------------------
+
+
+def test_a_lost_rpdo_that_nothing_tells_of_is_ended_by_the_drives_own_deadline(bench: MakeBench) -> None:
+    b = bench([axis(read_back="none")])
+    b.rig.start()
+    writes = [data.hex() for data in b.sent(0x605) if data[1:4] == bytes.fromhex("001405")]
+    assert writes == ["2b00140564000000", "4000140500000000"]  # 100 ms, read back
+    b.run(10, torque=3.0)
+    b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 else message
+    begin = b.clock.now()
+    with pytest.raises(EmergencyError, match="EMCY 0x8250"):
+        b.run(200, torque=1.0)
+    assert b.clock.now() - begin < 130_000_000
+    assert is_without_torque(b)
+
+
+@pytest.mark.parametrize("values", [{"read_back": "demand"}, {"read_back": "none", "watchdog": False}])
+def test_a_drive_whose_torque_is_read_back_or_that_has_no_watchdog_keeps_its_deadline(
+    bench: MakeBench, values: dict[str, object]
+) -> None:
+    b = bench([axis(**values)])
+    b.rig.start()
+    assert not [data for data in b.sent(0x605) if data[1:4] == bytes.fromhex("001405")]
+
+
+def test_the_deadline_is_no_fault_of_a_run_that_goes_well(bench: MakeBench) -> None:
+    b = bench([axis(read_back="none")])
+    b.rig.start()
+    b.run(300, torque=0.1)
+    b.rig.stop()
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
+    b.rig.start()
+    b.run(5)
