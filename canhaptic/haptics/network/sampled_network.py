@@ -46,7 +46,6 @@ class SampledNetwork:
         state: x, (states,).
         energy: H(x) [J].
         internal: Energy dissipated on the states in the last step, without what its dissipators took at the ports [J].
-        dissipated: By all dissipators in the last step [J].
         engaged: Whether any storage that can be left is engaged, or there is one that cannot.
         tables: Of the network, with its structure at the state.
         room: What the last step found.
@@ -84,7 +83,7 @@ class SampledNetwork:
         self.state = [sum(a * c for a, c in zip(row, coordinates, strict=True)) for row in self._network.origin]
         self._begun = list(self.state)
         self.settle()
-        self.internal = self.dissipated = 0.0
+        self.internal = 0.0
         self.evaluations = 0
         for i in range(len(self.state)):
             self.room.step[i] = 0.0
@@ -108,26 +107,30 @@ class SampledNetwork:
 
     def propose(self, displacement: Sequence[float], elapsed: float) -> bool:
         """Finds the state change of one motion of the ports without taking it; see `advance`."""
-        room = self.room
-        if self._network.structure_at is not None:
+        room, tables = self.room, self.tables
+        self.internal = 0.0
+        if not tables.moving:  # s = g dc: nothing to solve, and nothing dissipated beyond the ports
+            step.drive(tables, self.state, displacement, room)
+            self.evaluations = 1
+            return True
+        changed = self._network.structure_at is not None
+        if changed:
             self._fill_structure()
         if self._equation is None:
-            self.evaluations = step.advance(self.tables, self.state, displacement, elapsed, room, self.user)
+            self.evaluations = step.advance(tables, self.state, displacement, elapsed, room, self.user)
         else:
-            changed = self._network.structure_at is not None
             self.evaluations = self._equation.advance(self.state, displacement, elapsed, changed)
-        solved = self.evaluations >= 0
-        if not solved:
-            step.rest_on_ports(self.tables, self.state, displacement, elapsed, room, self.user)
-        total = inner = 0.0
-        for loss, flow, row in zip(room.losses, room.flows, self.tables.on_ports, strict=True):
+        if self.evaluations < 0:
+            step.rest_on_ports(tables, self.state, displacement, elapsed, room, self.user)
+            return False
+        inner = 0.0
+        for loss, flow, row in zip(room.losses, room.flows, tables.on_ports, strict=True):
             at_ports = 0.0
             for b, d in zip(row, displacement, strict=True):
                 at_ports += b * d
-            total += loss * flow * elapsed
             inner += loss * (flow * elapsed - at_ports)
-        self.dissipated, self.internal = total, inner if solved and self.tables.moving else 0.0
-        return solved
+        self.internal = inner
+        return True
 
     def at(self, coordinates: Sequence[float]) -> list[float]:
         """Returns the state that only the ports have moved, free of rounding: where they are."""

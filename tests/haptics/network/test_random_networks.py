@@ -33,7 +33,8 @@ def judge_model_step(network, state, motion, sample_time):
     lost = sample_time * sum(loss * flow for loss, flow in zip(room.losses, room.flows, strict=True))
     assert all(loss * flow >= 0.0 for loss, flow in zip(room.losses, room.flows, strict=True))
     received = effort * motion[0]
-    error = abs(after - before - received + lost) / max(before, after, abs(received), lost)
+    between = max(abs(e * s) for e, s in zip(room.efforts, room.step, strict=True))  # flows among the storages
+    error = abs(after - before - received + lost) / max(before, after, abs(received), lost, between)
     return evaluations, error, received, lost, list(room.step)
 
 
