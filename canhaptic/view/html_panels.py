@@ -43,24 +43,26 @@ class Panels:
         self._buttons: list[Any] = [self._button("whole run", start, stop)]
 
     def port(self, series: PortSeries, other: PortSeries | None, wall: object) -> Any:
-        """Returns the tab of one port: position, torque, energy, surplus."""
+        """Returns the tab of one port: position, torque, energy, surplus.
+
+        A group of axes has no position; an axis in a group has no account of its own.
+        """
         source = ColumnDataSource(_drawn(series))
         second = None if other is None else ColumnDataSource(_drawn(other))
         marks = ColumnDataSource(series.contacts)
-        panels = [
-            self._position(series, source, second, wall),
-            self._torque(series, source, second),
-            self._energy(series, source, second),
-            self._surplus(series, source, second),
-        ]
+        panels = [] if series.is_group else [self._position(series, source, second, wall)]
+        panels.append(self._torque(series, source, second))
+        if not series.is_member:
+            panels += [self._energy(series, source, second), self._surplus(series, source, second)]
         for panel in panels:
             strip = panel.vstrip(x0="start", x1="end", source=marks, fill_color=GREY, fill_alpha=0.07, line_alpha=0.0)
             strip.level = "underlay"
             self._mark_faults(panel, series)
         _hover_contacts(panels[0], series)
-        self._buttons.append(
-            self._button(f"{series.name}: worst margin", series.worst - _WORST_SPAN, series.worst + _WORST_SPAN)
-        )
+        if not series.is_member:
+            self._buttons.append(
+                self._button(f"{series.name}: worst margin", series.worst - _WORST_SPAN, series.worst + _WORST_SPAN)
+            )
         for number, fault in enumerate(series.faults[:3]):
             at = fault.sync_index * series.sample_time
             self._buttons.append(self._button(f"fault {number + 1} at {at:.4g} s", at - _WORST_SPAN, at + _WORST_SPAN))

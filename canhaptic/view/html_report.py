@@ -4,6 +4,7 @@ Bokeh is imported when a report is written, not before. Colours are those of Oka
 """
 
 import html
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -94,6 +95,7 @@ def _link(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
     lost = {
         f"{name}: TPDOs missed": np.cumsum(port.read("fresh", rows.start, rows.stop) == 0)
         for name, port in log.ports.items()
+        if name not in log.groups
     }
     lost["cycles not in the log"] = np.cumsum(log.timing.read("dropped_before", rows.start, rows.stop), dtype=np.int64)
     count = rows.stop - rows.start
@@ -117,10 +119,17 @@ def _heading(log: EnergyLog, result: dict[str, Any], other: EnergyLog | None) ->
     ]
     rows = [f"<tr><th>port</th>{''.join(f'<th>{title}</th>' for title in _ACCOUNT)}</tr>"]
     for name, port in result["ports"].items():
-        cells = "".join(f"<td>{si(value(port), 'J')}</td>" for value in _ACCOUNT.values())
+        cells = "".join(f"<td>{_cell(value, port)}</td>" for value in _ACCOUNT.values())
         rows.append(f"<tr><td><b>{html.escape(name)}</b></td>{cells}</tr>")
     line = " &nbsp; ".join(fact for fact in facts if fact)
     return f"{_STYLE}<p>{line}</p><table class='account'>{''.join(rows)}</table>"
+
+
+def _cell(value: Callable[[dict[str, Any]], float], port: dict[str, Any]) -> str:
+    try:
+        return si(value(port), "J")
+    except KeyError:  # an axis in a group: its account is the group's
+        return "-"
 
 
 _ACCOUNT: Final[dict[str, Any]] = {

@@ -32,6 +32,12 @@ class News(NamedTuple):
     units: dict[str, str]  # of each port's position
     events: list[Event]  # all so far
     fresh_share: float  # TPDOs that came, of all expected, since the beginning
+    groups: dict[str, tuple[str, ...]]  # ports that are groups, and their axes
+
+    @property
+    def members(self) -> frozenset[str]:
+        """Axes in groups: their accounts are the groups'."""
+        return frozenset(axis for axes in self.groups.values() for axis in axes)
 
 
 class LiveLog:
@@ -83,6 +89,7 @@ class LiveLog:
             {name: port.unit("position") for name, port in log.ports.items()},
             log.events,
             1.0 - self._missed / self._expected if self._expected else 1.0,
+            log.groups,
         )
 
     def _port(self, log: EnergyLog, name: str, start: int, stop: int) -> dict[str, Array]:
@@ -92,6 +99,7 @@ class LiveLog:
         dissipated = before_dissipated + np.cumsum(rows.pop("h_r"))
         if len(taken_in):
             self._sums[name] = float(taken_in[-1]), float(dissipated[-1])
-        self._expected += len(taken_in)
-        self._missed += int((rows["fresh"] == 0).sum())
+        if name not in log.groups:
+            self._expected += len(taken_in)
+            self._missed += int((rows["fresh"] == 0).sum())
         return {**rows, "taken_in": taken_in, "dissipated": dissipated, "margin": taken_in - dissipated}

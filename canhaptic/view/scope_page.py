@@ -75,11 +75,12 @@ class ScopePage:
         for name, source in self._sources.items():
             unit = news.units[name]
             effort = "N" if unit == "m" else "N*m"
-            panels += [
-                self._panel(f"{name}: position", unit, source, {"position": BLUE}),
-                self._panel("torque", effort, source, {"torque_command": ORANGE, "torque_applied": BLUE}),
-                self._energy(source),
-            ]
+            if name not in news.groups:
+                panels.append(self._panel(f"{name}: position", unit, source, {"position": BLUE}))
+            torques = {"torque_command": ORANGE, "torque_applied": BLUE}
+            panels.append(self._panel(f"{name}: torque", effort, source, torques))
+            if name not in news.members:
+                panels.append(self._energy(source))
         panels.append(self._panel("cycle time", "us", self._timing, {"cycle_time": GREY}))
         self._document.roots[0].children = [self._status, *panels]
 
@@ -112,7 +113,7 @@ def _status(news: News) -> str:
         f"link {100.0 * news.fresh_share:.4g} %",
     ]
     for name, rows in news.ports.items():
-        if len(rows["margin"]):
+        if len(rows["margin"]) and name not in news.members:
             state = drive_state(int(rows["statusword"][-1])).value
             margin = si(float(rows["margin"][-1]), "J")
             facts.append(f"{html.escape(name)}: {state.lower()}, margin {margin}, surplus {si(rows['h_dis'][-1], 'J')}")

@@ -26,6 +26,8 @@ class PortSeries:
 
     Attributes:
         name: Of the port.
+        is_group: Whether it is a group of axes, which has no position.
+        is_member: Whether it is an axis of a group, whose account is the group's.
         columns: time [s], position, command, applied, taken_in, dissipated, margin, surplus and damping, each of the
             same length; single precision but for the time.
         units: SI unit of each column.
@@ -37,6 +39,8 @@ class PortSeries:
 
     def __init__(self, log: EnergyLog, name: str, rows: slice) -> None:
         self.name = name
+        self.is_group = name in log.groups
+        self.is_member = any(name in axes for axes in log.groups.values())
         self.sample_time = log.sample_time
         self._rows = rows
         self._port = log.ports[name]
@@ -81,7 +85,7 @@ class PortSeries:
         return columns | {key: self._read(name).astype(np.float32) for key, name in names.items()}
 
     def _contacts(self, time: Array, full: dict[str, Array]) -> dict[str, list[float]]:
-        found = contacts(self._read("branch"))
+        found = [] if self.is_member else contacts(self._read("branch"))
         before = [max(0, first - 1) for first, _ in found]
         return {
             "start": [float(time[first]) for first, _ in found],

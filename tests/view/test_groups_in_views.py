@@ -1,0 +1,79 @@
+"""A log with a group of axes in every view: account with the group, position and torque with the axes."""
+
+from pathlib import Path
+
+import pytest
+
+from canhaptic.cycle import run
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.view.html_report import write_html
+from canhaptic.view.inspection import inspect
+from canhaptic.view.live_log import LiveLog
+from canhaptic.view.picture import draw_energy
+from canhaptic.view.series import PortSeries
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "xy_box.yaml"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("groups") / "run.h5"
+    with build(load_scene(CONFIG), "free", path) as experiment:
+        run(experiment.cycle, 500)
+    return path
+
+
+def test_the_log_tells_its_groups(path: Path) -> None:
+    with EnergyLog.open(path) as log:
+        assert log.groups == {"stage": ("x", "y")}
+        assert list(log.ports) == ["x", "y", "stage"]
+        assert log.ports["stage"].unit("state") == "m"
+        assert not log.ports["stage"]["position"].any()
+
+
+def test_inspection_gives_the_account_to_the_group_and_counts_frames_once(path: Path) -> None:
+    with EnergyLog.open(path) as log:
+        result = inspect(log)
+        assert result["ports"]["stage"]["axes"] == ["x", "y"]
+        assert result["ports"]["x"]["group"] == "stage"
+        assert "margin" not in result["ports"]["x"]
+        assert set(result["contacts"]) == {"stage"}
+        assert result["link"]["missing"] == 0
+        log_rows = log.rows
+    assert result["cycles"] == log_rows == 500
+
+
+def test_only_what_a_port_has_is_drawn(path: Path) -> None:
+    with EnergyLog.open(path) as log:
+        stage, x = (PortSeries(log, name, slice(0, log.rows)) for name in ("stage", "x"))
+    assert (stage.is_group, stage.is_member) == (True, False)
+    assert (x.is_group, x.is_member) == (False, True)
+    assert x.contacts["start"] == []
+    assert stage.contacts["start"]
+
+
+def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
+    news = LiveLog(path).look()
+    assert news is not None
+    assert news.members == {"x", "y"}
+    assert news.fresh_share == 1.0
+
+
+def test_the_picture_has_one_column_for_the_group(path: Path, tmp_path: Path) -> None:
+    draw_energy(path, tmp_path / "run.svg")
+    text = (tmp_path / "run.svg").read_text()
+    assert text.count("<!-- stage: position -->") == 1
+    assert "<!-- x -->" in text
+    assert "<!-- y -->" in text
+    assert "x: position" not in text
+
+
+def test_the_page_has_a_tab_for_the_group_and_for_each_axis(path: Path, tmp_path: Path) -> None:
+    pytest.importorskip("bokeh")
+    with EnergyLog.open(path) as log:
+        write_html(log, tmp_path / "run.html", inspect(log))
+    text = (tmp_path / "run.html").read_text()
+    assert "stage: worst margin" in text
+    assert "x: worst margin" not in text
