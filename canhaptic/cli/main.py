@@ -26,6 +26,7 @@ COMMANDS: Final = {
     "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
     "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",
     "map": "draw a sweep: how stiff a wall may be, what is left of it, and where theory draws the line",
+    "design": "find the stiffest and most damped wall that a rig renders, as lines for its scene",
     "inspect": "read an energy log: account, checks, comparison, pictures, export, recomputation",
     "replay": "replay a recorded bus against today's master and controllers, and compare every frame they send",
     "scope": "show an energy log in a browser while it is written",

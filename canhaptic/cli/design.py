@@ -1,0 +1,37 @@
+"""`canhaptic design CONFIG`: the stiffest wall, and its largest damping, that `guarded` renders on a rig."""
+
+import argparse
+
+from canhaptic.cli.arguments import add_json, add_scene, scene_of
+from canhaptic.cli.output import write_json
+from canhaptic.study.design.report import design_report, snippet
+from canhaptic.study.design.wall import MARGIN, TOLERANCE, design_wall
+from canhaptic.view.energy_table import make_console
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `design`."""
+    add_scene(parser)
+    parser.add_argument(
+        "--margin", metavar="PART", type=float, default=MARGIN, help="part by which both could be larger; default 0.2"
+    )
+    parser.add_argument(
+        "--tolerance", metavar="PART", type=float, default=TOLERANCE, help="between asked and rendered; default 0.05"
+    )
+    parser.add_argument("--engine", choices=("auto", "numpy", "numba"), default="auto", help="of the trials")
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Searches and prints the wall; returns 0.
+
+    Raises:
+        InputError: A scene that cannot be designed for.
+        CheckFailedError: No wall at all is rendered.
+    """
+    found = design_wall(scene_of(arguments), arguments.margin, arguments.tolerance, arguments.engine)
+    if arguments.json:
+        write_json({**found.result, "yaml": snippet(found.result)})
+    else:
+        make_console().print(design_report(found.result))
+    return 0

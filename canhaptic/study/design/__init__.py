@@ -1,0 +1,1 @@
+"""The stiffest and most damped wall that a rig renders: `trial` judges walls, `wall` searches, `report` says it."""

@@ -1,0 +1,72 @@
+"""A designed wall in words: the lines to paste into a scene, and what the wall costs."""
+
+from typing import Any, Final
+
+import yaml
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from canhaptic.view.si import si
+
+_UNITS: Final = {"m": ("N/m", "N*s/m"), "rad": ("N*m/rad", "N*m*s/rad")}
+
+
+def snippet(result: dict[str, Any]) -> str:
+    """Returns the wall as YAML for a scene."""
+    stiffness, damping = _UNITS[result["unit"]]
+    known = {key: value for key, value in result["loop"].items() if value is not None}
+    passivity: dict[str, Any] = {"algorithm": "guarded", **known, "hand_force": result["hand_force"]}
+    wall = {
+        "type": "spring_damper_wall",
+        "stiffness": f"{result['stiffness']:g} {stiffness}",
+        "damping": f"{result['damping']:g} {damping}",
+    }
+    return str(yaml.safe_dump({"environment": wall, "passivity": passivity}, sort_keys=False))
+
+
+def design_report(result: dict[str, Any]) -> RenderableType:
+    """Returns what a terminal shows of a design.
+
+    Args:
+        result: Plain values, as `canhaptic design --json` prints them.
+    """
+    heading = Text(" ")
+    heading.append(str(result["scene"]), style="bold")
+    heading.append(
+        f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %, "
+        f"{result['walls']} walls tried twice by {result['engine']}"
+    )
+    parts: list[RenderableType] = [heading, Text(), Text(snippet(result)), *_price(result), _trade(result)]
+    return Group(*parts)
+
+
+def _price(result: dict[str, Any]) -> list[Text]:
+    share, damped = result["stiffness_rendered"], result["damping_rendered"]
+    lines = [f" rendered: stiffness {100.0 * share:.1f} %" + (f", damping {100.0 * damped:.1f} %" if damped else "")]
+    lines.append(f" certificate in use: {str(result['certificate']).replace('_', ' ')}")
+    lines += [
+        f" certified {name}: up to {si(limit, _UNITS[result['unit']][0], 3)}"
+        for name, limit in result["certified"].items()
+    ]
+    lines.append(f" energy given out beyond what came in: {si(max(0.0, -result['least_interaction']), 'J', 3)}")
+    if result["told"]:
+        lines.append(f" {result['told']}: on the rig declare what is certain, an under-estimate")
+    texts = [Text(line) for line in lines]
+    if result["failing_below"]:
+        words = (
+            f" of 100 smaller walls {result['failing_below']} are not rendered within the tolerance; try --margin 0.5"
+        )
+        texts.append(Text(words, style="yellow"))
+    return texts
+
+
+def _trade(result: dict[str, Any]) -> Table:
+    stiffness, damping = _UNITS[result["unit"]]
+    table = Table(title="stiffness for damping", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column(f"stiffness [{stiffness}]", justify="right")
+    table.add_column(f"largest damping [{damping}]", justify="right")
+    for wall in result["trade"]:
+        table.add_row(f"{wall['stiffness']:g}", f"{wall['damping']:g}")
+    return table

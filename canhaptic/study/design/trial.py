@@ -1,0 +1,172 @@
+"""Walls on trial: each one leant on and pressed in and out on the simulated rig, many at once by the sweep engine.
+
+    lean     a hand without a spring pushes with a constant force: what the wall holds at rest
+    press    a hand goes in and out of the wall: what it stores, gives back and dissipates
+
+The rig is that of the scene. Where the scene is of real drives its plant is what `passivity` declares: the least moving
+mass and damping, which is what the certificates rest on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import yaml
+
+from canhaptic.errors import InputError
+from canhaptic.scene.load import scene_from_text
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.study.loop import Array
+from canhaptic.study.sweep.chunk import ENGINES, ChunkResult, run_chunk
+from canhaptic.study.sweep.places import places_of
+from canhaptic.study.sweep.points import CONTROLLER, Column, make_points
+from canhaptic.study.sweep.recipe import Recipe, make_recipe
+from canhaptic.study.sweep.sweep import Engine, chosen_engine
+from canhaptic.study.sweep.vary import ranged
+from canhaptic.view.energy_table import PASSIVE_TOLERANCE
+
+STIFFNESS, DAMPING = "environment.stiffness", "environment.damping"
+ALGORITHM: Final = "guarded"
+STIFFEST: Final = 1e8
+"""Largest stiffness that a scene may ask for [N/m or N*m/rad]."""
+MOST_DAMPING: Final = 1e6  # [N*s/m or N*m*s/rad]
+_HAND: Final = {"stiffness": 300.0, "damping": 3.0}
+"""Of a scene without a hand: an ordinary grip."""
+_LEAN: Final = 0.25
+"""Force of the hand that leans, as a part of the torque limit."""
+_DEEPEST: Final = 0.1
+"""Depth [m or rad] to which the hand leans into the softest wall that is tried."""
+DURATION: Final = 2.0  # [s]
+_FREQUENCY: Final = 1.0  # of the hand that presses [Hz]
+_METRICS: Final = ("diverged", "least_interaction", "stiffness_rendered.share", "damping_rendered.mean", "contact")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What many walls did, the worse of both hands; each of shape (n,)."""
+
+    stiffness_share: Array  # rendered over asked
+    damping_share: Array  # NaN where no damping is asked
+    least_interaction: Array  # true, eq. 3 [J]
+    passed: Any
+
+
+class Trial:
+    """The rig on which walls are tried.
+
+    Args:
+        scene: With a simulation, or with what its drives certainly are declared under `passivity`.
+        tolerance: How far a rendering may be from what is asked, as a part of it.
+        engine: Of the trials, as for a sweep.
+
+    Attributes:
+        scene: Leaning on the wall; what is shown of a wall is shown of it.
+        softest: Wall that is tried [N/m or N*m/rad].
+        engine: What computes the trials.
+        walls: How many were tried.
+
+    Raises:
+        InputError: Several axes, or nothing known of the moving mass.
+    """
+
+    def __init__(self, scene: Scene, tolerance: float, engine: Engine = "auto") -> None:
+        if len(scene.axes) != 1:
+            names = ", ".join(axis.parameters.name for axis in scene.axes)
+            raise InputError(f"{scene.source}: has the axes {names}; a wall is designed for one, make a scene of each")
+        [axis] = scene.axes
+        self._tolerance = tolerance
+        force = _LEAN * axis.parameters.torque_limit
+        self.softest = force / _DEEPEST
+        hand = _hand(axis)
+        travel = 2.0 * force / hand["stiffness"]
+        motion = {"amplitude": travel, "frequency": _FREQUENCY, "phase": 1.5707963267948966}
+        self.scene = _with_user(scene, {"damping": hand["damping"], "push": -force})
+        self._recipes = [_recipe(one, engine) for one in (self.scene, _with_user(scene, {**hand, "motion": motion}))]
+        self.engine, self.walls, self.remark = "", 0, ""
+
+    def verdict(self, stiffness: Array, damping: Array) -> Verdict:
+        """Tries walls.
+
+        Args:
+            stiffness: Of each, shape (n,) [N/m or N*m/rad].
+            damping: Of each, shape (n,) [N*s/m or N*m*s/rad].
+        """
+        columns: dict[str, Column] = {CONTROLLER: [ALGORITHM] * len(stiffness), STIFFNESS: stiffness, DAMPING: damping}
+        self.walls += len(stiffness)
+        results = [run_chunk(recipe, 0, columns) for recipe in self._recipes]
+        self._look_at(results)
+        name = self.scene.axes[0].parameters.name
+        figures = [{metric: result.figures[f"{name}/{metric}"] for metric in _METRICS} for result in results]
+        share = _furthest([figure["stiffness_rendered.share"] for figure in figures])
+        with np.errstate(all="ignore"):
+            asked = np.where(damping > 0.0, damping, np.nan)
+            damped = np.array(figures[1]["damping_rendered.mean"] / asked)
+        least = np.minimum(*(figure["least_interaction"] for figure in figures))
+        passed = np.all([result.status == 1 for result in results], axis=0)
+        passed &= np.all([figure["diverged"] == 0.0 for figure in figures], axis=0)
+        passed &= np.all([figure["contact"] > 0.0 for figure in figures], axis=0)
+        passed &= (np.abs(share - 1.0) <= self._tolerance) & (least >= -PASSIVE_TOLERANCE)
+        passed &= (damping == 0.0) | (np.abs(damped - 1.0) <= self._tolerance)
+        return Verdict(share, damped, least, passed)
+
+    def _look_at(self, results: Sequence[ChunkResult]) -> None:
+        """Notes what computed the trials, and refuses a rig on which none can be made.
+
+        Raises:
+            InputError: Every wall is refused.
+        """
+        for result in results:
+            if (result.status == 2).all():
+                raise InputError(f"{self.scene.source}: no wall can be tried: {result.texts[0]}")
+            self.engine = ENGINES[int(result.engine.max())]
+            self.remark = next((text for text in result.texts if "told" in text), self.remark)
+
+
+def _furthest(shares: Sequence[Array]) -> Array:
+    """Returns the share furthest from one; NaN stays."""
+    first, second = shares
+    return np.asarray(np.where(np.abs(first - 1.0) >= np.abs(second - 1.0), first, second) + 0.0 * (first + second))
+
+
+def _hand(axis: AxisScene) -> dict[str, float]:
+    user = axis.simulation.user if axis.simulation is not None else None
+    if user is None or not user.stiffness:
+        return dict(_HAND)
+    return {"stiffness": user.stiffness, "damping": user.damping or _HAND["damping"]}
+
+
+def _with_user(scene: Scene, user: dict[str, Any]) -> Scene:
+    """Returns the scene with a wall at the origin, the handle in front of it, and another hand."""
+    [axis] = scene.axes
+    overrides = [*scene.overrides]
+    plant, simulation = "simulation.plant", axis.simulation
+    if simulation is None:
+        overrides.append(f"{plant}={yaml.safe_dump(_declared(axis, scene), default_flow_style=True).strip()}")
+    places = places_of(scene, (f"{plant}.initial_position", "simulation.user", "environment.type"))
+    wall = "{type: spring_damper_wall, stiffness: 1, damping: 0}"
+    overrides += [f"{place.removesuffix('.type')}={wall}" for place in places["environment.type"]]
+    given = yaml.safe_dump(user, default_flow_style=True, width=1000).strip()
+    overrides += [f"{place}={given}" for place in places["simulation.user"]]
+    overrides += [f"{place}=0.002" for place in places[f"{plant}.initial_position"]]
+    return scene_from_text(scene.text, scene.source, overrides)
+
+
+def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:
+    """Returns the plant that the scene declares.
+
+    Raises:
+        InputError: It does not say what moves.
+    """
+    if axis.loop.moving_mass is None:
+        raise InputError(
+            f"{scene.source}: neither simulates a plant nor declares passivity.moving_mass; weigh what moves with the "
+            "encoder and give an under-estimate"
+        )
+    return {"mass": axis.loop.moving_mass, "damping": axis.loop.device_damping or 0.0}
+
+
+def _recipe(scene: Scene, engine: Engine) -> Recipe:
+    varied = [ranged(STIFFNESS, 1e-3, STIFFEST, 2, "log"), ranged(DAMPING, 0.0, MOST_DAMPING, 2)]
+    points = make_points(varied, [ALGORITHM])
+    return make_recipe(scene, points, metrics=_METRICS, engine=chosen_engine(engine), duration=DURATION)
