@@ -172,8 +172,8 @@ def _damped_border(mass: float, period: float) -> list[Row]:
         shares.append(most / bound)
     note = (
         "a passive hand that makes the axis go to and fro at constant speed between two SYNCs reaches the condition; a "
-        "spring makes it swing as a sine, which loses 8 / pi^2 as much at most: with a damper in the wall the condition "
-        "does not apply to such hands but bounds them"
+        "spring makes it swing as a sine, for which at most 8 / pi^2 of it is needed: with a damper in the wall the "
+        "condition does not apply to such hands but bounds them"
     )
     return [
         Row("border of direct with B > 0, hands that are springs: largest share", max(shares), "of k T / 2 + B",

@@ -22,9 +22,9 @@ import numpy as np
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.cases import batch_case, check_values, why_not, why_not_beforehand
-from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.marching import Engine, march
 from canhaptic.study.batch.meter import METRICS
+from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.radius import radii
 from canhaptic.study.batch.scalar import run_scalar
 from canhaptic.study.batch.varied import BATCH_KEYS, scene_with

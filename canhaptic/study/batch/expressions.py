@@ -9,8 +9,8 @@ from math import copysign, isfinite, sqrt
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from canhaptic.study.batch.graph import Graph
-from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.heap import Heap, Maybe
+from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.rings import DataRange, Ring
 
 if TYPE_CHECKING:
@@ -80,15 +80,14 @@ class Expressions(ABC):
             ast.IfExp: self._either,
             ast.Call: self._called,
             ast.GeneratorExp: self._each,
-            ast.Dict: lambda e, f: {
-                self.value(cast(ast.expr, k), f): self.value(v, f) for k, v in zip(e.keys, e.values, strict=True)
-            },
+            ast.Dict: self._memo,
             ast.JoinedStr: lambda e, f: "",
         }
         functions: dict[Any, Callable[..., Any]] = {
             known: self._operation(known, name) for known, name in _BY_NAME.items()
         }
-        functions |= {min: self._least, max: self._most, int: self._whole, bool: self.graph.truth, sum: self._sum, range: self._range,
+        functions |= {min: self._least, max: self._most, int: self._whole, bool: self.graph.truth, sum: self._sum,
+                      range: self._range,
                       float: lambda x: x if isinstance(x, Node) else float(x), cast: lambda kind, x: x}  # fmt: skip
         self._functions = functions
 
@@ -162,6 +161,11 @@ class Expressions(ABC):
         ring = Ring(self.graph.made("fill", (self.graph.node(value), self.graph.node(length))), length)
         self.heap.instances.append(ring)
         return ring
+
+    def _memo(self, expression: ast.Dict, frame: "Frame") -> dict[Any, Any]:
+        if expression.keys:
+            raise NotBatchableError(f"the expression {ast.unparse(expression)}")
+        return {}
 
     def _unary(self, expression: ast.UnaryOp, frame: "Frame") -> Any:
         value = _bare(self.value(expression.operand, frame))

@@ -1,5 +1,6 @@
 """What both written forms need to know of a program: what differs between scenes, what changes, and in which order."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -20,6 +21,7 @@ _NUMPY: Final[dict[str, Any]] = {
 }  # fmt: skip
 
 
+_SERIES: Final = ("exp", "sin", "cos", "tan")
 _ALWAYS: Final = ("array", "fill", "store", "load", "loop", "out")
 """Operations that are done for each scene, whatever they work on."""
 
@@ -100,6 +102,9 @@ def _evaluated(node: Node, args: list[Any]) -> Any:
     if node.op == "fill":
         rows, count = int(np.max(args[1])), max(np.size(args[0]), np.size(args[1]))
         return np.broadcast_to(args[0], (rows, count))
+    if node.op in _SERIES and isinstance(args[0], np.ndarray):  # one by one: in bulk the last bit may differ
+        function = getattr(math, node.op)
+        return np.array([function(value) for value in args[0].tolist()])
     result = _NUMPY[node.op](*args)
     if isinstance(result, np.ndarray) and result.ndim:
         return result

@@ -19,8 +19,8 @@ from typing import Any, Final, NamedTuple
 
 from canhaptic.study.batch.expressions import Expressions
 from canhaptic.study.batch.graph import Graph
-from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.heap import Maybe, differs
+from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.rings import Body, DataRange, loop_of
 
 _HERE: Final = "canhaptic."
@@ -77,7 +77,7 @@ class Lowering(Expressions):
 
     def create(self, kind: type, *args: Any, **named: Any) -> Any:
         """Returns an instance whose `__init__` was interpreted."""
-        instance = kind.__new__(kind)
+        instance: Any = object.__new__(kind)
         self.heap.instances.append(instance)
         self.call(kind.__init__, (instance, *args), named)  # type: ignore[misc]
         return instance
@@ -110,15 +110,12 @@ class Lowering(Expressions):
     def _run(self, rest: Continuation, frame: Frame) -> Ending:
         while rest is not None:
             item, rest = rest
+            ending = self._ending(item, frame)
+            if ending is not None:
+                return ending
             if isinstance(item, Mark):
-                if item.kind == "join":
-                    return Ending("join", item.value)
                 if item.kind == "assign":
                     self.give(item.target, item.value, frame)
-            elif isinstance(item, ast.Return):
-                return Ending("return", None if item.value is None else self.value(item.value, frame))
-            elif isinstance(item, ast.Raise):
-                return Ending("raise", ast.unparse(item)[:60])
             elif isinstance(item, ast.Break | ast.Continue):
                 rest = _dropped(rest, "end" if isinstance(item, ast.Break) else "next")
             elif isinstance(item, ast.Try):
@@ -126,16 +123,26 @@ class Lowering(Expressions):
             elif isinstance(item, ast.For):
                 rest = self._loop(item, rest, frame)
             elif isinstance(item, ast.If):
-                test = self.test(item.test, frame)
-                if isinstance(test, Node):
-                    ending, rest = self._fork(test, item, rest, frame)
-                    if ending is not None:
-                        return ending
-                else:
-                    rest = _pushed(item.body if test else item.orelse, rest)
+                ending, rest = self._branch(item, rest, frame)
+                if ending is not None:
+                    return ending
             else:
                 self._statement(item, frame)
         return Ending("return")
+
+    def _ending(self, item: Any, frame: Frame) -> Ending | None:
+        """Returns how a statement or mark ends the source, None where it does not."""
+        if isinstance(item, Mark) and item.kind == "join":
+            return Ending("join", item.value)
+        if isinstance(item, ast.Return):
+            return Ending("return", None if item.value is None else self.value(item.value, frame))
+        return Ending("raise", ast.unparse(item)[:60]) if isinstance(item, ast.Raise) else None
+
+    def _branch(self, item: ast.If, rest: Continuation, frame: Frame) -> tuple[Ending | None, Continuation]:
+        test = self.test(item.test, frame)
+        if isinstance(test, Node):
+            return self._fork(test, item, rest, frame)
+        return None, _pushed(item.body if test else item.orelse, rest)
 
     def _statement(self, item: ast.stmt, frame: Frame) -> None:
         run = self._run_statement.get(type(item))
@@ -192,7 +199,7 @@ class Lowering(Expressions):
         return rest
 
     def _loop_of_data(self, item: ast.For, values: DataRange, frame: Frame) -> None:
-        """Runs one pass with variables in the place of all that passes leave to each other, and makes the loop of it."""
+        """Makes a loop out of one pass, with variables in the place of all that passes leave to each other."""
         graph, before, local, path = self.graph, self.heap.save(), dict(frame.local), self.path
         running, index = (graph.made("var", (), f"{name}{graph.count()}", name == "run") for name in ("run", "index"))
         names = sorted(

@@ -1,4 +1,4 @@
-"""Runs the written forms over many scenes, in chunks that fit the cache, and keeps the figures of those that diverge."""
+"""Runs the written forms over many scenes in chunks that fit the cache; keeps the figures of those that diverge."""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numba
 import numpy as np
 
-from canhaptic.study.batch.nodes import Node
 from canhaptic.study.batch.layout import Layout, known_values, widened
+from canhaptic.study.batch.nodes import Node
 from canhaptic.study.batch.program import Program
 from canhaptic.study.loop import Array
 
@@ -56,7 +56,7 @@ class NumbaForm:
         )
         self._kernel = compiled(self.source, len(self._rings))
 
-    def run(self, numbers: Mapping[str, Any], count: int, cycles: int) -> tuple[dict[str, Any], Array]:
+    def run(self, numbers: Mapping[str, Any], count: int, cycles: int) -> tuple[dict[str, Any], Any]:
         """Returns the states of some scenes after their cycles, or when they diverged, and the cycle of that.
 
         Args:
@@ -142,7 +142,8 @@ def _source(
     name |= {states[n]: f"r{i}" for i, n in enumerate(rings)}
     name |= {states[n]: f"s{i}" for i, n in enumerate(lane_states)}
     name |= {states[n]: f"o{i}" for i, n in enumerate(one_states)}
-    once, each = [], []
+    once: list[str] = []
+    each: list[str] = []
     for node in layout.steps:
         (each if node in layout.lanes else once).extend(_lines(node, name))
     load = [_loaded(f"s{i}", i, states[n].is_truth) for i, n in enumerate(lane_states)]
@@ -156,7 +157,7 @@ def _source(
     out = name[program.out]
     turn = [f"o{i} = {name[program.then[n]]}" for i, n in enumerate(one_states)]
     lines = [
-        f"def cycles({', '.join(['count, blocks, begins, kept, when, ones, given', *(f'r{i}' for i in range(len(rings)))])}):",
+        f"def cycles(count, blocks, begins, kept, when, ones, given{''.join(f', r{i}' for i in range(len(rings)))}):",
         *(f"    g{i} = given[{i}]{' != 0.0' if node.is_truth else ''}" for i, node in enumerate(one_values)),
         "    for chunk in range(blocks.shape[0]):",
         "        rows = blocks[chunk]",

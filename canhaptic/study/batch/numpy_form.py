@@ -1,12 +1,12 @@
-"""A program written out as NumPy calls on a chunk of scenes: one call an operation, no memory taken but by selections."""
+"""A program written out as NumPy calls on a chunk of scenes: one an operation, memory taken by selections only."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.study.batch.nodes import Node
 from canhaptic.study.batch.layout import Layout, known_values, widened
+from canhaptic.study.batch.nodes import Node
 from canhaptic.study.batch.program import Program
 
 _CALLS: Final[dict[str, str]] = {
@@ -48,7 +48,7 @@ class NumpyForm:
             numbers: By parameter, one or of shape (count,).
             count: Scenes.
             cycles: After the first SYNC.
-            escaped: Told (which scenes left every place in this cycle, all states, the cycle); it may put the states back.
+            escaped: Told (which scenes left every place in this cycle, all states, the cycle); may put the states back.
         """
         layout, program = self.layout, self.program
         fixed = known_values([*layout.fixed, *program.first.values()], numbers, {})

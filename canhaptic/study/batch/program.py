@@ -6,6 +6,7 @@ become states. States that always hold the same are one, and what nobody asks fo
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from canhaptic.haptics.environments.protocol import Environment
@@ -14,9 +15,9 @@ from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.parameters import Parameters
 from canhaptic.study.batch.axis import SampledAxis
 from canhaptic.study.batch.graph import Graph
-from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.heap import differs
 from canhaptic.study.batch.lowering import Lowering
+from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.rings import Body, below, loop_of
 from canhaptic.study.loop import Array
 from canhaptic.tables import load
@@ -49,7 +50,8 @@ class BatchCase:
 
     def structure(self) -> str:
         """Returns everything that decides what the program is, but no number."""
-        models = [(type(m).__qualname__, _rest(m)) for m in (self.environment, self.parameters, self.loop)]
+        parts: tuple[Any, ...] = (self.environment, self.parameters, self.loop)
+        models = [(type(part).__qualname__, _rest(part)) for part in parts]
         return repr((self.algorithm, self.delay, self.furthest, self.size, models, sorted(self.kinds().items())))
 
 
@@ -153,7 +155,7 @@ def build_program(case: BatchCase, sums: Sequence[str]) -> Program:
     states: set[str] = set()
     for _ in range(_MOST_ROUNDS):
         lowering.heap.restore(after_first)
-        lowering.heap.change(lambda name, value: _placed(graph, states, name, value))
+        lowering.heap.change(partial(_placed, graph, states))
         placed = dict(lowering.heap.leaves())
         moved = _moved(graph, numbers, case.size, axis.held)
         lowering.call(SampledAxis.sync, (axis, moved[0]), {})
@@ -246,7 +248,7 @@ def _two_valued(graph: Graph, first: dict[str, Node], then: dict[str, Node]) -> 
 
 
 def _same_states(graph: Graph, first: dict[str, Node], then: dict[str, Node]) -> dict[Node, Node]:
-    """Returns state -> the state or constant that it always equals, found by assuming it and looking for a contradiction."""
+    """Returns state -> the state or constant that it always equals: assumed until something contradicts it."""
     state = {name: graph.slot(name, node) for name, node in then.items()}
     groups: dict[str, int] = {name: first[name].number for name in then}
     while True:

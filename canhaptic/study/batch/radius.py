@@ -47,7 +47,7 @@ def radii(scene: Scene, varied: Mapping[str, Array]) -> Array:
         number("environment.stiffness", stiffness),
         number("environment.damping", environment.damping),
     )
-    period = scene.bus.sample_time_ns * 1e-9
+    period: Any = scene.bus.sample_time_ns * 1e-9
     if "bus.rate" in varied:
         period = np.rint(1e9 / varied["bus.rate"]) * 1e-9
     of_scene = 1.0 if scene.bus.rpdo == "synchronous" else 0.0

@@ -1,4 +1,4 @@
-"""What a list of a length that data choose, and a loop that data end, become: rows of an array, and a loop over them."""
+"""What a list whose length data choose, and a loop that data end, become: rows of an array and a loop over them."""
 
 from typing import Any, NamedTuple
 

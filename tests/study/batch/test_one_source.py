@@ -5,9 +5,9 @@ import pytest
 from loops import COUNTED, WORLDS, in_arrays, scalar_case, with_floats
 
 from canhaptic.haptics.passivity import ALGORITHMS
-from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.meter import METRICS
+from canhaptic.study.batch.nodes import NotBatchableError
 
 CYCLES = 500
 NAMES = [name for name in METRICS if name not in COUNTED]
