@@ -1,8 +1,8 @@
 """How fast and how true is a network on several axes? `python -m tools.bench.network`.
 
 The step of a group in pure Python and with its equation compiled; and the example in two dimensions - a hand on a
-hardening spring and a damper with a virtual mass of 0.3 kg on a viscous floor, four states - against the continuous solution of
-scipy and beside the same network sampled by explicit Euler. Energies are the plant's.
+hardening spring and a damper with a virtual mass of 0.3 kg on a viscous floor, four states - against the continuous
+solution of scipy and beside the same network sampled by explicit Euler. Energies are those of the plant.
 """
 
 import math

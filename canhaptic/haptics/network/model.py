@@ -112,14 +112,13 @@ class Network:
     ) -> Tables:
         n = self.states
         stiffness, hardening, lower, upper = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
-        quadratic, floor, at = _zeros(n, n), 0.0, 0
+        quadratic, at = _zeros(n, n), 0
         for storage in storages:
             if isinstance(storage, Spring):
                 stiffness[at], hardening[at] = storage.stiffness, storage.hardening
                 lower[at], upper[at] = edges(storage)
             elif isinstance(storage, DoubleWell):
                 stiffness[at], hardening[at] = -storage.hardening * storage.well**2, storage.hardening
-                floor += 0.25 * storage.hardening * storage.well**4
             elif isinstance(storage, Mass):
                 stiffness[at] = 1.0 / storage.mass
             elif isinstance(storage, QuadraticForm):
@@ -129,7 +128,7 @@ class Network:
         structure = [[float(v) for v in row] for row in structure]
         rows = [self._rows_of(damper, structure, gain) for damper in dampers]
         return Tables(
-            stiffness, hardening, lower, upper, floor,
+            stiffness, hardening, lower, upper,
             coupled=any(v != 0.0 for row in quadratic for v in row),
             quadratic=quadratic,
             moving=self.structure_at is not None

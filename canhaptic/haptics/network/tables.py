@@ -7,6 +7,7 @@ and so is their sum.
 
 A scalar storage has the extension d = x beyond `upper`, x below `lower` and 0 between them - measured from those
 edges - and stores k d^2 / 2 + k3 d^4 / 4. With lower = upper = 0 it is always engaged; a wall is engaged on one side.
+With k < 0 it is a double well and stores k3 (d^2 + k / k3)^2 / 4, the same but for a constant: 0 in the wells.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,6 @@ class Tables(NamedTuple):
     hardening: Vector  # k3, (n,)
     lower: Vector  # (n,)
     upper: Vector  # (n,)
-    floor: float  # added to the energy, so that the wells of a double well lie at 0 [J]
     coupled: bool  # whether `quadratic` is not zero
     quadratic: Matrix  # Q of x'Qx / 2, (n, n)
     moving: bool  # whether the state moves by itself: structure or dissipators on states
@@ -51,13 +51,18 @@ def extension(tables: Tables, index: int, value: float) -> float:
 
 def stored_energy(tables: Tables, state: Vector) -> float:
     """Returns H(x) without user energies [J]."""
-    total = tables.floor
+    total = 0.0
     stiffness, hardening = tables.stiffness, tables.hardening
     for i in range(len(stiffness)):
         d = extension(tables, i, state[i])
         if d != 0.0:
-            square = d * d
-            total += square * (0.5 * stiffness[i] + 0.25 * hardening[i] * square)
+            square, k, k3 = d * d, stiffness[i], hardening[i]
+            if k < 0.0:
+                total += 0.25 * k3 * (square + k / k3) * (square + k / k3)
+            else:
+                total += square * (0.5 * k + 0.25 * k3 * square)
+        elif stiffness[i] < 0.0:
+            total += 0.25 * stiffness[i] * stiffness[i] / hardening[i]
     if tables.coupled:
         for i in range(len(stiffness)):
             row, sum_ = tables.quadratic[i], 0.0

@@ -1,0 +1,50 @@
+"""Two handles joined over one bus, with frames lost either way: passive at both together, and no drift between them."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+from networks import Table, group
+
+from canhaptic.haptics.network.coupled_handles import CoupledHandles
+
+COUPLING = CoupledHandles(stiffness=2000.0, damping=5.0)
+
+
+def two_hands(t, q, v, _torque):
+    """The first hand leads, the second follows loosely; both let go for the last second of every ten."""
+    grip = 0.0 if t % 10.0 > 9.0 else 1.0
+    lead = 200.0 * (0.03 * math.sin(2.0 * math.pi * 0.7 * t) - q[0]) - 2.0 * v[0]
+    return np.array([grip * lead - 1.0 * v[0], -20.0 * grip * q[1] - 1.0 * v[1]])
+
+
+def coupled_run(duration, loss, seed):
+    """Returns (least true energy of both ports together, distance at rest at the end [m], share of cycles lost)."""
+    rng, lost = random.Random(seed), 0
+    controller, plant = group(COUPLING, delay=1), Table(1e-3, two_hands, longest=5e-4)
+    held, pending = [0.0, 0.0], [0.0, 0.0]
+    for cycle in range(round(duration / 1e-3)):
+        tpdo = cycle < 3 or (rng.random() >= loss and rng.random() >= loss)  # of either axis
+        lost += not tpdo
+        balance = controller.step(plant.q.tolist(), tuple(held)) if tpdo else controller.hold()
+        for axis in range(2):  # a lost RPDO leaves the torque of before
+            if rng.random() >= loss:
+                held[axis] = pending[axis]
+        pending = list(balance.torques)
+        plant.advance(held)
+    return plant.least, abs(float(plant.q[0] - plant.q[1])), lost / (duration / 1e-3)
+
+
+def test_two_handles_keep_together_and_passive_while_frames_are_lost():
+    least, apart, lost = coupled_run(5.0, 0.01, 1)
+    assert lost > 0.01
+    assert least >= -1e-6
+    assert apart < 5e-3  # held apart by the hands
+
+
+@pytest.mark.slow
+def test_two_handles_have_not_drifted_after_a_minute():
+    least, apart, _ = coupled_run(60.0, 0.01, 2)
+    assert least >= -1e-6
+    assert apart < 1e-4
