@@ -10,6 +10,7 @@ from scene_text import SECOND_AXIS, scene_file
 
 from canhaptic.cycle import run
 from canhaptic.drive.clock import VirtualClock, WallClock
+from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import InputError, LinkError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build, build_drive_group
@@ -135,14 +136,13 @@ def test_a_wrong_rated_torque_is_found_at_the_start(tmp_path: Path) -> None:
 
 
 def test_a_bus_that_cannot_be_used_is_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = load_scene(scene_file(tmp_path), ["bus.interface=telepathy", "bus.channel=x"])
     with pytest.raises(InputError, match="bus 'telepathy', channel 'x': python-can cannot use it"):
-        open_bus(scene.bus, "x")
+        open_bus(BusParameters(interface="telepathy", rate=1000.0), "x")
 
     def refuse(*_: object) -> None:
         raise OSError(19, "No such device")
 
-    scene = load_scene(tmp_path / "scene.yaml", ["bus.interface=socketcan", "bus.channel=can9"])
+    scene = load_scene(scene_file(tmp_path), ["bus.interface=socketcan", "bus.channel=can9"])
     if hasattr(socket, "AF_CAN"):
         monkeypatch.setattr("can.interfaces.socketcan.socketcan.create_socket", refuse)
         with pytest.raises(LinkError, match="channel 'can9': cannot be opened"):
