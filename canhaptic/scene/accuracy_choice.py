@@ -93,7 +93,7 @@ def choose(axis: AxisScene, scene: Scene) -> AccuracyChoice:
     tried = [tried_setting(simulation, period, accuracy, torques, exact) for accuracy in ladder(simulation, period)]
     chosen = cheapest(tried, tolerance)
     if chosen is None:
-        best = min(tried, key=lambda setting: setting.error.position)
+        best = tried[-1]
         raise InputError(
             f"{scene.source}: accuracy: auto of axis {axis.parameters.name} with tolerance {tolerance:g}: the finest "
             f"setting errs by {best.error.position:.2g} in position; allow at least that, or a higher rate"
@@ -102,8 +102,18 @@ def choose(axis: AxisScene, scene: Scene) -> AccuracyChoice:
 
 
 def cheapest(tried: Sequence[Setting], tolerance: float) -> Setting | None:
-    """Returns the setting with the fewest products whose position keeps the tolerance; of equals the more exact."""
+    """Returns the setting with the fewest products that keeps the tolerance, as every finer one does.
+
+    Errors of events and of substeps may cancel by luck, which does not last beyond the holds that were compared.
+    """
     good = [setting for setting in tried if setting.error.is_finite and setting.error.position <= tolerance]
+    kept = {(setting.accuracy.event_bits, setting.accuracy.substeps) for setting in good}
+    every = {(setting.accuracy.event_bits, setting.accuracy.substeps) for setting in tried}
+
+    def lasts(bits: int, substeps: int) -> bool:
+        return all((b, s) in kept for b, s in every if b >= bits and s >= substeps)
+
+    good = [setting for setting in good if lasts(setting.accuracy.event_bits, setting.accuracy.substeps)]
     return min(good, key=lambda setting: (setting.products, setting.error.position), default=None)
 
 

@@ -88,6 +88,8 @@ def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float) -> dic
         for row in rows
         if row["method"] != OURS and meets(row, tolerance) and chosen and row["evaluations"] < chosen["evaluations"]
     ]
+    lasting = [row for row in ours if meets(row, tolerance) and _lasts(row, ours, tolerance)]
+    dependable = cheapest(lasting, tolerance)
     best = min(
         (row for row in ours if row["status"] == "ok"), key=lambda row: float(row["position_error"]), default=None
     )
@@ -95,10 +97,19 @@ def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float) -> dic
         "tolerance": tolerance,
         "chosen": chosen and dict(chosen),
         "line": chosen and line(chosen["accuracy"]),
+        "dependable": dependable and dict(dependable),
+        "dependable_line": dependable and line(dependable["accuracy"]),
         "most_exact": best and dict(best),
         "cheaper_elsewhere": sorted(cheaper, key=lambda row: int(row["evaluations"])),
         "effects": [dict(row) for row in sorted(effects, key=_worth, reverse=True)],
     }
+
+
+def _lasts(row: Row, ours: Sequence[Row], tolerance: float) -> bool:
+    """Whether every finer setting keeps the tolerance too: errors of events and substeps may cancel by luck."""
+    own = row["accuracy"]
+    finer = [other for other in ours if all(other["accuracy"][key] >= own[key] for key in own)]
+    return all(meets(other, tolerance) for other in finer)
 
 
 def line(accuracy: Mapping[str, int]) -> str:

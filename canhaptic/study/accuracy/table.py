@@ -99,6 +99,10 @@ def advice_lines(result: Row) -> list[str]:
             f"    {advice['line']}",
             f"or leave it to the build:    accuracy: {{auto: {advice['tolerance']:g}}}",
         ]
+    sure = advice["dependable"]
+    if chosen is not None and advice["dependable_line"] != advice["line"]:
+        known = "no setting is free of it" if sure is None else f"without luck: {advice['dependable_line']}"
+        lines.append(f"a finer setting misses the tolerance, so that errors cancel there by luck; {known}")
     for other in advice["cheaper_elsewhere"][:1]:
         lines.append(f"no scene can name it, but fewer evaluations: {other['method']}, {other['setting']}")
     worth = [effect for effect in advice["effects"] if effect.get("position_error") is not None]

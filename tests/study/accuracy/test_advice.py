@@ -77,6 +77,19 @@ def test_the_advice_names_what_a_scene_cannot_name_but_would_be_cheaper(table, t
         assert all(other["evaluations"] < found["chosen"]["evaluations"] for other in found["cheaper_elsewhere"])
 
 
+def test_a_setting_that_keeps_the_tolerance_by_luck_is_told_from_one_that_lasts():
+    def row(bits, substeps, error, cost):
+        accuracy = {"event_bits": bits, "substeps": substeps}
+        return {
+            "method": "canhaptic", "setting": "s", "status": "ok", "position_error": error, "evaluations": cost,
+            "accuracy": accuracy,
+        }  # fmt: skip
+
+    found = advice([row(8, 8, 1e-8, 5), row(8, 16, 1e-6, 7), row(16, 8, 1e-8, 6), row(16, 16, 1e-9, 9)], [], 1e-7)
+    assert found["line"] == "accuracy: {event_bits: 8, substeps: 8}"
+    assert found["dependable_line"] == "accuracy: {event_bits: 16, substeps: 8}"
+
+
 def test_effects_are_sorted_by_error_per_microsecond():
     effects = [
         {"effect": "small", "error_per_microsecond": error_per_microsecond(1e-6, 2.0)},
