@@ -11,7 +11,7 @@ bus. A burst is a SYNC less than half a period after the one before.
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from time import monotonic_ns, sleep  # noqa: TID251 - a peer that paces itself by hand
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import can
 
@@ -24,7 +24,6 @@ from tools.bench.peers import (
     SYNC,
     TPDO,
     TPDO_IMAGE,
-    BroughtUp,
     CanopenLoop,
     law,
 )
@@ -53,6 +52,17 @@ class Run(NamedTuple):
         return len(self.syncs) - len(self.cycle)
 
 
+class Peer(Protocol):
+    """A drive that was brought up, in this process or elsewhere, and a connection to it."""
+
+    bus: can.BusABC
+    patience: float  # [s] for which the loop may wait for a frame before it lets the drive live again
+    pause: float  # [s] for which it may sleep
+
+    def process(self, now: int) -> None:
+        """Lets a drive in this process live up to `now` [ns]."""
+
+
 def canhaptic_run(experiment: Experiment) -> Run:
     """The product, as `canhaptic run --pace real` runs it."""
     run = Run([], [], [])
@@ -63,20 +73,20 @@ def canhaptic_run(experiment: Experiment) -> Run:
         cycle.step()
         timing = rig.timing
         run.lateness.append(timing.wakeup_lateness)
-        run.syncs.append(rig._exchange.synced)  # noqa: SLF001 - the instant that nobody else reports
+        run.syncs.append(rig._exchange.woken)  # noqa: SLF001 - the instant that nobody else reports
         if cycle.rig.records[-1].samples[0].fresh:
             run.cycle.append(timing.sync_to_last_tpdo + timing.compute + timing.send)
     rig.stop()
     return run
 
 
-def bare_run(peer: BroughtUp) -> Run:
+def bare_run(peer: Peer) -> Run:
     """python-can, struct and a clock, nothing else."""
     run = Run([], [], [])
     sync = can.Message(arbitration_id=SYNC, is_extended_id=False)
     rpdo = can.Message(arbitration_id=RPDO, is_extended_id=False)
     unpack, pack = TPDO_IMAGE.unpack, RPDO_IMAGE.pack
-    bus, process = peer.bus, peer.process
+    bus, process, patience = peer.bus, peer.process, peer.patience
     last, deadline = 0.0, monotonic_ns() + PERIOD
     for _ in range(CYCLES):
         idle = deadline - monotonic_ns() - MARGIN
@@ -88,7 +98,7 @@ def bare_run(peer: BroughtUp) -> Run:
         run.syncs.append(now)
         bus.send(sync)
         process(monotonic_ns())
-        while (message := bus.recv(0)) is None or message.arbitration_id != TPDO:
+        while (message := bus.recv(patience)) is None or message.arbitration_id != TPDO:
             if monotonic_ns() - now > _PATIENCE:
                 break
         else:
@@ -121,7 +131,7 @@ class _TimedBus:
             self._run.cycle.append(monotonic_ns() - self._run.syncs[-1])
 
 
-def canopen_run(peer: BroughtUp) -> Run:
+def canopen_run(peer: Peer) -> Run:
     """The `canopen` package as its documentation shows it; a drive in this process lives in this thread."""
     run = Run([], [], [])
     peer.bus.send = _TimedBus(peer.bus, run).send  # type: ignore[method-assign]
@@ -131,7 +141,7 @@ def canopen_run(peer: BroughtUp) -> Run:
     end = monotonic_ns() + CYCLES * PERIOD
     while (now := monotonic_ns()) < end:
         peer.process(now)
-        sleep(20e-6)
+        sleep(peer.pause)
     loop.network.sync.stop()  # type: ignore[no-untyped-call]
     loop.close()
     return run

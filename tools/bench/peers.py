@@ -66,7 +66,11 @@ class BroughtUp:
         bus: The connection that the rig has used for the start.
         far_side: The drive on its own connection.
         clock: Of the rig.
+        patience: How long a peer may wait for a frame before it must let the drive live again [s].
+        pause: How long it may sleep before that [s].
     """
+
+    patience, pause = 0.0, 20e-6
 
     def __init__(
         self, pace: Literal["free", "real"], open_bus: OpenBus = stock_bus, overrides: Sequence[str] = ()
