@@ -50,7 +50,10 @@ def _price(result: dict[str, Any]) -> list[Text]:
         f" certified {name}: up to {si(limit, _UNITS[result['unit']][0], 3)}"
         for name, limit in result["certified"].items()
     ]
-    lines.append(f" energy given out beyond what came in: {si(max(0.0, -result['least_interaction']), 'J', 3)}")
+    covered = ", covered by what the device dissipates" if result["loop"]["device_damping"] else ""
+    lines.append(
+        f" energy given out beyond what came in: {si(max(0.0, -result['least_interaction']), 'J', 3)}{covered}"
+    )
     if result["told"]:
         lines.append(f" {result['told']}: on the rig declare what is certain, an under-estimate")
     texts = [Text(line) for line in lines]

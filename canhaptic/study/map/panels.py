@@ -147,8 +147,10 @@ def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel
             lines += _theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
     if border.open.any():
         note += f"; on top: all of the range, {field.values[z].max():.3g}, passes"
-    zero = any(line.style == "abbott_okamura" and not np.isfinite(line.y).any() for line in lines)
-    note += "; Abbott-Okamura: 0, no Coulomb friction" if zero else ""
+    for line in lines:
+        if line.style != "measured" and not np.isfinite(line.y).any():
+            why = ", no Coulomb friction" if line.style == "abbott_okamura" else ", the wall's damping is too large"
+            note += f"; {line.label}: 0{why}"
     shown = tuple(line for line in lines if np.isfinite(line.y).any())
     return Lines(title, field.label(x), field.label(z), shown, _is_log(places), _is_log(field.values[z]), note)
 
