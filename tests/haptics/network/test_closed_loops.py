@@ -68,7 +68,7 @@ def explicit_euler(rate, duration):
     return float(np.abs(plant.q).max())
 
 
-def run_example(rate, delay, duration=1.0, hand_force=0.0):
+def run_example(rate, delay, duration=0.6, hand_force=0.0):
     """Returns rms error [m], least margin of (4) [J], least true energy [J], largest residual over the largest term."""
     controller = group(EXAMPLE, sample_time=1.0 / rate, delay=delay, hand_force=hand_force)
     plant = Table(1.0 / rate, figure_of_eight, longest=2e-4)
@@ -114,7 +114,7 @@ def test_the_virtual_mass_is_nearer_at_higher_rates(delay):
 
 @pytest.mark.parametrize("rate", [100, 200])
 def test_the_plain_example_diverges_where_ours_does_not(rate):
-    assert explicit_euler(rate, 3.0) == math.inf
+    assert explicit_euler(rate, 2.0) == math.inf
 
 
 def declared(force, law):
@@ -192,8 +192,8 @@ def test_no_user_within_the_declared_force_takes_energy_out(delay, environment, 
     for name, user in USERS.items():
         rng = random.Random(f"{environment}{name}{delay}")
         controller = group(ENVIRONMENTS[environment], delay=delay, hand_force=hand_force)
-        plant = Table(1e-3, declared(hand_force, user(rng)), position=(0.013, -0.002), longest=5e-4)
-        rendered(controller, plant, 250, delay)
+        plant = Table(1e-3, declared(hand_force, user(rng)), position=(0.013, -0.002), longest=1e-3)
+        rendered(controller, plant, 200, delay)
         assert plant.least >= -1e-6, name
 
 
@@ -204,7 +204,7 @@ def test_a_hand_stronger_than_declared_is_booked_as_a_deficit():
         controller = group(ENVIRONMENTS["spring"], sample_time=5e-3, delay=1, hand_force=0.0)
         plant = Table(5e-3, adversary(random.Random(seed)), position=(0.013, -0.002), longest=1e-3)
         booked = []
-        rendered(controller, plant, 400, 1, lambda balance, _plant, into=booked: into.append(balance.account.deficit))
+        rendered(controller, plant, 200, 1, lambda balance, _plant, into=booked: into.append(balance.account.deficit))
         worst, deficit = min(worst, plant.least), max(deficit, *booked)
     assert worst < -1e-5
     assert deficit > 1e-5
@@ -225,7 +225,7 @@ def test_the_same_table_through_a_transmission_keeps_its_energy():
 
     strongest = []
     plant = Table(1e-3, declared(0.0, hand), masses=(1e-3, 1e-3), friction=1e-4, longest=2.5e-4)
-    rendered(controller, plant, 1500, 1, lambda balance, _plant: strongest.append(balance.account.torque))
+    rendered(controller, plant, 800, 1, lambda balance, _plant: strongest.append(balance.account.torque))
     assert max(strongest) > 0.1
     assert plant.least >= -1e-6
 
@@ -256,7 +256,7 @@ def test_lost_samples_are_booked_at_their_worst(delay):
     controller = group(ENVIRONMENTS["spring"], delay=delay)
     plant = Table(1e-3, figure_of_eight, longest=2.5e-4)
     pending, held, believed, over, unsure = [(0.0, 0.0)] * delay, (0.0, 0.0), 0.0, 0.0, 0.0
-    for cycle in range(2000):
+    for cycle in range(800):
         if cycle > 1 and rng.random() < 0.05:
             balance = controller.hold()
         else:

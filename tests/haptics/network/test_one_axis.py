@@ -63,7 +63,7 @@ def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, dam
     one = Guarded(wall, GuardedParameters(**own), loop)
     group = build_group_controller(plane, Identity(axes=1), "guarded", GuardedGroupParameters(**own), [loop])
     strongest = richest = worst_torque = worst_energy = 0.0
-    for lost, q, held, alone in positions(one, 2000, delay, lose=lose, clip=clip):
+    for lost, q, held, alone in positions(one, 1000, delay, lose=lose, clip=clip):
         together = group.hold() if lost else group.step([q], [held])
         strongest, richest = max(strongest, abs(alone.torque)), max(richest, alone.h_s)
         worst_torque = max(worst_torque, abs(together.torques[0] - alone.torque))
@@ -102,7 +102,7 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
             power = damper * damper / damping * 1e-3
             queue[index] = GroupCommand((torque,), (damper,), (modulated,), (0.0,), power)
 
-    for _, q, held, alone in positions(one, 4000, delay, start=start, after=align):
+    for _, q, held, alone in positions(one, 1600, delay, start=start, after=align):
         together = group.step([q], [held])
         branches.add(alone.branch)
         strongest, richest = max(strongest, abs(alone.torque)), max(richest, alone.h_s)
@@ -123,7 +123,7 @@ def test_a_pure_spring_scaled_is_that_of_internal_dissipation_over_a_whole_run(d
     one = InternalDissipation(wall, InternalDissipationParameters(), loop)
     group = build_group_controller(plane, Identity(axes=1), "step_scaling", None, [loop])
     worst = 0.0
-    for _, q, held, alone in positions(one, 4000, delay):
+    for _, q, held, alone in positions(one, 1600, delay):
         together = group.step([q], [held])
         worst = max(worst, abs(together.torques[0] - alone.torque), abs(together.account.h_s - alone.h_s))
     assert worst <= 1e-11
