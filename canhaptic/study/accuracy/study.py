@@ -235,11 +235,12 @@ class AccuracyStudy:
         """Returns the time columns of one candidate; None where it was not timed."""
         time, fixed = self._times.get(name), self._times.get(_WORKLOAD)
         if time is None:
-            return dict.fromkeys(("us_per_period", "wall_per_second", "spread", "ratio"))
+            return dict.fromkeys(("us_per_period", "wall_per_second", "spread", "repeats", "ratio"))
         return {
             "us_per_period": time.least / self.holds * 1e6,
             "wall_per_second": time.least / (self.holds * self.scene.bus.sample_time),
             "spread": time.spread,
+            "repeats": time.repeats,
             "ratio": time.least / fixed.least if fixed else None,
         }
 

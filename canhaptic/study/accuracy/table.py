@@ -29,6 +29,7 @@ _NEARER: Final = 0.8
 _SHOWN: Final = 4
 _PASSIVE: Final = 1e-6
 """Energy that a loop may give out [J] before it is told."""
+_WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 _LOOK: Final[Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False, "padding": (0, 1, 0, 0)}
 
 
@@ -49,7 +50,7 @@ def accuracy_report(result: Row) -> RenderableType:
 def markdown(result: Row) -> str:
     """Returns the same as Markdown."""
     lines = [*(f"{line}  " for line in heading(result)), ""]
-    for title, heads, rows, marked in _tables(result):
+    for title, heads, rows, marked in _tables(result, wide=True):
         titles = [head.replace("\n", " ") for head in heads]
         lines += [f"### {title}", "", "| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
         for cells, mark in zip(rows, marked, strict=True):
@@ -140,14 +141,19 @@ def length(value: float, unit: str) -> str:
     return si(value, "m", 3) if unit == "m" else f"{value:.3g} rad"
 
 
-def _tables(result: Row) -> list[_Table]:
+def _tables(result: Row, *, wide: bool = False) -> list[_Table]:
+    """Returns every table; the wide ones have times per simulated second and their spread besides."""
     unit = result["unit"]
     floor = FLOOR * result["reference"]["travel"] if result["reference"] else 0.0
     found: list[_Table] = []
     if result["plant"]:
         rows = [_plant_cells(row, unit, floor) for row in result["plant"]]
         title = f"plant: largest error at any SYNC; bold and *: Pareto front of evaluations, {_NUMBERS}"
-        found.append((title, PLANT_HEADS, rows, [bool(row["pareto"]) for row in result["plant"]]))
+        heads: Sequence[str] = PLANT_HEADS
+        if wide:
+            heads = (*PLANT_HEADS, *_WIDE_HEADS)
+            rows = [[*cells, *_wall(row)] for cells, row in zip(rows, result["plant"], strict=True)]
+        found.append((title, heads, rows, [bool(row["pareto"]) for row in result["plant"]]))
     if result["orders"]:
         orders = [[row["method"], _plain(row["declared"]), _fixed(row["fitted"], 2)] for row in result["orders"]]
         found.append(
@@ -165,6 +171,13 @@ def _tables(result: Row) -> list[_Table]:
 
 
 _NUMBERS: Final = "the same on every machine"
+
+
+def _wall(row: Row) -> list[str]:
+    """Returns wall time per simulated second, and its spread."""
+    if row.get("wall_per_second") is None:
+        return ["", ""]
+    return [si(row["wall_per_second"], "s", 3), f"+{100.0 * row['spread']:.0f} %"]
 
 
 def _plant_cells(row: Row, unit: str, floor: float) -> list[str]:
