@@ -269,3 +269,23 @@ def test_lost_samples_are_booked_at_their_worst(delay):
         plant.advance(held)
     assert (unsure > 0.0) == (delay == 1)  # without delay the repeated command is the one that acted
     assert over <= 1e-9
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_step_scaling_closes_its_account_and_follows_less_closely(delay):
+    controller = group(EXAMPLE, algorithm="step_scaling", delay=delay)
+    plant = Table(1e-3, figure_of_eight, longest=2.5e-4)
+    places, figures = [], {"residual": 0.0, "h_s": 0.0}
+
+    def note(balance, plant):
+        places.append(plant.q.copy())
+        account = balance.account
+        largest = max(figures["h_s"], account.h_s, abs(account.h_i), account.h_r, account.gen, account.leak, 1e-300)
+        figures["residual"] = max(figures["residual"], abs(residual(account, figures["h_s"])) / largest)
+        figures["h_s"] = account.h_s
+
+    rendered(controller, plant, 600, delay, note)
+    error = np.array(places) - continuous(np.arange(len(places)) * 1e-3)
+    assert figures["residual"] <= 1e-12
+    assert float(np.sqrt((error**2).sum(axis=1).mean())) <= 1e-3
+    assert plant.least >= -1e-6
