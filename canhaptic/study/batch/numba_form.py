@@ -69,20 +69,16 @@ class NumbaForm:
         """
         program, layout = self.program, self.layout
         fixed = known_values([*layout.fixed, *program.first.values()], numbers, {})
-        rows = [fixed[program.first[name]] for name in self._lane_states] + [fixed[v] for v in self._lane_values]
         chunks = -(-count // WIDTH)
-        block = np.empty((chunks, len(rows) + 1, WIDTH))
-        block[:, -1] = 0.0
-        for i, values in enumerate(rows):
-            row = np.full(chunks * WIDTH, values if np.ndim(values) == 0 else values[-1], dtype=float)
-            row[:count] = values
-            block[:, i] = row.reshape(chunks, WIDTH)
-        begin = block[:, : len(self._lane_states)].copy().reshape(chunks, -1)
+        block = _block([*(fixed[program.first[name]] for name in self._lane_states), 0.0], count)
+        values = _block([fixed[node] for node in self._lane_values], count)
+        begin = block[:, :-1].copy().reshape(chunks, -1)
         frozen, when = begin.copy(), np.zeros(chunks * WIDTH, dtype=np.int64)
         ones = np.array([float(fixed[program.first[name]]) for name in self._one_states])
         given = np.array([float(fixed[node]) for node in self._one_values])
         lists = [self._list(fixed[program.first[name]], chunks) for name in self._rings]
-        self._kernel(cycles, block.reshape(chunks, -1), begin, frozen, when, ones, given, *lists)
+        flat = block.reshape(chunks, -1), values.reshape(chunks, -1)
+        self._kernel(cycles, *flat, begin, frozen, when, ones, given, *lists)
         return self._states(block, frozen, when, ones, count), when[:count]
 
     def _list(self, rows: Any, chunks: int) -> Array:
@@ -102,6 +98,17 @@ class NumbaForm:
         return states | dict(zip(self._one_states, ones.tolist(), strict=True))
 
 
+def _block(rows: list[Any], count: int) -> Array:
+    """Returns numbers or arrays of shape (count,) as chunks, shape (chunks, rows, WIDTH), the last scene repeated."""
+    chunks = -(-count // WIDTH)
+    block = np.empty((chunks, len(rows), WIDTH))
+    for i, values in enumerate(rows):
+        row = np.full(chunks * WIDTH, values if np.ndim(values) == 0 else values[-1], dtype=float)
+        row[:count] = values
+        block[:, i] = row.reshape(chunks, WIDTH)
+    return block
+
+
 @lru_cache(maxsize=64)
 def compiled(source: str, lists: int) -> Callable[..., None]:
     """Returns the function of a source, compiled for its only types."""
@@ -109,7 +116,7 @@ def compiled(source: str, lists: int) -> Callable[..., None]:
     names |= {name: getattr(__import__("math"), name) for name in ("sqrt", "exp", "sin", "cos", "tan", "asin", "inf")}
     names |= {"copied": numba.njit(_copied, inline="always"), "place": numba.njit(_place, inline="always")}
     exec(compile(source, "<batch>", "exec"), names)
-    types = ["int64", *["float64[:, ::1]"] * 3, "int64[::1]", *["float64[::1]"] * 2, *["float64[:, :, ::1]"] * lists]
+    types = ["int64", *["float64[:, ::1]"] * 4, "int64[::1]", *["float64[::1]"] * 2, *["float64[:, :, ::1]"] * lists]
     function: Callable[..., None] = numba.njit(f"void({', '.join(types)})", error_model="numpy")(names["cycles"])
     return function
 
@@ -147,20 +154,20 @@ def _source(
     for node in layout.steps:
         (each if node in layout.lanes else once).extend(_lines(node, name))
     load = [_loaded(f"s{i}", i, states[n].is_truth) for i, n in enumerate(lane_states)]
-    load += [_loaded(f"v{i}", len(lane_states) + i, node.is_truth) for i, node in enumerate(lane_values)]
+    load += [_loaded(f"v{i}", i, node.is_truth, "fixed") for i, node in enumerate(lane_values)]
     keep = [
         f"rows[{i * WIDTH} + i] = {_stored(name[program.then[n]], program.then[n].is_truth)}"
         for i, n in enumerate(lane_states)
         if program.then[n] is not states[n]
     ]
-    last = (len(lane_states) + len(lane_values)) * WIDTH
+    last = len(lane_states) * WIDTH
     out = name[program.out]
     turn = [f"o{i} = {name[program.then[n]]}" for i, n in enumerate(one_states)]
     lines = [
-        f"def cycles(count, blocks, begins, kept, when, ones, given{''.join(f', r{i}' for i in range(len(rings)))}):",
+        f"def cycles(count, blocks, values, begins, kept, when, ones, given{''.join(f', r{i}' for i in range(len(rings)))}):",
         *(f"    g{i} = given[{i}]{' != 0.0' if node.is_truth else ''}" for i, node in enumerate(one_values)),
         "    for chunk in range(blocks.shape[0]):",
-        "        rows = blocks[chunk]",
+        "        rows, fixed = blocks[chunk], values[chunk]",
         *(f"        o{i} = ones[{i}]{' != 0.0' if states[n].is_truth else ''}" for i, n in enumerate(one_states)),
         "        for cycle in range(count):",
         *(f"            {line}" for line in once),
@@ -168,7 +175,7 @@ def _source(
         f"            for i in range({WIDTH}):",
         *(f"                {line}" for line in (*load, *each, *keep)),
         f"                rows[{last} + i] = 1.0 if {out} else 0.0",
-        f"                bad |= 1 if {out} else 0",
+        f"                bad += 1 if {out} else 0",
         *(f"            {line}" for line in _at_once(turn)),
         "            if bad:",
         f"                for i in range({WIDTH}):",
@@ -192,8 +199,8 @@ def _at_once(turn: list[str]) -> list[str]:
     return [f"{', '.join(left)}, = {', '.join(right)},"]
 
 
-def _loaded(name: str, row: int, is_truth: bool) -> str:
-    return f"{name} = rows[{row * WIDTH} + i]{' != 0.0' if is_truth else ''}"
+def _loaded(name: str, row: int, is_truth: bool, source: str = "rows") -> str:
+    return f"{name} = {source}[{row * WIDTH} + i]{' != 0.0' if is_truth else ''}"
 
 
 def _stored(value: str, is_truth: bool) -> str:
