@@ -130,10 +130,9 @@ class Cycle:
         rows, accounts = list(samples), list(balances)
         for group in self.groups:
             balance = group.balance
-            group.ledger.add(balance.account, rows[0].sync_index)
             rows.append(group.sample(samples))
             accounts.append(balance.account)
-            text = group.new_limit()
+            text = group.book(rows[0].sync_index)
             if text and self._log is not None:
                 self._log.event(rows[0].sync_index, "limit", group.name, text)
         true = None if truths is None else [*truths, *(group.truth(truths) for group in self.groups)]

@@ -40,6 +40,8 @@ def run_result(
             "unit": members[0][1],
             "axes": [name for name, _ in members],
             **group.ledger.summary().as_json(sample_time),
+            "supplied": group.supplied,
+            "unsure": group.unsure,
             "limits": dict(group.limits),
         }
     return {

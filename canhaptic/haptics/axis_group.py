@@ -35,6 +35,8 @@ class AxisGroup:
         ledger: The account of the group.
         balance: Of the last step.
         limits: How many holds each `Limit` lasted, NONE left out.
+        supplied: Came in where no motor drives, as by the mover of a wall [J]; part of the ledger's interaction.
+        unsure: Taken off the ledger's interaction because lost samples leave it open [J].
     """
 
     def __init__(self, name: str, axes: Sequence[int], controller: GroupController) -> None:
@@ -44,6 +46,7 @@ class AxisGroup:
         self.ledger = Ledger()
         self.balance: GroupBalance = group_at_rest(len(self.axes))
         self.limits = {limit.name.lower(): 0 for limit in Limit if limit is not Limit.NONE}
+        self.supplied = self.unsure = 0.0
         self._limit = Limit.NONE.value
 
     def step(self, samples: Sequence[Sample]) -> GroupBalance:
@@ -63,8 +66,15 @@ class AxisGroup:
         self.balance = self.controller.step(positions, torques)
         return self.balance
 
-    def new_limit(self) -> str:
-        """Counts the limit of the last step; returns what to note when it was not there before, else nothing."""
+    def book(self, sync_index: int) -> str:
+        """Takes the last step into the ledger, and counts its limit.
+
+        Returns:
+            What to note of a limit that was not there before; empty otherwise.
+        """
+        self.ledger.add(self.balance.account, sync_index)
+        self.supplied += self.balance.supplied
+        self.unsure += self.balance.unsure
         limit, before = self.balance.limit, self._limit
         self._limit = limit
         if not limit:

@@ -80,6 +80,9 @@ def _energy_table(result: Result, names: list[str]) -> Table:
     branches = [name for name in _branch_names(result, names) if any(_count(result, port, name) for port in names)]
     for branch in branches:
         table.add_row(f"holds booked as {branch}", *(_count_text(result, port, branch) for port in names))
+    for name, label in _OF_GROUPS.items():
+        if any(result["ports"][port].get(name) for port in names):
+            table.add_row(label, *(_cell(_plain(name), result["ports"][port]) for port in names))
     for limit in dict.fromkeys(limit for port in names for limit, count in _limits(result, port).items() if count):
         counts = (f"{_limits(result, port)[limit]}   " if _limits(result, port) else "-   " for port in names)
         table.add_row(f"holds limited: {limit}", *counts)
@@ -156,6 +159,8 @@ def _known_to(port: Result) -> str:
     return {"demand": "exact   ", "none": "believed   "}.get(port["read_back"]) or energy(port["read_back_bound"])
 
 
+_OF_GROUPS: Final = {"supplied": "in by movers, not motors", "unsure": "in doubt, taken off `in`"}
+"""Rows that only a group may have, shown where they are not zero."""
 _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("in", _plain("in")),
     ("out", _plain("out")),

@@ -173,6 +173,26 @@ def test_an_axis_beside_a_group_renders_as_if_it_were_alone(tmp_path: Path) -> N
     assert accounts[0].energy_in > 0.0
 
 
+def test_what_a_mover_supplies_is_in_the_account_and_never_in_the_truth_of_the_motors(tmp_path: Path) -> None:
+    wall = "type: moving_wall, normal: [1.0, 0.5], offset: -0.01, amplitude: 0.03, frequency: 1.0"
+    # Without a push of the hand there is no start: the account is empty, and a wall without torque supplies nothing.
+    swing = "simulation.mechanisms.0.hand.motion={x: {amplitude: 0.03, frequency: 0.37}}"
+    pushed = [f"groups.0.network={{{wall}, stiffness: 800, damping: 5}}", swing]
+    with logged("xy_box", 3000, tmp_path, pushed) as (experiment, log):
+        [group], judge = experiment.cycle.groups, experiment.cycle.judge
+        assert judge is not None
+        assert group.supplied > 1e-3  # the wall pushes hand and stage
+        assert judge.interaction[2] < -1e-4
+        believed = group.ledger.interaction
+        assert believed == pytest.approx(
+            sum(each.interaction for each in experiment.cycle.ledgers) + group.supplied, abs=1e-12
+        )
+        assert believed >= -1e-6
+        supplied = np.cumsum(log.ports["stage"]["h_i"] - log.ports["x"]["h_i"] - log.ports["y"]["h_i"])
+        assert (supplied - log.truth["stage"]["motor"]).min() >= -1e-6
+        assert identity(log.ports["stage"]).max() <= 1e-12
+
+
 def test_the_account_on_the_terminal_and_as_json_is_that_of_the_group(capsys: pytest.CaptureFixture[str]) -> None:
     config = str(REPOSITORY / "configs" / "xy_box.yaml")
     assert main(["run", config, "--duration", "0.3", "--json"]) == 0

@@ -78,7 +78,7 @@ def test_a_limit_is_counted_every_hold_and_told_once() -> None:
     for limit in (0, Limit.SINGULAR, Limit.SINGULAR, 0, Limit.SINGULAR, Limit.WORKSPACE):
         inner.limit = int(limit)
         group.step([sample(1.0), sample(2.0)])
-        told.append(group.new_limit()[:8])
+        told.append(group.book(4)[:8])
     assert told == ["", "the pose", "", "", "the pose", "the mech"]
     assert group.limits == {"workspace": 1, "singular": 3, "unsolved": 0}
 
