@@ -1,0 +1,100 @@
+"""`canhaptic sweep`, `canhaptic map`, `canhaptic design` and `tools/sweep.py`."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from canhaptic.cli.main import main
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DEMO = str(REPOSITORY / "configs" / "demo.yaml")
+SMALL = ["sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:3", "--cycles", "20"]
+
+
+def test_json_is_one_object_with_what_computed_each_scene(capsys, tmp_path):
+    out = tmp_path / "a.h5"
+    assert (
+        main([*SMALL, "--vary", "bus.rate=100,4000", "--controllers", "direct,guarded", "--out", str(out), "--json"])
+        == 0
+    )
+    result = json.loads(capsys.readouterr().out)
+    assert result["scenes"] == result["finished"] == 12
+    assert result["status"] == {"completed": 6, "refused": 6}
+    assert sum(result["engines"].values()) == 12
+    assert set(result["figures"]["handle"]) == {"direct", "guarded"}
+    assert any("does not fit the bus" in entry["remark"] for entry in result["remarks"])
+
+
+def test_the_table_says_engine_and_reason(capsys, tmp_path):
+    assert main([*SMALL, "--set", "simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"]) == 0
+    shown = capsys.readouterr().out
+    assert "computed by: 3 scalar" in shown
+    assert "3 of 3 scenes" in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--vary", "environment.damping=abc"], "--vary environment.damping=abc: environment.damping: got 'abc'"),
+        (["--vary", "environment.stifness=1,2"], "did you mean 'stiffness'"),
+        (["--vary", "environment.damping=1:2"], "no number of values"),
+        (["--controllers", "best"], "unknown passivity algorithm 'best'"),
+        (["--resume"], "name it with --out"),
+        (["--out", "/no/such/folder/a.h5"], "/no/such/folder/a.h5"),
+        (["--metrics", "beauty"], "unknown metric"),
+        (["--dask", "nonsense://"], "--dask nonsense://"),
+    ],
+)
+def test_bad_input_ends_with_2_and_one_clear_error(capsys, arguments, message):
+    assert main([*SMALL, *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--sample", "lhs"], ["--sample", "sobol:5"], ["--workers", "-1"], ["--duration", "5"]]
+)
+def test_bad_options_are_refused_by_the_parser(capsys, arguments):
+    with pytest.raises(SystemExit) as raised:
+        main([*SMALL, *arguments])
+    assert raised.value.code == 2
+
+
+def test_a_map_of_a_sweep(capsys, tmp_path):
+    out, picture = tmp_path / "a.h5", tmp_path / "map.png"
+    main(
+        [
+            *SMALL,
+            "--vary",
+            "bus.rate=100,200",
+            "--controllers",
+            "direct",
+            "--out",
+            str(out),
+            "--set",
+            "environment.damping=0",
+        ]
+    )
+    capsys.readouterr()
+    assert main(["map", str(out), "--png", str(picture)]) == 0
+    assert "Colgate" in capsys.readouterr().out
+    assert picture.stat().st_size > 10_000
+    assert main(["map", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["passing"].keys() == {"direct"}
+    assert main(["map", DEMO]) == 2
+    assert main(["map", str(out), "--png", "map.bmp"]) == 2
+    assert main(["map", str(out), "--axis", "elbow"]) == 2
+
+
+def test_a_design_that_cannot_be_made_says_why(capsys):
+    assert main(["design", DEMO, "--margin", "-1", "--json"]) == 2
+    assert "expected 0 <= margin" in json.loads(capsys.readouterr().out)["faults"][0]
+
+
+def test_the_tool_is_the_same_command():
+    command = [sys.executable, "tools/sweep.py", DEMO, "--vary", "environment.stiffness=-1,1"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY, check=False)
+    assert done.returncode == 2
+    assert "got -1" in done.stderr

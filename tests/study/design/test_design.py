@@ -1,0 +1,86 @@
+"""A designed wall is rendered as promised, judged by a run of its own; what cannot be designed is said."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from canhaptic.errors import CheckFailedError, InputError
+from canhaptic.scene.load import load_scene
+from canhaptic.study.compare import compare
+from canhaptic.study.design.report import snippet
+from canhaptic.study.design.trial import Trial
+from canhaptic.study.design.wall import _rounded, design_wall
+
+DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
+RIG = [
+    "bus.rate=100",
+    "simulation.plant.damping=1",
+    "passivity={algorithm: guarded, moving_mass: 0.2, device_damping: 0.9}",
+]
+
+
+@pytest.fixture(scope="module")
+def designed():
+    return design_wall(load_scene(DEMO, RIG), engine="numpy")
+
+
+@pytest.mark.slow
+def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_tolerance(designed):
+    assert designed.stiffness > 100.0
+    pasted = yaml.safe_load(snippet(designed.result))
+    for factor in (1.0, 1.2):
+        stiffness, damping = factor * designed.stiffness, factor * designed.damping
+        scene = load_scene(
+            DEMO,
+            [
+                *RIG,
+                f"environment={{type: spring_damper_wall, stiffness: {stiffness!r}, damping: {damping!r}}}",
+                "simulation.user={damping: 5, push: -5}",
+                "simulation.plant.initial_position=0.002",
+            ],
+        )
+        run = compare(scene, ["guarded"], duration=4.0, repeats=0).result["axes"]["handle"]["algorithms"]["guarded"]
+        assert run["stiffness_rendered"]["share"] == pytest.approx(1.0, abs=0.05)
+        assert run["status"] == "completed"
+    assert pasted["environment"]["stiffness"] == f"{designed.stiffness:g} N/m"
+    assert pasted["passivity"]["algorithm"] == "guarded"
+
+
+@pytest.mark.slow
+def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "numpy")
+    verdict = trial.verdict(
+        np.array([designed.stiffness, 1.3 * designed.stiffness, 20.0 * designed.stiffness]), np.zeros(3)
+    )
+    assert verdict.passed.tolist()[0]
+    assert not verdict.passed.tolist()[2]
+
+
+@pytest.mark.slow
+def test_the_lines_can_be_pasted_into_the_scene(designed):
+    pasted = yaml.safe_load(snippet(designed.result))
+    lines = [
+        f"{key}={yaml.safe_dump(value, default_flow_style=True, width=1000).strip()}" for key, value in pasted.items()
+    ]
+    scene = load_scene(DEMO, ["bus.rate=100", *lines])
+    assert scene.axes[0].environment.parameters.stiffness == designed.stiffness
+
+
+def test_what_cannot_be_designed_is_said():
+    with pytest.raises(InputError, match="expected 0 <= margin"):
+        design_wall(load_scene(DEMO), margin=-1.0)
+    bare = load_scene(DEMO, ["simulation=null", "bus.channel=x", "passivity={algorithm: direct}"])
+    with pytest.raises(InputError, match="moving_mass"):
+        design_wall(bare)
+
+
+@pytest.mark.slow
+def test_a_rig_that_renders_no_wall_is_told_what_to_change():
+    with pytest.raises(CheckFailedError, match=r"raise bus\.rate"):
+        design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="numpy")
+
+
+def test_numbers_are_rounded_down():
+    assert [_rounded(value) for value in (1569.9, 0.012349, 0.0, 149.0, 1e8)] == [1560.0, 0.0123, 0.0, 149.0, 1e8]

@@ -1,0 +1,174 @@
+"""Maps: the border of a plain wall is that of theory; the worst of what is not drawn counts; pictures are made."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canhaptic.errors import InputError
+from canhaptic.scene.load import load_scene
+from canhaptic.study.map.border import Border, border_of, colgate_stiffness, passes, theory_at, usual_judgement
+from canhaptic.study.map.field import fields_of
+from canhaptic.study.map.page import write_map
+from canhaptic.study.map.panels import Cells, Chosen, Lines, panels_of
+from canhaptic.study.map.picture import draw_map, edges_of
+from canhaptic.study.sweep import sweep
+from canhaptic.study.sweep.table import SweepTable
+
+DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
+SOFT_HAND = "simulation.user={stiffness: 0.01, push: -1}"
+
+
+@pytest.fixture(scope="module")
+def plain_wall(tmp_path_factory):
+    """A plain wall with the encoder's count, device damping and rate varied, held by a hand too soft to matter."""
+    path = tmp_path_factory.mktemp("map") / "plain.h5"
+    scene = load_scene(DEMO, [SOFT_HAND, "bus.rpdo=event", "environment.damping=0"])
+    vary = ["environment.stiffness=100:20000:log:161", "bus.rate=200,400,800", "simulation.plant.damping=1,2"]
+    sweep(scene, vary, path, controllers=["direct"], cycles=20, metrics=["spectral_radius"])
+    return path
+
+
+@pytest.fixture(scope="module")
+def two_controllers(tmp_path_factory):
+    path = tmp_path_factory.mktemp("map") / "two.h5"
+    vary = ["environment.stiffness=100:2000:log:5", "bus.rate=50,100", "environment.damping=0,2"]
+    scene = load_scene(DEMO, ["simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"])
+    metrics = ["margin", "least_interaction", "diverged", "stiffness_rendered.share", "damping_rendered.mean"]
+    sweep(scene, vary, path, controllers=["direct", "guarded"], duration=1.6, metrics=metrics)
+    return path
+
+
+def test_the_border_of_the_plain_wall_is_that_of_colgate_within_three_per_cent(plain_wall):
+    with SweepTable(plain_wall) as table:
+        [field] = fields_of(table)
+        border = border_of(field, "environment.stiffness", ["bus.rate", "simulation.plant.damping"], "stable")
+        step = 200.0 ** (1.0 / 160.0)
+        for i, rate in enumerate((200.0, 400.0, 800.0)):
+            for j, damping in enumerate((1.0, 2.0)):
+                theory = theory_at(field, {"bus.rate": rate, "simulation.plant.damping": damping})
+                assert theory.colgate == pytest.approx(2.0 * damping * rate)
+                assert border.value[i, j] / 1.03 <= theory.colgate <= 1.03 * border.value[i, j] * step
+
+
+def test_colgates_condition_in_its_closed_forms():
+    assert colgate_stiffness(1.0, 0.0, 1e-3, 0) == pytest.approx(2000.0)  # b > k T / 2
+    assert colgate_stiffness(1.0, 0.3, 1e-3, 0) == pytest.approx(1400.0)  # b > k T / 2 + B
+    assert colgate_stiffness(3.0, 0.0, 1e-3, 1) == pytest.approx(2000.0, rel=1e-5)  # b > 3 k T / 2
+    assert colgate_stiffness(1.0, 1.5, 1e-3, 0) == 0.0
+
+
+def test_colgates_condition_is_that_of_the_energy_of_any_motion():
+    random = np.random.default_rng(1)
+    period, damping, delay = 1e-3, 2.0, 1
+    stiffness = colgate_stiffness(damping, 0.0, period, delay)
+    for factor, is_passive in ((0.99, True), (1.05, False)):
+        motions = [random.normal(size=400).cumsum() for _ in range(50)]
+        motions += [np.sin(np.arange(4000) * angle) for angle in np.linspace(0.02, 3.1, 60)]  # from and back to rest
+        least = 0.0
+        for q in motions:
+            q = np.concatenate([[0.0], q, q[-1] * np.linspace(1.0, 0.0, 2000)])
+            moved = np.diff(q)
+            felt = np.concatenate([[0.0], q])[: len(moved)]  # a hold late
+            taken = factor * stiffness * np.cumsum(felt * moved) + damping / period * np.cumsum(moved * moved)
+            least = min(least, taken[-1] / (moved @ moved))
+        assert (least >= 0.0) == is_passive
+
+
+def test_abbott_and_okamura_ask_for_friction_over_half_a_count(two_controllers):
+    with SweepTable(two_controllers) as table:
+        theory = theory_at(fields_of(table)[0], {"bus.rate": 50.0})
+    assert theory.abbott_okamura == pytest.approx(2.0 * 0.1 / 1e-6)
+
+
+def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_column(two_controllers):
+    with SweepTable(two_controllers) as table:
+        direct, guarded = fields_of(table)
+        assert (usual_judgement(direct), usual_judgement(guarded)) == ("stable", "passive")
+        by_both = border_of(direct, "environment.stiffness", ["bus.rate", "environment.damping"], "passive")
+        worst = border_of(direct, "environment.stiffness", ["bus.rate"], "passive")
+        assert worst.value.tolist() == by_both.value.min(axis=1).tolist()
+        assert passes(guarded, "passive").all()
+        assert border_of(guarded, "environment.stiffness", ["bus.rate"], "passive").open.all()
+        field = direct
+
+        class Doctored:
+            keys, values = field.keys, field.values
+
+            def judged(self):
+                return np.ones((5, 2, 2, 1), dtype=bool)
+
+            def figure(self, _metric):
+                energy = np.zeros((5, 2, 2, 1))
+                energy[2, 1, 0] = -1.0
+                return energy
+
+        found: Border = border_of(Doctored(), "environment.stiffness", ["bus.rate"], "passive")
+    assert found.value.tolist() == [field.values["environment.stiffness"][4], field.values["environment.stiffness"][1]]
+    assert found.open.tolist() == [True, False]
+
+
+def test_scenes_that_were_refused_or_not_run_are_blank(tmp_path):
+    path = tmp_path / "a.h5"
+    sweep(load_scene(DEMO), ["environment.stiffness=100,200", "bus.rate=100,3000"], path, cycles=20)
+    with SweepTable(path) as table:
+        border = border_of(fields_of(table)[0], "environment.stiffness", ["bus.rate"], "passive")
+    assert np.isfinite(border.value).tolist() == [True, False]
+
+
+def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
+    with SweepTable(two_controllers) as table:
+        fields = fields_of(table)
+        columns = panels_of(fields, Chosen())
+        chosen = panels_of(fields, Chosen(x="environment.damping", y="bus.rate", metric="margin"))
+    assert [len(column) for column in columns] == [4, 4]
+    width = columns[0][0]
+    assert isinstance(width, Lines)
+    assert [line.label for line in width.lines if line.style == "measured"] == [
+        "measured, damping 0",
+        "measured, damping 2",
+    ]
+    assert any(line.style == "abbott_okamura" for line in width.lines)
+    assert width.x_label == "bus.rate [Hz]"
+    assert width.y_label == "environment.stiffness [N/m]"
+    [[cells], _] = chosen
+    assert isinstance(cells, Cells)
+    assert cells.values.shape == (2, 2)
+
+
+def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(two_controllers, tmp_path):
+    pytest.importorskip("matplotlib")
+    samples, profile = tmp_path / "samples.h5", tmp_path / "profile.h5"
+    scene = load_scene(DEMO, ["simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"])
+    sweep(scene, ["environment.stiffness=1e2:1e4:log", "environment.damping=0:5"], samples, samples=30, cycles=20)
+    sweep(scene, ["environment.stiffness=1e2:1e4:log:5"], profile, cycles=20)
+    for path in (two_controllers, samples, profile):
+        with SweepTable(path) as table:
+            columns = panels_of(fields_of(table), Chosen())
+        draw_map(columns, "caption", tmp_path / "map.png")
+        assert (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
+        if importlib.util.find_spec("bokeh") is not None:
+            write_map(columns, "a <caption>", tmp_path / "map.html")
+            page = (tmp_path / "map.html").read_text()
+            assert "a <caption>" not in page
+            assert "<script src" not in page
+            assert "<link" not in page
+
+
+def test_edges_lie_halfway_between_neighbours():
+    assert edges_of(np.array([1.0, 2.0, 4.0]), log=False).tolist() == [0.5, 1.5, 3.0, 5.0]
+    assert edges_of(np.array([1.0, 100.0]), log=True) == pytest.approx([0.1, 10.0, 1000.0])
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        (Chosen(x="bus.bitrate"), "was not varied"),
+        (Chosen(x="bus.rate", y="bus.rate"), "give two keys"),
+        (Chosen(metric="travel"), "not in the file"),
+    ],
+)
+def test_what_cannot_be_drawn_is_named(two_controllers, chosen, message):
+    with SweepTable(two_controllers) as table, pytest.raises(InputError, match=message):
+        panels_of(fields_of(table), chosen)
