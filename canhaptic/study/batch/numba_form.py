@@ -19,6 +19,7 @@ from canhaptic.study.loop import Array
 
 WIDTH: Final = 128
 """Scenes in a chunk: a few ten rows of it fit the first-level cache, and loads do not wait for stores of other rows."""
+_ARGUMENTS: Final = "count, blocks, values, begins, kept, when, ones, given"
 _MAGIC: Final = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to a whole number, halves to even
 _INFIX: Final = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "mod": "%", "floordiv": "//", "lt": "<", "le": "<=", "gt": ">",
@@ -142,13 +143,12 @@ def _source(
 ) -> str:
     """Returns the text of the function; see `NumbaForm.run` for its arguments."""
     program = layout.program
-    graph = program.out.graph
-    name: dict[Node, str] = {node: _literal(node.value) for node in layout.fixed if node.op == "const"}
-    name |= {node: f"v{i}" for i, node in enumerate(lane_values)} | {node: f"g{i}" for i, node in enumerate(one_values)}
-    states = {n: graph.slot(n, program.then[n]) for n in layout.states}
-    name |= {states[n]: f"r{i}" for i, n in enumerate(rings)}
-    name |= {states[n]: f"s{i}" for i, n in enumerate(lane_states)}
-    name |= {states[n]: f"o{i}" for i, n in enumerate(one_states)}
+    states = {n: program.out.graph.slot(n, program.then[n]) for n in layout.states}
+    name = {node: _literal(node.value) for node in layout.fixed if node.op == "const"}
+    own = {"v": lane_values, "g": one_values}
+    own |= {kind: [states[n] for n in names] for kind, names in (("r", rings), ("s", lane_states), ("o", one_states))}
+    for kind, nodes in own.items():
+        name |= {node: f"{kind}{i}" for i, node in enumerate(nodes)}
     once: list[str] = []
     each: list[str] = []
     for node in layout.steps:
@@ -160,11 +160,11 @@ def _source(
         for i, n in enumerate(lane_states)
         if program.then[n] is not states[n]
     ]
-    last = len(lane_states) * WIDTH
     out = name[program.out]
+    keep += [f"rows[{len(lane_states) * WIDTH} + i] = 1.0 if {out} else 0.0", f"bad += 1 if {out} else 0"]
     turn = [f"o{i} = {name[program.then[n]]}" for i, n in enumerate(one_states)]
     lines = [
-        f"def cycles(count, blocks, values, begins, kept, when, ones, given{''.join(f', r{i}' for i in range(len(rings)))}):",
+        f"def cycles({', '.join((_ARGUMENTS, *(f'r{i}' for i in range(len(rings)))))}):",
         *(f"    g{i} = given[{i}]{' != 0.0' if node.is_truth else ''}" for i, node in enumerate(one_values)),
         "    for chunk in range(blocks.shape[0]):",
         "        rows, fixed = blocks[chunk], values[chunk]",
@@ -174,22 +174,26 @@ def _source(
         "            bad = 0",
         f"            for i in range({WIDTH}):",
         *(f"                {line}" for line in (*load, *each, *keep)),
-        f"                rows[{last} + i] = 1.0 if {out} else 0.0",
-        f"                bad += 1 if {out} else 0",
-        *(f"            {line}" for line in _at_once(turn)),
-        "            if bad:",
-        f"                for i in range({WIDTH}):",
-        f"                    if rows[{last} + i] != 0.0:",
-        f"                        first = when[chunk * {WIDTH} + i] == 0",
-        "                        if first:",
-        f"                            when[chunk * {WIDTH} + i] = cycle + 1",
-        f"                        for row in range({len(lane_states)}):",
-        "                            if first:",
-        f"                                kept[chunk, row * {WIDTH} + i] = rows[row * {WIDTH} + i]",
-        f"                            rows[row * {WIDTH} + i] = begins[chunk, row * {WIDTH} + i]",
+        *(f"            {line}" for line in (*_at_once(turn), *_escapes(len(lane_states)))),
+        *(f"    ones[{i}] = {_stored(f'o{i}', states[n].is_truth)}" for i, n in enumerate(one_states)),
     ]
-    lines += [f"    ones[{i}] = {_stored(f'o{i}', states[n].is_truth)}" for i, n in enumerate(one_states)]
     return "\n".join(lines) + "\n"
+
+
+def _escapes(states: int) -> list[str]:
+    """Returns the lines that keep the states of scenes that just diverged, and put them back to their start."""
+    return [
+        "if bad:",
+        f"    for i in range({WIDTH}):",
+        f"        if rows[{states * WIDTH} + i] != 0.0:",
+        f"            first = when[chunk * {WIDTH} + i] == 0",
+        "            if first:",
+        f"                when[chunk * {WIDTH} + i] = cycle + 1",
+        f"            for row in range({states}):",
+        "                if first:",
+        f"                    kept[chunk, row * {WIDTH} + i] = rows[row * {WIDTH} + i]",
+        f"                rows[row * {WIDTH} + i] = begins[chunk, row * {WIDTH} + i]",
+    ]
 
 
 def _at_once(turn: list[str]) -> list[str]:

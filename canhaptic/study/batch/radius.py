@@ -50,8 +50,13 @@ def radii(scene: Scene, varied: Mapping[str, Array]) -> Array:
     period: Any = scene.bus.sample_time_ns * 1e-9
     if "bus.rate" in varied:
         period = np.rint(1e9 / varied["bus.rate"]) * 1e-9
-    of_scene = 1.0 if scene.bus.rpdo == "synchronous" else 0.0
-    delays = np.broadcast_to(varied.get("loop.delay", of_scene), (count,))
+    synchronous = 1.0 if scene.bus.rpdo == "synchronous" else 0.0
+    delays = np.broadcast_to(varied.get("loop.delay", synchronous), (count,))
+    return _by_delay(loops, period, delays)
+
+
+def _by_delay(loops: Loops, period: Any, delays: Array) -> Array:
+    count = len(delays)
     found = np.empty(count)
     for delay in np.unique(delays).tolist():
         rows = np.flatnonzero(delays == delay)
