@@ -28,8 +28,10 @@ JUDGEMENTS: Final = {
     "stable": "stable",
     "passive": "true sum(h_i) >= 0",
     "margin": "margin of (4) >= 0",
+    "settled": "true sum(h_i) at the end >= 0",
 }
 """Name -> what passing means, in words."""
+_ENERGIES: Final = {"passive": "least_interaction", "margin": "margin", "settled": "interaction"}
 _ANGLES: Final = 4096
 
 
@@ -46,19 +48,21 @@ class Border(NamedTuple):
 def usual_judgement(field: Field) -> str:
     """Returns how an algorithm is judged unless the user says otherwise.
 
-    The plain wall promises nothing of its port: with what the device dissipates it is stable or not. The others are
-    held to what they promise.
+    The plain wall promises nothing of its port: with what the device dissipates it is stable or not, by the eigenvalues
+    of the loop; where that is not linear, what it gave out in the whole run says whether it goes on shaking. The others
+    are held to what they promise.
     """
     if (field.controller or field.scene.axes[0].passivity.name) == "direct":
-        return "stable" if field.has(RADIUS) or field.has("diverged") else "passive"
+        if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
+            return "stable"
+        return "settled" if field.has("interaction") else "passive"
     return "passive" if field.has("least_interaction") else "margin"
 
 
 def passes(field: Field, judgement: str) -> Mask:
     """Returns which scenes pass, shaped as a figure of the field."""
     if judgement != "stable":
-        figure = field.figure("least_interaction" if judgement == "passive" else "margin")
-        return figure >= -PASSIVE_TOLERANCE
+        return np.asarray(field.figure(_ENERGIES[judgement]) >= -PASSIVE_TOLERANCE)
     passed = field.judged()
     if field.has("diverged"):
         passed &= field.figure("diverged") == 0.0
