@@ -67,7 +67,8 @@ class Hdf5File:
             self._file = h5py.File(path, "r", swmr=True)
         else:
             oldest = "v110" if mode == "w live" else "earliest"
-            self._file = h5py.File(path, "w", libver=(oldest, "v110"), locking=False)
+            # Without a cache for chunks: each is written once, whole; a megabyte of them per column would be kept.
+            self._file = h5py.File(path, "w", libver=(oldest, "v110"), locking=False, rdcc_nbytes=0)
 
     def __enter__(self) -> "Hdf5File":
         return self

@@ -8,7 +8,7 @@ of the object dictionary: its SDO server, codecs, scaling and state machine are 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import can
 from canopen.objectdictionary import ObjectDictionary, datatypes
@@ -99,7 +99,7 @@ class SimulatedDrive:
         )
         self._abort_option = store.find(ABORT_CONNECTION_OPTION)
         self._error_behaviour = store.entry(ERROR_BEHAVIOUR, datatypes.UNSIGNED8, 1)
-        self._frames: dict[int, can.Message] = {}  # by COB-ID; a bus copies what it is given
+        self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
         self._routes: dict[int, Handler] = {}
         self._are_routes_stale = True
         self._settle_timer = timers.add(self._settle)
@@ -180,7 +180,7 @@ class SimulatedDrive:
         if message is None:
             message = self._frames[cob_id] = can.Message(arbitration_id=cob_id, is_extended_id=False)
         message.timestamp = self.servo.now * 1e-9
-        message.data, message.dlc = bytearray(content), len(content)
+        message.data, message.dlc = content, len(content)
         try:
             self._bus.send(message)
         except can.CanError:
