@@ -13,7 +13,7 @@ from canhaptic.study.map.field import Field
 STIFFNESS: Final = "environment.stiffness"
 _PREFERRED: Final = ("bus.rate", "environment.damping")
 _MOST_LINES: Final = 5
-_LOG_SPAN: Final = 20.0
+_LOG_SPAN: Final = 8.0
 """Ratio of largest and least value from which an axis is logarithmic."""
 _LEAST_ENERGY: Final = 1e-6  # [J]
 
@@ -84,7 +84,9 @@ def panels_of(fields: list[Field], chosen: Chosen) -> list[list[Panel]]:
     _check(fields[0], chosen)
     if chosen.metric is not None or not fields[0].is_grid:
         return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
-    return [_usual_panels(one, chosen) for one in fields]
+    columns = [_usual_panels(one, chosen) for one in fields]
+    rows = [row for row in zip(*columns, strict=True) if any(_has_something(panel) for panel in row)]
+    return [list(column) for column in zip(*rows, strict=True)] or columns
 
 
 def _check(field: Field, chosen: Chosen) -> None:
@@ -111,6 +113,10 @@ def _usual_panels(field: Field, chosen: Chosen) -> list[Panel]:
         if field.has(metric):
             panels.append(_metric_panel(field, Chosen(x, z), metric))
     return panels
+
+
+def _has_something(panel: Panel) -> bool:
+    return isinstance(panel, Lines) or bool(np.isfinite(panel.values).any())
 
 
 def _preference(key: str) -> int:

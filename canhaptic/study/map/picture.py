@@ -1,5 +1,6 @@
 """A map as a picture (.png, .svg, .pdf): one column per algorithm, scales shared along a row."""
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -10,6 +11,8 @@ from canhaptic.errors import InputError
 from canhaptic.study.loop import Array
 from canhaptic.study.map.panels import Cells, Lines, Panel
 
+_LETTERS: Final = 80
+"""Of the caption over one column."""
 COLOURS: Final = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _STYLES: Final[dict[str, dict[str, Any]]] = {
     "measured": {"linewidth": 2.0, "marker": "o", "markersize": 4.0},
@@ -46,7 +49,8 @@ def draw_map(columns: Sequence[Sequence[Panel]], caption: str, path: str | Path)
         for row in range(rows):
             panels = [column[row] if row < len(column) else None for column in columns]
             _draw_row(figure, axes[row], panels)
-        figure.suptitle(caption, x=0.01, ha="left", fontsize=9.5, color="#404040")
+        lines = textwrap.wrap(caption, _LETTERS * len(columns), break_long_words=False)
+        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=9.5, color="#404040")
         try:
             figure.savefig(path)
         except (OSError, ValueError) as error:
