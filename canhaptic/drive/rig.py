@@ -23,6 +23,7 @@ from canhaptic.drive.link import Link
 from canhaptic.drive.link_policy import STOP_TABLE, StopReason
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.realtime import Realtime, RealtimeParameters
+from canhaptic.drive.rig_stop import Trust
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.signals import CycleTiming, Sample
@@ -94,7 +95,7 @@ class Rig:
             rig_start.start(self._exchange)
         except BaseException:
             self.stop_reason = StopReason.EXCEPTION
-            self._disable(at_once=False)
+            self._disable(Trust.FULL)  # it was never given a torque
             raise
         self._exchange.skipped = 0
         self.sync_index = 0
@@ -194,15 +195,16 @@ class Rig:
             return
         self._is_running = False
         self.stop_reason = StopReason.OPERATOR if ramp else StopReason.EXCEPTION
-        at_once = True
+        trust = Trust.SOME
         try:
             if ramp:
                 rig_stop.ramp_down(self._exchange)
-                at_once = False
+                trust = Trust.FULL
         except RigError:
+            trust = Trust.NONE
             self.stop_reason = StopReason.EXCEPTION  # zero torque and disable follow below all the same
         finally:
-            unconfirmed = self._disable(at_once=at_once)
+            unconfirmed = self._disable(trust)
         if unconfirmed:
             raise RigError(
                 f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive", self.records
@@ -212,17 +214,18 @@ class Rig:
         """Stops at once and returns the exception that tells why."""
         self.stop_reason = reason
         self._is_running = False
-        unconfirmed = self._disable(at_once=True)
+        error = STOP_TABLE[reason].error
+        unconfirmed = self._disable(Trust.NONE if issubclass(error, LinkError) else Trust.SOME)
         if unconfirmed:
             text += f"; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
-        return STOP_TABLE[reason].error(f"{text} [{reason.name}]", self.records)
+        return error(f"{text} [{reason.name}]", self.records)
 
-    def _disable(self, *, at_once: bool) -> list[str]:
+    def _disable(self, trust: Trust) -> list[str]:
         """Sends zero and disables every drive, then gives back what the operating system granted."""
         try:
             for line in self._sdo_lines:
                 line.close()
-            return rig_stop.disable(self._exchange, at_once=at_once)
+            return rig_stop.disable(self._exchange, trust)
         finally:
             self.realtime.end()
 

@@ -5,6 +5,7 @@ returned as text.
 """
 
 from collections.abc import Callable, Sequence
+from enum import Enum
 from functools import partial
 from typing import Final
 
@@ -33,6 +34,14 @@ _DISABLE_BY_SDO: Final = (
 """The expedited download of 0x6040 = disable voltage."""
 
 
+class Trust(Enum):
+    """How far RPDOs and SYNCs are trusted to reach the drives."""
+
+    FULL = "the operator stops a rig that is well"
+    SOME = "something is wrong, but not with the link"
+    NONE = "the link failed: frames may be lost on any way"
+
+
 def ramp_down(exchange: Exchange) -> None:
     """Takes the torque of every axis to zero along a straight line of `stop_ramp` seconds, through the limiter.
 
@@ -51,14 +60,14 @@ def ramp_down(exchange: Exchange) -> None:
         exchange.beat()
 
 
-def disable(exchange: Exchange, *, at_once: bool) -> list[str]:
+def disable(exchange: Exchange, trust: Trust) -> list[str]:
     """Sends zero torque, disables every drive and takes it to pre-operational.
 
     Args:
         exchange: The drives.
-        at_once: Whether something is wrong: no way of a command to a drive is then trusted. Zero torque goes out by
-            RPDO, disable by SDO right behind it, which needs no SYNC, and NMT pre-operational a few SYNCs later to
-            whoever may still hold a torque.
+        trust: Without any, disable goes out by SDO right behind the zero torque: it needs neither RPDO nor SYNC to
+            arrive. Unless it is full, SDO and NMT pre-operational follow a few SYNCs later to whoever may still hold a
+            torque.
 
     Returns:
         What was not confirmed, one text per drive; empty when all is well.
@@ -67,7 +76,7 @@ def disable(exchange: Exchange, *, at_once: bool) -> list[str]:
     reachable = [drive for drive in exchange.drives if drive.answers]
     if not reachable:
         return []
-    if at_once:
+    if trust is Trust.NONE:
         _disable_by_sdo(reachable)
     operational = [drive for drive in reachable if drive.nmt_state == NmtState.OPERATIONAL]
     if operational:
@@ -75,7 +84,7 @@ def disable(exchange: Exchange, *, at_once: bool) -> list[str]:
     for drive in exchange.drives:
         drive.controlword = int(Controlword.DISABLE_VOLTAGE)
     if operational:
-        _cycle_until_disabled(exchange, operational, at_once=at_once)
+        _cycle_until_disabled(exchange, operational, insists=trust is not Trust.FULL)
     confirmed = [drive for drive in reachable if _is_disabled(drive)]
     _leave_operational(confirmed)  # before anybody waits for the others: nothing beats meanwhile
     others = [drive for drive in reachable if drive not in confirmed]
@@ -102,7 +111,7 @@ def _disable_by_sdo(drives: Sequence[ServoDrive]) -> None:
         _try(partial(drive.link.send, SDO_REQUEST_BASE + drive.axis.node_id, _DISABLE_BY_SDO))
 
 
-def _cycle_until_disabled(exchange: Exchange, drives: Sequence[ServoDrive], *, at_once: bool) -> None:
+def _cycle_until_disabled(exchange: Exchange, drives: Sequence[ServoDrive], *, insists: bool) -> None:
     """Repeats zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
 
     After the silence of the master that they tolerate the drives have stopped by their own watchdogs. Where none of
@@ -120,7 +129,7 @@ def _cycle_until_disabled(exchange: Exchange, drives: Sequence[ServoDrive], *, a
         if not left:
             return
         cycles += 1
-        if at_once and cycles % _FEWEST_CYCLES == 0:
+        if insists and cycles % _FEWEST_CYCLES == 0:
             doubtful = [drive for drive in left if not _demands_no_torque(drive)]
             if rounds == _ROUNDS and len(doubtful) == len(left):
                 return

@@ -273,19 +273,48 @@ def frames_of_the_stop(b: Bench, begin: int) -> list[str]:
     return [names[can_id] for _, can_id, _, is_rx in b.frames[begin:] if not is_rx]
 
 
-def test_zero_by_rpdo_and_disable_by_sdo_go_out_before_the_next_sync_when_something_is_wrong(bench: MakeBench) -> None:
-    b = bench()
+def test_zero_by_rpdo_and_disable_by_sdo_go_out_before_the_next_sync_when_the_link_failed(bench: MakeBench) -> None:
+    b = bench(bus={"stop_cycles": 3})
     b.rig.start()
     b.run(10, torque=1.0)
-    b.drives[0].inject_fault(0x2310)
+    b.tampered.drop(0x185)
     begin = len(b.frames)
-    with pytest.raises(DriveFaultError):
+    with pytest.raises(LinkError, match="TPDO_LOST"):
         b.run(5, torque=1.0)
     sent = frames_of_the_stop(b, begin)
     first = sent.index("SDO")
     assert sent[first - 1] == "RPDO"
     assert b.torques_sent()[-1] == 0
-    assert b.sent(0x605)[-1 - sent[first + 1 :].count("SDO")] == DISABLE_BY_SDO
+    assert DISABLE_BY_SDO in b.sent(0x605)
+
+
+def test_torque_is_zero_before_the_drive_is_disabled_when_the_link_is_well(bench: MakeBench) -> None:
+    b = bench()
+    b.rig.start()
+    b.run(10, torque=1.0)
+    begin = len(b.frames)
+    with pytest.raises(ControlError):
+        b.rig.write_torques([math.nan])
+    sent = frames_of_the_stop(b, begin)
+    assert sent[:2] == ["RPDO", "SYNC"]
+    assert DISABLE_BY_SDO not in b.sent(0x605)
+    told = [
+        (int.from_bytes(d[:2], "little") & 0x6F == 0x27, int.from_bytes(d[6:], "little")) for d in b.received(0x185)
+    ]
+    assert (True, 0) in told[-4:]
+    assert told[-1] == (False, 0)
+
+
+def test_what_does_not_reach_the_drive_is_said_again_by_sdo_and_nmt(bench: MakeBench) -> None:
+    b = bench()
+    b.rig.start()
+    b.run(10, torque=1.0)
+    lose_on_the_way_out(b, 0x205)
+    begin = b.clock.now()
+    with pytest.raises(ControlError):
+        b.rig.write_torques([math.nan])
+    assert b.drives[0].torque == 0.0
+    assert b.clock.now() - begin < 40_000_000
 
 
 @pytest.mark.parametrize(
