@@ -122,7 +122,7 @@ def _sections() -> list[_Section]:
 
 
 def _chosen(selector: str, table: Mapping[str, str]) -> list[tuple[str, type[Parameters], frozenset[str] | None]]:
-    found = []
+    found: list[tuple[str, type[Parameters], frozenset[str] | None]] = []
     for name in table:
         entry = load(dict(table), name, selector)
         found.append((f"`{selector}: {name}`", getattr(entry, "parameters_type", entry), None))

@@ -1,0 +1,93 @@
+"""Writes the traced cycle into docs/how_it_works.md: `python -m tools.make_how_it_works`.
+
+One cycle of the demo, in contact, with a log, is run under `sys.setprofile`; every call of the package is written down.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from canhaptic import build, load_scene
+from canhaptic.cycle import Cycle
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "how_it_works.md"
+BEGIN, END = "<!-- the trace begins -->\n", "<!-- the trace ends -->\n"
+_IN_CONTACT = 1500  # cycles into the demo: the hand is in the wall
+_PACKAGE = str(ROOT / "canhaptic")
+_DEEPEST = 5
+_FAR_SIDE = "canhaptic/sim/"
+_CALLED = "call"
+
+
+class _Trace:
+    """Lines of one cycle; what the simulated drive does is named once and not opened."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._depth = 0
+        self._hidden = 0
+
+    def __call__(self, frame: FrameType, event: str, _argument: Any) -> None:
+        file = frame.f_code.co_filename
+        if event not in (_CALLED, "return") or not file.startswith(_PACKAGE):
+            return
+        if event == "return":
+            self._depth -= 1
+            self._hidden -= self._hidden > 0
+            return
+        self._depth += 1
+        name = Path(file).relative_to(ROOT).as_posix()
+        is_comprehension = frame.f_code.co_name.startswith("<")
+        if self._hidden or self._depth > _DEEPEST or is_comprehension:
+            self._hidden += bool(self._hidden)
+            return
+        if name.startswith(_FAR_SIDE):
+            self._hidden = 1
+        self._write(f"{'    ' * (self._depth - 1)}{frame.f_code.co_qualname}", name)
+
+    def _write(self, call: str, file: str) -> None:
+        line = f"{call:<60} {file.removeprefix('canhaptic/')}"
+        if not self.lines or self.lines[-1] != line:  # the same again: a frame handled like the one before
+            self.lines.append(line)
+
+
+def trace() -> list[str]:
+    """Returns the calls of one cycle, indented by depth, each with its file."""
+    scene = load_scene(ROOT / "configs" / "demo.yaml")
+    with tempfile.TemporaryDirectory() as folder:
+        paths = Path(folder) / "run.h5", Path(folder) / "run.log"
+        with build(scene, energy_log=paths[0], bus_log=paths[1]) as experiment:
+            return _of_one_cycle(experiment.cycle)
+
+
+def _of_one_cycle(cycle: Cycle) -> list[str]:
+    found = _Trace()
+    cycle.rig.start()
+    try:
+        for _ in range(_IN_CONTACT):
+            cycle.step()
+        while cycle.rig.bus.heartbeat_cycles - 1 != cycle.cycles % cycle.rig.bus.heartbeat_cycles:
+            cycle.step()
+        sys.setprofile(found)
+        try:
+            cycle.step()
+        finally:
+            sys.setprofile(None)
+    finally:
+        cycle.rig.stop()
+    return found.lines
+
+
+def page() -> str:
+    """Returns the text of the page with a fresh trace in it."""
+    head, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    _, _, tail = rest.partition(END)
+    return "".join([head, BEGIN, "```text\n", *(f"{line}\n" for line in trace()), "```\n", END, tail])
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
+    sys.stdout.write(f"{PAGE}\n")
