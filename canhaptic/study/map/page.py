@@ -9,7 +9,7 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.study.map.panels import Cells, Lines, Panel
-from canhaptic.study.map.picture import COLOURS, common_limits, edges_of
+from canhaptic.study.map.picture import COLOURS, common_limits, edges_of, few_values
 
 _WIDTH, _HEIGHT = 560, 380
 _DASHES: Final = {"measured": "solid", "colgate": "dashed", "abbott_okamura": "dotted"}
@@ -53,6 +53,10 @@ def _figure(panel: Panel, limits: tuple[float, float]) -> Any:
         width=_WIDTH, height=_HEIGHT, title=panel.title, x_axis_label=panel.x_label, y_axis_label=panel.y_label,
         tools="pan,wheel_zoom,box_zoom,reset,save", **types,
     )  # fmt: skip
+    places = few_values(panel)
+    if places:
+        place.xaxis.ticker = places
+        place.xaxis.major_label_overrides = {value: f"{value:g}" for value in places}
     if isinstance(panel, Lines):
         _lines(place, panel)
     else:
@@ -76,6 +80,7 @@ def _lines(place: Any, panel: Lines) -> None:
         place.legend.background_fill_alpha = 0.7
         place.legend.label_text_font_size = "8pt"
         place.legend.click_policy = "hide"
+        place.legend.location = "top_left"
 
 
 def _cells(place: Any, panel: Cells, limits: tuple[float, float]) -> None:
@@ -92,7 +97,7 @@ def _cells(place: Any, panel: Cells, limits: tuple[float, float]) -> None:
         given = {"x": panel.x, "y": panel.y, "value": panel.values}
         drawn = place.scatter("x", "y", source=given, color=colour, size=6)
     else:
-        drawn = place.quad("left", "right", "bottom", "top", source=_quads(panel), color=colour, line_color=None)
+        drawn = place.quad("left", "right", "bottom", "top", source=_quads(panel), color=colour, line_color=colour)
     tips = [(panel.x_label, "@x"), (panel.y_label, "@y"), (panel.value_label, "@value")]
     place.add_tools(HoverTool(renderers=[drawn], tooltips=tips))
     place.add_layout(ColorBar(color_mapper=mapper, title=panel.value_label, title_text_font_size="8pt"), "right")

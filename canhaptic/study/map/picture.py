@@ -11,6 +11,7 @@ from canhaptic.errors import InputError
 from canhaptic.study.loop import Array
 from canhaptic.study.map.panels import Cells, Lines, Panel
 
+_FEW: Final = 8
 _LETTERS: Final = 80
 """Of the caption over one column."""
 COLOURS: Final = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -68,10 +69,26 @@ def _draw_row(figure: Any, axes: Any, panels: Sequence[Panel | None]) -> None:
         place.set_ylabel(panel.y_label)
         place.set_xscale("log" if panel.x_log else "linear")
         place.set_yscale("log" if panel.y_log else "linear")
+        _mark_values(place, panel)
         if isinstance(panel, Lines):
             _draw_lines(place, panel)
         else:
             _draw_cells(figure, place, panel, limits)
+
+
+def _mark_values(place: Any, panel: Panel) -> None:
+    """Puts the marks of a logarithmic axis at the values themselves where those are few."""
+    places = few_values(panel)
+    if places:
+        place.set_xticks(places, [f"{value:g}" for value in places])
+        place.set_xticks([], minor=True)
+
+
+def few_values(panel: Panel) -> list[float]:
+    """Returns the values along a logarithmic axis; none where they are many, or no columns."""
+    found = panel.x if isinstance(panel, Cells) else np.concatenate([line.x for line in panel.lines] or [np.empty(0)])
+    values = np.unique(found).tolist()
+    return values if panel.x_log and len(values) <= _FEW and not getattr(panel, "dots", False) else []
 
 
 def _draw_lines(place: Any, panel: Lines) -> None:
