@@ -1,10 +1,12 @@
 """Master and simulated drive through random faults, resets, EMCYs, NMT commands, lost frames and operator's actions.
 
-Whatever the order, after each step: no torque outside OPERATION ENABLED, none beyond the limit, no drive enabled that
-the operator has not enabled, no energy out of the wall that did not go in, and every trouble ends in a stop in time.
+Whatever the order, after each step: no torque outside OPERATION ENABLED, none beyond its limits of magnitude and rate,
+no drive enabled that the operator has not enabled, no energy out of the wall that did not go in, every trouble ends in
+a stop in time, and whenever the rig has stopped by itself the drive has no torque already.
 """
 
 import contextlib
+import math
 from collections.abc import Callable
 
 import can
@@ -23,10 +25,14 @@ from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.state_machine import DriveState
 
-NODE, TPDO, RPDO = 5, 0x185, 0x205
+NODE, TPDO, RPDO, SYNC, SDO = 5, 0x185, 0x205, 0x080, 0x605
 LIMIT = 8.0  # [N]
 STOP_CYCLES = 6
+HOLD_CYCLES = 2
 MOST_CYCLES = STOP_CYCLES + 2  # between a trouble and the stop
+SILENCE = 22  # [cycles]: bus.heartbeat_timeout, and two SYNCs
+RATE = 4000.0  # [N/s]: 4 N a cycle
+FOR_GOOD = 1 << 30
 ROUNDING = 1e-7  # [J]: one count of 10 nm times 8 N, and the sums
 BEGIN = 0.002  # [m] in front of the wall
 
@@ -54,13 +60,20 @@ class RigUnderStress(RuleBasedStateMachine):
     @initialize()
     def build(self) -> None:
         self.bench = make_bench(
-            [axis(NODE, counts_per_unit=1e8, torque_limit=LIMIT, speed_limit=20.0)],
-            bus={"hold_cycles": 2, "stop_cycles": STOP_CYCLES, "heartbeat_period": 0.005, "heartbeat_timeout": 0.02},
+            [axis(NODE, counts_per_unit=1e8, torque_limit=LIMIT, torque_rate_limit=RATE, speed_limit=20.0)],
+            bus={
+                "hold_cycles": HOLD_CYCLES,
+                "stop_cycles": STOP_CYCLES,
+                "heartbeat_period": 0.005,
+                "heartbeat_timeout": 0.02,
+            },
         )
         self.drive, self.rig = self.bench.drives[0], self.bench.rig
         self.mass = PushedMass()
         self.drive.servo.motor = self.mass
-        self.lost = {TPDO: 0, RPDO: 0, 0x705: 0}  # frames still to lose
+        self.lost = {TPDO: 0, RPDO: 0, 0x705: 0, SYNC: 0, SDO: 0}  # frames still to lose
+        self.not_following = 0  # TPDOs still to come without bit 12
+        self.most_cycles = MOST_CYCLES  # of the trouble that there is
         self.tamper: Callable[[can.Message], can.Message] | None = None
         self.bench.tampered.on_receive = self._receive
         self.bench.tampered.on_send = self._send
@@ -71,11 +84,16 @@ class RigUnderStress(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         if hasattr(self, "bench"):
+            with contextlib.suppress(RigError):
+                self.rig.stop(ramp=False)
             self.bench.close()
 
     def _receive(self, message: can.Message) -> can.Message | None:
         if self._is_lost(message):
             return None
+        if message.arbitration_id == TPDO and self.not_following and len(message.data) == 8:
+            self.not_following -= 1
+            message.data[1] &= ~0x10 & 0xFF
         if message.arbitration_id == TPDO and self.tamper is not None:
             tamper, self.tamper = self.tamper, None
             return tamper(message)
@@ -108,7 +126,8 @@ class RigUnderStress(RuleBasedStateMachine):
     def start(self, reset: bool) -> None:
         if reset:
             self.reset_faults()
-        self.trouble = None
+        self.trouble, self.most_cycles = None, MOST_CYCLES
+        self.lost, self.not_following = dict.fromkeys(self.lost, 0), 0
         self.enabled_by_operator = True
         loop = LoopProperties(sample_time=1e-3, delay=1, moving_mass=1.0, torque_limit=LIMIT)
         wall = SpringDamperWall(stiffness=300.0, damping=1.0)
@@ -159,6 +178,8 @@ class RigUnderStress(RuleBasedStateMachine):
                 self._check_cycle()
         except RigError:
             assert not self.rig.is_running
+            assert self.drive.torque == 0.0, "the rig has stopped, the torque stands"
+            assert self.drive.state is not DriveState.OPERATION_ENABLED
             self.enabled_by_operator = False
             self.cycle = None
 
@@ -168,12 +189,20 @@ class RigUnderStress(RuleBasedStateMachine):
         self.check_torque()
         if self.trouble is not None:
             self.trouble += 1
-            assert self.trouble <= MOST_CYCLES, "the rig runs on"
+            assert self.trouble <= self.most_cycles, "the rig runs on"
+        self._check_rate()
         if self.rig.records[-1].samples[0].fresh:
             believed, true = self.cycle.ledgers[0].interaction, self.work_before - self.mass.work
             assert believed <= true + ROUNDING, "more was booked than came in"
             # after a lost sample the booked energy is a worst case and may fall below what came in; the true one not
             assert true >= -ROUNDING, "more was given out than came in"
+
+    def _check_rate(self) -> None:
+        """No torque rises, on either side of zero, by more than its rate allows; per mille of 10 N."""
+        sent = [record.torques_per_mille[0] for record in list(self.rig.records)[-2:]]
+        before, now = sent if len(sent) == 2 else [0, *sent]
+        rise = abs(now) - (abs(before) if before * now > 0 else 0)
+        assert rise <= RATE * 1e-3 * 100 + 1
 
     @precondition(lambda self: not self.is_running)
     @rule(milliseconds=st.integers(1, 200))
@@ -212,6 +241,45 @@ class RigUnderStress(RuleBasedStateMachine):
     def lose(self, can_id: int, count: int) -> None:
         if self.trouble is None and not any(self.lost.values()):
             self.lost[can_id] = count
+
+    @precondition(lambda self: self.is_running and self.trouble is None and not any(self.lost.values()))
+    @rule(
+        lost=st.sampled_from([(TPDO,), (RPDO,), (SYNC,), (RPDO, SDO), (RPDO, SYNC, SDO), (TPDO, 0x705), (0x705,)]),
+        cycles=st.integers(1, 60),
+    )
+    def lose_for_good(self, lost: tuple[int, ...], cycles: int) -> None:
+        """Nothing of this kind arrives any more. A lost RPDO shows only once the torque changes."""
+        self.lost |= dict.fromkeys(lost, FOR_GOOD)
+        if RPDO not in lost or SYNC in lost:
+            self.trouble = 0
+            self.most_cycles = SILENCE if lost == (0x705,) else MOST_CYCLES
+        self.run(cycles)
+
+    @precondition(lambda self: self.is_running)
+    @rule(cycles=st.integers(1, 6))
+    def follow_no_more(self, cycles: int) -> None:
+        """Bit 12 goes out for a while."""
+        self.not_following = cycles
+        if cycles > HOLD_CYCLES and self.trouble is None and not any(self.lost.values()):
+            self.trouble, self.most_cycles = 0, HOLD_CYCLES + 1
+        self.run(cycles)
+
+    @precondition(lambda self: self.is_running)
+    @rule(torque=st.sampled_from([math.nan, math.inf, -math.inf]))
+    def break_the_controller(self, torque: float) -> None:
+        """No torque that is no number: the rig stops within the call."""
+        with contextlib.suppress(RigError):
+            self.rig.sync()
+            self.rig.write_torques([torque])
+        assert not self.rig.is_running
+        assert self.drive.torque == 0.0
+        self.enabled_by_operator, self.cycle = False, None
+
+    @precondition(lambda self: self.is_running)
+    @rule(index=st.sampled_from([0x6502, 0x1008, 0x60FF]), count=st.integers(1, 3))
+    def ask_beside_the_cycle(self, index: int, count: int) -> None:
+        for _ in range(count):
+            self.rig.sdo(0).upload(index)
 
     @precondition(lambda self: self.is_running)
     @rule(kind=st.sampled_from(["short", "long", "remote", "extended", "foreign"]))
@@ -271,6 +339,6 @@ class RigUnderLongStress(RigUnderStress):
 
 
 TestRigUnderStress = RigUnderStress.TestCase
-TestRigUnderStress.settings = _case(60, 40)
-TestRigUnderLongStress = pytest.mark.slow(RigUnderLongStress.TestCase)
+TestRigUnderStress.settings = _case(100, 60)
+TestRigUnderLongStress = pytest.mark.slow(pytest.mark.timeout(900)(RigUnderLongStress.TestCase))
 TestRigUnderLongStress.settings = _case(1500, 50)
