@@ -73,6 +73,7 @@ def with_chosen_accuracy(scene: Scene) -> Scene:
         return scene
     axes, choices = [], {}
     for axis in scene.axes:
+        require_own_axis(axis, scene)
         choice, simulation = choose(axis, scene), simulation_of(axis)
         axes.append(replace(axis, simulation=replace(simulation, accuracy=choice.setting.accuracy)))
         choices[axis.parameters.name] = choice.as_plain()
@@ -197,6 +198,20 @@ def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = 
     """
     effects = [cast(Effect, effect.parameters) for effect in simulation.effects if not without(effect.name)]
     return Model(simulation.plant, simulation.user, effects)
+
+
+def require_own_axis(axis: AxisScene, scene: Scene) -> None:
+    """Refuses an axis whose motion is not that of one plant under one controller.
+
+    Raises:
+        InputError: A group renders on it, or it moves a mechanism with others.
+    """
+    if axis.group or axis.simulated_drive is not None:
+        what = f"group {axis.group} renders on it" if axis.group else "it moves a mechanism with other drives"
+        raise InputError(
+            f"{scene.source}: axis {axis.parameters.name}: {what}, expected an axis with a plant and an algorithm "
+            "of its own for a study or choice of accuracy; give accuracy: {event_bits, substeps} instead of auto"
+        )
 
 
 def simulation_of(axis: AxisScene) -> AxisSimulation:

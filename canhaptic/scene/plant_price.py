@@ -42,7 +42,8 @@ def plant_prices(scene: Scene, plants: Sequence[Plant], periods: int) -> list[Pl
         plants: The plants of its axes after the run.
         periods: Sample times that they were moved by.
     """
-    if not periods or not scene.simulated or len(plants) != len(scene.axes):
+    own = all(axis.simulation is not None and not axis.group for axis in scene.axes)
+    if not periods or not scene.simulated or not own or len(plants) != len(scene.axes):
         return []
     try:
         return [_price(axis, scene, plant, periods) for axis, plant in zip(scene.axes, plants, strict=True)]

@@ -121,3 +121,14 @@ def test_the_tool_says_the_same(tmp_path):
     done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["status"] == "completed"
+
+
+@pytest.mark.parametrize(
+    ("config", "message"), [("two_handles", "group .* renders on it"), ("five_bar_sphere", "renders on it|mechanism")]
+)
+def test_axes_that_are_not_their_own_are_refused(capsys, config, message):
+    path = str(REPOSITORY / "configs" / f"{config}.yaml")
+    assert main(["accuracy", path, *SHORT]) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert main(["run", path, "--set", "accuracy={auto: 1 um}", "--duration", "0.01 s"]) == 2
+    assert "instead of auto" in capsys.readouterr().err

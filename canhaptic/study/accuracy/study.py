@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import holds_of, simulation_of
+from canhaptic.scene.accuracy_choice import holds_of, require_own_axis, simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.study.accuracy.advice import FLOOR, advice, error_per_microsecond, pareto, rank_agreement
@@ -63,6 +63,7 @@ class AccuracyStudy:
         stop: Callable[[], bool] | None = None,
     ) -> None:
         self.scene, self.axis = scene, _chosen_axis(scene, axis)
+        require_own_axis(self.axis, scene)
         counts = abs(self.axis.parameters.counts_per_unit)
         self.tolerance = tolerance or scene.accuracy_tolerance or _TENTH / counts
         self.holds = holds_of(scene, duration)
