@@ -47,7 +47,7 @@ def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array
     rates = np.zeros((len(mass), 3, 3))  # of [q, v, held torque]
     rates[:, 0, 1] = 1.0
     rates[:, 1] = np.stack([-hand / mass, -damping / mass, 1.0 / mass], axis=1)
-    change = flow_change(rates * period[:, None, None], 1.0)
+    change = _flow_change(rates * period[:, None, None], 1.0)
     size = 3 + delay  # [q, v, q before] and, with a delay, the torque that waits
     matrices = np.zeros((len(mass), size, size))
     law = np.zeros((len(mass), size))  # torque computed from the state at a SYNC
@@ -69,7 +69,7 @@ def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Arra
     return radii
 
 
-def flow_change(rates: Array, sample_time: float) -> Array:
+def _flow_change(rates: Array, sample_time: float) -> Array:
     """Returns exp(F T) - I of many matrices F, shape (n, k, k), by the series at a small step and doubling.
 
     Steps and terms of each follow from that one alone, so that no bit of it depends on the others.
