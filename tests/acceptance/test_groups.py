@@ -1,6 +1,7 @@
 """Groups of axes over the whole CAN path: the account of the group, the part of each axis, and the truth of both."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from group_runs import AXES, GROUP, REPOSITORY, encoder_bound, identity, logged,
 from canhaptic.cli.main import main
 from canhaptic.haptics.balance import Branch
 from canhaptic.haptics.kinematics.five_bar import FiveBar as MastersFiveBar
+from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replay import replay
+from canhaptic.scene.build import Experiment
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.mechanism.shared_mechanism import MechanismMotor
 from canhaptic.view.inspection import inspect
@@ -18,52 +21,57 @@ from canhaptic.view.recompute import recompute_all
 from canhaptic.view.rederive import rederive
 
 NO_LOSS = "simulation.bus=null"
-CYCLES = 2500
+CYCLES = 2000
 
 
 def lossless(name: str) -> list[str]:
     return [NO_LOSS] if name == "two_handles" else []
 
 
-@pytest.mark.parametrize("name", AXES)
-def test_the_true_energy_of_the_group_never_falls_below_zero_and_the_account_closes(name: str, tmp_path: Path) -> None:
-    with logged(name, CYCLES, tmp_path, lossless(name)) as (experiment, log):
-        judge, group = experiment.cycle.judge, log.ports[GROUP[name]]
-        assert judge is not None
-        assert judge.least[2] >= -1e-6
-        assert np.abs(group["torque_command"]).max() > 0.05
-        assert identity(group).max() <= 1e-12
-        parts = sum(log.ports[axis]["h_i"] for axis in AXES[name])
-        assert np.abs(parts - group["h_i"]).max() <= 1e-12 * np.abs(group["h_i"]).max()
-        true = -log.truth[GROUP[name]]["motor"]
-        assert true[-1] == pytest.approx(judge.interaction[2], abs=1e-15)
-        assert np.array_equal(true, -sum(log.truth[axis]["motor"] for axis in AXES[name]))
+Whole = tuple[str, Experiment, EnergyLog]
 
 
-@pytest.mark.parametrize("name", AXES)
-def test_what_is_believed_of_each_axis_and_of_the_group_is_true_within_the_encoders_bound(
-    name: str, tmp_path: Path
-) -> None:
-    with logged(name, CYCLES, tmp_path, lossless(name)) as (experiment, log):
-        judge, bounds = experiment.cycle.judge, []
-        assert judge is not None
-        for place, axis in enumerate(AXES[name]):
-            port = log.ports[axis]
-            bounds.append(encoder_bound(port, experiment.scene.axis(axis).loop.encoder_count))
-            assert 0.0 < judge.believed_error[place] <= bounds[place]
-            moved = np.diff(port["position"])
-            assert np.array_equal(port["h_i"][1:], -port["torque_applied"][1:] * moved)
-            assert set(port["branch"]) == {Branch.GROUP.value}
-        assert judge.believed_error[2] <= sum(bounds)
+@pytest.fixture(scope="module", params=AXES)
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Whole]:
+    """One run of each scene on an ideal bus: its name, what ran, and its log."""
+    with logged(request.param, CYCLES, tmp_path_factory.mktemp("whole"), lossless(request.param)) as (ran, log):
+        yield request.param, ran, log
 
 
-@pytest.mark.parametrize("name", ["five_bar_sphere", "xy_box"])
-def test_the_energies_of_the_mechanism_close_over_the_run(name: str, tmp_path: Path) -> None:
-    with logged(name, CYCLES, tmp_path) as (_, log):
-        sums = {part: log.truth[GROUP[name]][part] for part in ("motor", "user", "dissipated", "stored")}
-        left = sums["motor"] + sums["user"] - sums["dissipated"] - sums["stored"]
-        assert sums["user"].max() > 1e-3
-        assert np.abs(left).max() < 1e-12
+def test_the_true_energy_of_the_group_never_falls_below_zero_and_the_account_closes(whole: Whole) -> None:
+    name, experiment, log = whole
+    judge, group = experiment.cycle.judge, log.ports[GROUP[name]]
+    assert judge is not None
+    assert judge.least[2] >= -1e-6
+    assert np.abs(group["torque_command"]).max() > 0.05
+    assert identity(group).max() <= 1e-12
+    parts = sum(log.ports[axis]["h_i"] for axis in AXES[name])
+    assert np.abs(parts - group["h_i"]).max() <= 1e-12 * np.abs(group["h_i"]).max()
+    true = -log.truth[GROUP[name]]["motor"]
+    assert true[-1] == pytest.approx(judge.interaction[2], abs=1e-15)
+    assert np.array_equal(true, -sum(log.truth[axis]["motor"] for axis in AXES[name]))
+
+
+def test_what_is_believed_of_each_axis_and_of_the_group_is_true_within_the_encoders_bound(whole: Whole) -> None:
+    name, experiment, log = whole
+    judge, bounds = experiment.cycle.judge, []
+    assert judge is not None
+    for place, axis in enumerate(AXES[name]):
+        port = log.ports[axis]
+        bounds.append(encoder_bound(port, experiment.scene.axis(axis).loop.encoder_count))
+        assert 0.0 < judge.believed_error[place] <= bounds[place]
+        moved = np.diff(port["position"])
+        assert np.array_equal(port["h_i"][1:], -port["torque_applied"][1:] * moved)
+        assert set(port["branch"]) == {Branch.GROUP.value}
+    assert judge.believed_error[2] <= sum(bounds)
+
+
+def test_the_energies_of_what_is_simulated_close_over_the_run(whole: Whole) -> None:
+    name, _, log = whole
+    sums = {part: log.truth[GROUP[name]][part] for part in ("motor", "user", "dissipated", "stored")}
+    left = sums["motor"] + sums["user"] - sums["dissipated"] - sums["stored"]
+    assert sums["user"].max() > 1e-3
+    assert np.abs(left).max() < 1e-12
 
 
 def test_master_and_plant_agree_on_where_the_handle_is_though_neither_knows_the_other() -> None:
@@ -80,8 +88,6 @@ def test_master_and_plant_agree_on_where_the_handle_is_though_neither_knows_the_
 
 @pytest.mark.parametrize("name", AXES)
 def test_log_and_frames_give_the_same_account_again_bit_for_bit(name: str, tmp_path: Path) -> None:
-    from canhaptic.logs.energy_reader import EnergyLog
-
     energy, frames = tmp_path / "run.h5", tmp_path / "run.log"
     experiment = run_config(name, 800, energy, (), frames)
     with EnergyLog.open(energy) as log:
@@ -97,8 +103,6 @@ def test_log_and_frames_give_the_same_account_again_bit_for_bit(name: str, tmp_p
 
 def test_a_recomputed_group_shows_a_row_that_was_tampered_with(tmp_path: Path) -> None:
     import h5py
-
-    from canhaptic.logs.energy_reader import EnergyLog
 
     path = tmp_path / "run.h5"
     run_config("xy_box", 400, path)
