@@ -15,7 +15,11 @@ _PER_MILLE = 1e-3
 
 
 def environment_of(axis: AxisScene) -> Environment:
-    """Returns the environment of an axis; every class of `ENVIRONMENTS` is one."""
+    """Returns the environment of an axis; every class of `ENVIRONMENTS` is one.
+
+    Raises:
+        InputError: A group renders on it.
+    """
     if axis.group:
         raise InputError(
             f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected one that renders by itself"
