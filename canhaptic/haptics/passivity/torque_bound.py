@@ -39,14 +39,13 @@ class TorqueBound:
         "_declared",
         "_delay",
         "_displacement",
-        "_displacements",
+        "_history",
         "_kept",
         "_known_outward",
         "_newest",
         "_response",
         "_simple",
         "_torque",
-        "_torques",
         "_unsure",
         "dissipated",
         "unsure",
@@ -63,7 +62,7 @@ class TorqueBound:
         """Forgets the last hold and the energy dissipated by the device."""
         self._displacement = self._torque = self._blur = self._unsure = 0.0
         self.dissipated = self.unsure = 0.0
-        self._displacements, self._torques = [0.0] * WINDOW, [0.0] * WINDOW  # rings of the last holds
+        self._history = [(0.0, 0.0)] * WINDOW  # ring of displacement and torque of the last holds
         self._newest = self._kept = 0
         self._known_outward: dict[float, float] = {}  # by sign; of a coarse encoder, where finding it is work
 
@@ -81,7 +80,7 @@ class TorqueBound:
             if newest == WINDOW:
                 newest = 0
             self._newest = newest
-            self._displacements[newest], self._torques[newest] = displacement, torque
+            self._history[newest] = displacement, torque
             if self._kept < WINDOW:
                 self._kept += 1
             self._known_outward.clear()
@@ -172,10 +171,10 @@ class TorqueBound:
         later = sign * self._torque if sign * self._torque > 0.0 else 0.0
         total = least = sign * self._displacement + count
         raised = raises = 0.0
-        displacements, torques, newest = self._displacements, self._torques, self._newest
-        for back in range(1, self._kept):  # the hold that ended is taken already; an index below 0 wraps, as a ring does
-            holds = back + 1
-            along, push = sign * displacements[newest - back], sign * torques[newest - back]
+        history, start = self._history, self._newest + 1
+        for holds in range(2, self._kept + 1):  # the newest is taken; an index below 0 wraps, as a ring does
+            displacement, torque = history[start - holds]
+            along, push = sign * displacement, sign * torque
             if push < 0.0:
                 push = 0.0
             raised += before * push + during * later + hand

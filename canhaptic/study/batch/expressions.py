@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from canhaptic.study.batch.graph import Graph
 from canhaptic.study.batch.heap import Heap, Maybe
 from canhaptic.study.batch.nodes import Node, NotBatchableError
-from canhaptic.study.batch.rings import DataRange, Ring
+from canhaptic.study.batch.rings import DataRange, Ring, Rings
 
 if TYPE_CHECKING:
     from canhaptic.study.batch.lowering import Frame
@@ -122,7 +122,7 @@ class Expressions(ABC):
 
     def load(self, container: Any, key: Any) -> Any:
         """Returns an entry."""
-        if isinstance(container, Ring):
+        if isinstance(container, Ring | Rings):
             return container.load(key)
         if isinstance(key, Node):
             raise NotBatchableError("an entry at a place that data choose")
@@ -130,7 +130,7 @@ class Expressions(ABC):
 
     def store(self, container: Any, key: Any, value: Any) -> None:
         """Changes an entry."""
-        if isinstance(container, Ring):
+        if isinstance(container, Ring | Rings):
             container.store(key, value, self.path)
             return
         if isinstance(key, Node) and not isinstance(container, dict):
@@ -155,9 +155,11 @@ class Expressions(ABC):
         except (TypeError, KeyError) as error:
             raise NotBatchableError(f"the expression {ast.unparse(expression)} ({error})") from error
 
-    def _ring(self, entries: list[Any], length: Any) -> Ring:
-        """Returns a list of equal entries."""
+    def _ring(self, entries: list[Any], length: Any) -> Ring | Rings:
+        """Returns a list of equal entries, each a number or a tuple of numbers."""
         [value] = entries
+        if isinstance(value, tuple):
+            return Rings(tuple(cast(Ring, self._ring([part], length)) for part in value))
         ring = Ring(self.graph.made("fill", (self.graph.node(value), self.graph.node(length))), length)
         self.heap.instances.append(ring)
         return ring

@@ -34,6 +34,22 @@ class Ring:
         self.token = graph.made("store", args)
 
 
+class Rings:
+    """A list of tuples made by `[(value, ...)] * length`: one ring for each place of the tuples."""
+
+    def __init__(self, rings: tuple[Ring, ...]) -> None:
+        self._rings = rings
+
+    def load(self, index: Any) -> tuple[Node, ...]:
+        """Returns the entry at an index."""
+        return tuple(ring.load(index) for ring in self._rings)
+
+    def store(self, index: Any, value: tuple[Any, ...], path: Any) -> None:
+        """Changes the entry at an index where a condition holds."""
+        for ring, part in zip(self._rings, value, strict=True):
+            ring.store(index, part, path)
+
+
 class DataRange(NamedTuple):
     """A range whose ends data choose."""
 
