@@ -56,12 +56,13 @@ def _by(counts: Counter[tuple[str, str, str]], part: int) -> dict[str, int]:
 def _figures(table: SweepTable, axis: str) -> dict[str, Any]:
     """Returns shares and medians over the completed scenes, per algorithm."""
     completed = table.status() == _COMPLETED
-    controllers = table.values(CONTROLLER) if CONTROLLER in table.keys else [""] * len(table)
-    names = np.array(controllers)
+    if CONTROLLER not in table.keys:
+        return {"of the scene": {"scenes": int(completed.sum()), **_shares(table, axis, completed)}}
     found = {}
-    for name in dict.fromkeys(names.tolist()):
-        rows = completed & (names == name)
-        found[str(name) or "of the scene"] = {"scenes": int(rows.sum()), **_shares(table, axis, rows)}
+    which, names = table.numbered(CONTROLLER)
+    for index, name in enumerate(names):
+        rows = completed & (which == index)
+        found[name] = {"scenes": int(rows.sum()), **_shares(table, axis, rows)}
     return found
 
 

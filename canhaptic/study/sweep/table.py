@@ -131,6 +131,11 @@ class SweepTable:
         known = json.loads(texts)
         return [known[i] for i in found.tolist()]
 
+    def numbered(self, key: str) -> tuple[NDArray[Any], list[str]]:
+        """Returns (index of every scene's text, the texts) of a key whose values are texts."""
+        dataset = self._file[f"values/{_name(key)}"]
+        return np.asarray(dataset[:]), [str(text) for text in json.loads(dataset.attrs["texts"])]
+
     def columns(self, start: int, stop: int) -> dict[str, Column]:
         """Returns the values of some scenes by key."""
         return {key: self.values(key, start, stop) for key in self.keys}
