@@ -261,7 +261,7 @@ class RigUnderStress(RuleBasedStateMachine):
         """Bit 12 goes out for a while."""
         self.not_following = cycles
         if cycles > HOLD_CYCLES and self.trouble is None and not any(self.lost.values()):
-            self.trouble, self.most_cycles = 0, HOLD_CYCLES + 1
+            self.trouble = 0  # TPDOs that are still to be damaged show the bit later
         self.run(cycles)
 
     @precondition(lambda self: self.is_running)
