@@ -1,0 +1,63 @@
+"""How much faster are two workers than one? Interleaved sweeps in pools of one and two processes, both warm.
+
+Warm: every worker has made the batch of the scene before the clock runs, as in a sweep of many chunks. Needs two idle
+cores to say anything: a load of the machine beyond that is published beside the figure.
+"""
+
+import os
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+from canhaptic.scene.load import load_scene
+from canhaptic.study.sweep import sweep
+from canhaptic.study.sweep.workers import Pool
+from tools.bench.report import Row, publish
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
+TARGET = 1.7
+ROUNDS = 3
+CHUNK = 5000
+VARY = ["environment.stiffness=1e2:1e5:log:400", "environment.damping=0:10:100"]
+METRICS = ["margin", "least_interaction", "diverged", "stiffness_rendered.share"]
+CYCLES = 2000
+
+
+def seconds(pool: Pool, out: Path) -> float:
+    """Returns the time of one sweep in a warm pool."""
+    scene = load_scene(CONFIG, ["environment.position=0.05 m"])
+    begin = perf_counter()
+    sweep(
+        scene, VARY, out, pool, force=True, in_flight=2 * pool.workers,
+        controllers=["direct", "guarded"], cycles=CYCLES, chunk=CHUNK, metrics=METRICS, engine="numpy",
+    )  # fmt: skip
+    return perf_counter() - begin
+
+
+def main() -> None:
+    """Times both pools in turn and publishes the best of each."""
+    load = os.getloadavg()[0]
+    pools = {1: Pool(1), 2: Pool(2)}
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "sweep.h5"
+        for pool in pools.values():
+            seconds(pool, out)
+        times = {workers: float("inf") for workers in pools}
+        for _ in range(ROUNDS):
+            for workers, pool in pools.items():
+                times[workers] = min(times[workers], seconds(pool, out))
+    for pool in pools.values():
+        pool.close()
+    ratio = times[1] / times[2]
+    note = "" if load < 0.5 else f"not an idle machine: load {load:.1f} before the first sweep"
+    cycles = 2 * 400 * 100 * CYCLES
+    rows = [
+        Row("two workers over one", ratio, "", target=f">= {TARGET:g}", met=ratio >= TARGET, note=note),
+        Row("one worker", cycles / times[1] * 1e-6, "M cycles/s"),
+        Row("two workers", cycles / times[2] * 1e-6, "M cycles/s"),
+    ]
+    publish("workers", rows, ["numpy", "h5py"])
+
+
+if __name__ == "__main__":
+    main()
