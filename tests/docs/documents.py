@@ -1,0 +1,43 @@
+"""The code blocks of the documentation, and a folder in which they run as a reader would run them."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+_BLOCK = re.compile(r"^```(\w+)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_FILE = re.compile(r"# ([\w/]+\.(?:py|yaml))\n")
+
+
+class Block(NamedTuple):
+    """One fenced block."""
+
+    page: str
+    line: int
+    language: str
+    text: str
+
+    @property
+    def file(self) -> str:
+        """The name of the file that the block is, from its first line; "" when it is none."""
+        found = _FILE.match(self.text)
+        return found[1] if found else ""
+
+    @property
+    def commands(self) -> list[list[str]]:
+        """The command lines of a shell block, split into words, without comments."""
+        joined = self.text.replace("\\\n", " ")
+        return [words for line in joined.splitlines() if (words := shlex.split(line, comments=True))]
+
+
+def pages() -> list[Path]:
+    """README, CONTRIBUTING and every page of the documentation."""
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def blocks(page: Path) -> list[Block]:
+    """The fenced blocks of a page in order."""
+    text = page.read_text(encoding="utf-8")
+    name = page.relative_to(ROOT).as_posix()
+    return [Block(name, text.count("\n", 0, m.start()) + 1, m[1], m[2]) for m in _BLOCK.finditer(text)]

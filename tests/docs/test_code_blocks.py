@@ -1,0 +1,121 @@
+"""Every code block of README and documentation is run, in order, page by page, as a reader would."""
+
+import contextlib
+import io
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from documents import ROOT, Block, blocks, pages
+
+from canhaptic.cli.main import main
+from canhaptic.haptics.environments import ENVIRONMENTS
+from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.sim.effects import EFFECTS
+
+NOT_RUN = {
+    "make": "the tests themselves are run by it",
+    "sudo": "changes the host",
+    "ip": "changes the host",
+    "apt-get": "changes the host",
+    "pip": "tests/project/test_wheel.py installs",
+    "git": "of the reader's own tree",
+    "curl": "of the reader's own tree",
+}
+"""First word of a command that no test runs, and why."""
+FOR_A_REAL_RIG = ("run", "commission", "preflight")
+"""Subcommands that end with status 1, 2 or 3 on a scene for real hardware, which is not here."""
+QUICK = {
+    "compare": ["--duration", "0.2"],
+    "commission": ["--duration", "0.1", "--yes"],
+    "accuracy": ["--duration", "0.1", "--budget", "2"],
+    "scope": None,  # lives until it is stopped; tests/view start it
+    "drive": ["--duration", "0.2"],
+}
+"""Arguments that make a command short; None for one that other tests run."""
+
+QUICK_PAGES = ("README.md", "extending.md")
+WITH_BLOCKS = [
+    pytest.param(page, id=page.relative_to(ROOT).as_posix(), marks=() if page.name in QUICK_PAGES else pytest.mark.slow)
+    for page in pages()
+    if any(block.language in ("sh", "python", "yaml") for block in blocks(page))
+]
+
+
+@pytest.fixture
+def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the shipped scenes, in which modules of the page can be imported."""
+    for folder in ("configs", "eds"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    shutil.copy(ROOT / "eds" / "cia402_servo.eds", tmp_path / "my_drive.eds")  # stands for the reader's own
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", WITH_BLOCKS)
+def test_every_block_of_a_page_runs(page: Path, reader: Path) -> None:
+    tables = [(table, dict(table)) for table in (ENVIRONMENTS, ALGORITHMS, EFFECTS)]
+    modules = set(sys.modules)
+    try:
+        for block in blocks(page):
+            run_block(block, reader)
+    finally:
+        for table, before in tables:
+            table.clear()
+            table.update(before)
+        for name in set(sys.modules) - modules:
+            if getattr(sys.modules[name], "__file__", None) and str(reader) in str(sys.modules[name].__file__):
+                del sys.modules[name]
+
+
+def run_block(block: Block, folder: Path) -> None:
+    """Writes the file that a block is, or runs it; the error names the place in the page."""
+    where = f"{block.page}:{block.line}"
+    try:
+        if block.file:
+            (folder / block.file).write_text(block.text)
+        if block.language == "python" and not block.file:
+            exec(compile(block.text, where, "exec"), {"__name__": "__main__"})
+        elif block.language == "yaml":
+            assert yaml.safe_load(block.text) is not None
+        elif block.language == "json":
+            json.loads(block.text)
+        elif block.language == "sh":
+            for words in block.commands:
+                run_command(words, folder)
+    except BaseException as error:
+        raise AssertionError(f"{where}: {type(error).__name__}: {error}") from error
+
+
+def run_command(words: list[str], folder: Path) -> None:
+    """Runs one command line that begins with `canhaptic`; anything else must be among those that no test runs."""
+    if words[0] != "canhaptic":
+        assert words[0] in NOT_RUN or words[:2] == ["python", "-m"] or words[0].startswith(("python", ".venv")), words
+        return
+    words, target = redirected(words[1:])
+    extra = QUICK.get(words[0], [])
+    if extra is None:
+        return
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        status = main([*words, *(extra if "--help" not in words else [])])
+    real = words[0] in FOR_A_REAL_RIG and any(is_real(word) for word in words)
+    assert status in ((1, 2, 3) if real else (0,)), f"{words}: status {status}"
+    if target:
+        (folder / target).write_text(out.getvalue())
+
+
+def redirected(words: list[str]) -> tuple[list[str], str]:
+    """A command line without its `> FILE`, and the file."""
+    if ">" in words:
+        at = words.index(">")
+        return words[:at], words[at + 1]
+    return words, ""
+
+
+def is_real(word: str) -> bool:
+    return word.endswith(".yaml") and Path(word).is_file() and "interface: virtual" not in Path(word).read_text()
