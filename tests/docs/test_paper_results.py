@@ -1,4 +1,4 @@
-"""The committed figures and pictures of the paper's figures are those of today's code, judged by other means as well."""
+"""The committed figures and pictures of the paper's figures are those of today's code, and judged by other means too."""
 
 import json
 import struct

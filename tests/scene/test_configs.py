@@ -44,6 +44,7 @@ def test_the_real_rig_differs_from_the_demo_in_the_bus_and_the_simulation_only()
         ("paper_fig5_100hz", 100.0, 5.0, 0.0, "original", 0.1),
         ("paper_fig7_40hz", 40.0, 10.0, -0.05, "internal_dissipation", 0.15),
         ("paper_fig8_100hz", 100.0, 10.0, -0.05, "internal_dissipation", 0.15),
+        ("paper_fig9_100hz", 100.0, 10.0, -0.05, "internal_dissipation", 0.15),
     ],
 )
 def test_the_figures_carry_the_parameters_of_the_paper(
