@@ -57,13 +57,19 @@ class PaperFigure:
 _BOTH: Final = {"no_delay": (), "one_sample_late": LATE}
 _COLUMNS: Final = (("no_delay", "without delay: the paper's loop"), ("one_sample_late", "one sample late"))
 _CAPPED: Final = "one_sample_late_mass_known"
+_GUARDED: Final = "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N}"
 FIGURES: Final[dict[str, PaperFigure]] = {
     "fig4": PaperFigure("Fig. 4: the original algorithm at 40 Hz", "paper_fig4_40hz.yaml", _BOTH, _COLUMNS),
     "fig5": PaperFigure("Fig. 5: the original algorithm at 100 Hz", "paper_fig5_100hz.yaml", _BOTH, _COLUMNS),
     "fig7": PaperFigure(
         "Fig. 7: the paper's algorithm at 40 Hz",
         "paper_fig7_40hz.yaml",
-        {**_BOTH, _CAPPED: (*LATE, "passivity.moving_mass=0.25 kg")},
+        {
+            **_BOTH,
+            _CAPPED: (*LATE, "passivity.moving_mass=0.25 kg"),
+            "guarded": (_GUARDED,),
+            "one_sample_late_guarded": (*LATE, _GUARDED),
+        },
         (_COLUMNS[0], (_CAPPED, "one sample late, damping capped for the mass")),
     ),
     "fig8": PaperFigure("Fig. 8: the paper's algorithm at 100 Hz", "paper_fig8_100hz.yaml", _BOTH, _COLUMNS),

@@ -1,4 +1,4 @@
-"""The committed figures and pictures of the paper's figures are those of today's code, and judged by other means too."""
+"""The committed figures and pictures of the paper are those of today, and are judged by other means as well."""
 
 import json
 import struct

@@ -1,0 +1,124 @@
+"""Writes docs/paper.md from tools/paper_page.md and the committed results: `python -m tools.make_paper_page`.
+
+Three kinds of marks are filled in, and each fails where it points at nothing:
+
+    [[RESULT#PART#PART|UNIT]]   a number of docs/results/RESULT.json, with UNIT (`J`, `m`, ...), in `%` or plain
+    [[code:FILE:NAME]]          a function, class or method of canhaptic/FILE
+    [[test:FILE:NAME]]          a test of tests/FILE
+
+A PART is a key, or the name of one of the `rows` of a benchmark.
+"""
+
+import ast
+import json
+import re
+import sys
+from functools import cache
+from pathlib import Path
+from textwrap import fill
+from typing import Any, Final
+
+from canhaptic.errors import InputError
+from canhaptic.view.si import si
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+SOURCE: Final = ROOT / "tools" / "paper_page.md"
+PAGE: Final = ROOT / "docs" / "paper.md"
+_MARK: Final = re.compile(r"\[\[(.+?)\]\]")
+_DIGITS: Final = 3
+_ROUNDING: Final = 1e-15  # [J]
+_WIDTH: Final = 120
+_AS_WRITTEN: Final = ("|", "#", "!", "```")
+"""How blocks begin that are not a paragraph."""
+
+
+@cache
+def _result(name: str) -> Any:
+    path = ROOT / "docs" / "results" / f"{name}.json"
+    if not path.is_file():
+        raise InputError(
+            f"{SOURCE.name}: no result {path.name}, expected one of docs/results; make it or mend the mark"
+        )
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def number(place: str) -> float:
+    """Returns a number of docs/results.
+
+    Args:
+        place: `RESULT#PART#PART`.
+
+    Raises:
+        InputError: There is none.
+    """
+    name, *parts = place.split("#")
+    found = _result(name)
+    for part in parts:
+        rows = found.get("rows") if isinstance(found, dict) else None
+        if rows is not None:
+            found = {row["row"]: row for row in rows}
+        if not isinstance(found, dict) or part not in found:
+            raise InputError(f"{SOURCE.name}: {place}: nothing is called {part!r} there; mend the mark")
+        found = found[part]
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        raise InputError(f"{SOURCE.name}: {place}: got {found!r}, expected a number; mend the mark")
+    return found
+
+
+def _shown(mark: str) -> str:
+    place, _, unit = mark.partition("|")
+    value = number(place)
+    if unit == "%":
+        return f"{100.0 * value:.{_DIGITS}g} %"
+    if unit == "J" and abs(value) < _ROUNDING:
+        return "0 J"
+    if isinstance(value, int):
+        return f"{value}"
+    return si(value, unit, _DIGITS) if unit else f"{value:#.{_DIGITS}g}"
+
+
+def _named(kind: str, mark: str) -> str:
+    """Returns a reference to something in the source.
+
+    Raises:
+        InputError: The file has no such function, class or method.
+    """
+    folder = "canhaptic" if kind == "code" else "tests"
+    file, _, name = mark.partition(":")
+    path = ROOT / folder / file
+    scope: Any = ast.parse(path.read_text(encoding="utf-8")) if path.is_file() else None
+    for part in name.split("."):
+        inside = scope.body if scope is not None else []
+        scope = next((entry for entry in inside if _name_of(entry) == part), None)
+    if scope is None:
+        raise InputError(f"{SOURCE.name}: {folder}/{file} has no {name!r}; mend the mark")
+    return f"`{name}` in `{file}`" if kind == "code" else f"`{folder}/{file}`"
+
+
+def _name_of(entry: ast.stmt) -> str | None:
+    return entry.name if isinstance(entry, ast.FunctionDef | ast.ClassDef) else None
+
+
+def _fill(mark: re.Match[str]) -> str:
+    kind, _, rest = mark[1].partition(":")
+    return _named(kind, rest) if kind in ("code", "test") else _shown(mark[1])
+
+
+def page() -> str:
+    """Returns the text of the page."""
+    blocks = _MARK.sub(_fill, SOURCE.read_text(encoding="utf-8")).strip().split("\n\n")
+    return "\n\n".join(block if block.startswith(_AS_WRITTEN) else _refilled(block) for block in blocks) + "\n"
+
+
+def _refilled(paragraph: str) -> str:
+    return fill(paragraph, _WIDTH, break_long_words=False, break_on_hyphens=False)
+
+
+def main() -> int:
+    """Writes the page; returns 0."""
+    PAGE.write_text(page(), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
