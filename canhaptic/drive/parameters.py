@@ -94,12 +94,15 @@ class AxisParameters(Parameters):
     """One servo drive and the axis behind it. Torques are those of the axis: N*m where it turns, N where it slides."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]
+    """Of the axis: in messages, tables and logs; no other axis has it."""
     node_id: NodeId
+    """CANopen node ID of the drive; unique on its bus."""
     eds: Path
     """Object dictionary (EDS or DCF) of the drive."""
     quirks: tuple[str, ...] = ()
     """Named deviations of this drive from the standard (`canhaptic.drive.quirks`)."""
     unit: Literal["m", "rad"] = "rad"
+    """In what the axis moves: m where it slides, rad where it turns. Every other unit of the axis follows from it."""
     counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0)]
     """Position counts (0x6064) per metre or radian of the axis."""
     direction: Literal[1, -1] = 1
@@ -137,6 +140,7 @@ class AxisParameters(Parameters):
     reset_fault: bool = False
     """Whether start may reset a fault of the drive before it begins; never done in the cycle."""
     sdo_timeout: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.3
+    """Time in which the drive must answer an SDO request; then it is repeated."""
     step_timeout: Annotated[float, quantity("s", ge=1e-2, le=60.0)] = 1.0
     """Time in which the drive must confirm one step of the start."""
 

@@ -28,12 +28,14 @@ class BusTitle(Parameters):
     """What a bus of several has beside its parameters."""
 
     name: BusName
+    """By which an axis's `bus` names it."""
 
 
 class FurtherBus(Parameters):
     """What a bus of several may have of its own; rate, link policy and the rest are those of the first."""
 
     name: BusName
+    """By which an axis's `bus` names it."""
     interface: str | None = None
     """python-can interface; None: that of the first bus."""
     channel: str | int | None = None

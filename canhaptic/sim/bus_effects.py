@@ -24,6 +24,7 @@ class Window(Parameters):
     begin: Annotated[float, quantity("s", ge=0.0, le=1e6)] = 0.0
     """Counted from the first SYNC; from the first frame when `bring_up` is set."""
     duration: Annotated[float, quantity("s", gt=0.0, le=1e6)]
+    """From its begin to its end."""
     every: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
     """From one begin to the next; None: it happens once."""
 
@@ -51,6 +52,7 @@ class BusEffects(Parameters):
     reorder: Probability = 0.0
     """Share of frames that are held back for `reorder_delay` while those behind them pass."""
     reorder_delay: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 1e-3
+    """For which a reordered frame is held back."""
     truncate: Probability = 0.0
     """Share of frames that lose bytes at their end."""
     corrupt: Probability = 0.0
@@ -62,6 +64,7 @@ class BusEffects(Parameters):
     jitter: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
     """And later again by anything between zero and this; no frame overtakes another of its direction."""
     direction: Literal["both", "to_drive", "to_master"] = "both"
+    """Of the frames that suffer."""
     ids: tuple[CobId, ...] | None = None
     """COB-IDs that suffer; None: all."""
     during: tuple[Window, ...] = ()

@@ -38,7 +38,9 @@ class PlantParameters(Parameters):
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Viscous friction of the bearings."""
     initial_position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
+    """Where it is before the start."""
     initial_velocity: Annotated[float, quantity("m/s", "rad/s", ge=-1e3, le=1e3)] = 0.0
+    """With which the plant starts."""
 
     def add_to(self, scene: Scene) -> None:
         """Adds the motor's body and its bearings."""

@@ -23,9 +23,13 @@ class SinusoidMotion(Parameters):
 
     type: Literal["sinusoid"] = "sinusoid"
     amplitude: Annotated[float, quantity("m", "rad", ge=0.0, le=1e3)]
+    """Half of the way from end to end."""
     frequency: Annotated[float, quantity("Hz", gt=0.0, le=1e3)]
+    """Cycles per second."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
+    """At the start of the plant."""
     offset: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
+    """Middle of the motion."""
 
     def position(self, time: float) -> float:
         """Returns x_u [m or rad] at `time` [s]."""
@@ -36,12 +40,15 @@ class UserParameters(Parameters):
     """The hand; every part absent unless it is given."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
+    """Of the hand's grip, between voluntary motion and handle."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """Of the hand's grip."""
     push: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)] = 0.0
     """Constant force of the hand, towards +q."""
     rest: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     """Where the hand's spring is at rest; the motion comes on top of it."""
     motion: SinusoidMotion | None = None
+    """Voluntary motion, which the handle follows through the grip; None: the hand stays at `rest`."""
 
     @model_validator(mode="after")
     def _motion_reaches_the_handle(self) -> "UserParameters":

@@ -17,6 +17,7 @@ class CoulombSurface(Parameters):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Of the bristle before it slides."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Viscous damping beside the friction."""
 
     relaxes: ClassVar[bool] = True
 

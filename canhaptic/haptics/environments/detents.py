@@ -17,7 +17,9 @@ class Detents(Parameters):
     peak: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
     """Largest effort, a quarter of a pitch beside a resting position."""
     pitch: Annotated[float, quantity("m", "rad", gt=0.0)]
+    """From one resting position to the next."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Viscous damping, everywhere but exactly at a resting position."""
     position: Annotated[float, quantity("m", "rad")] = 0.0
     """Any one of the resting positions."""
 

@@ -11,11 +11,15 @@ class HardeningWall(Parameters):
     """A one-sided wall with the stored energy k x^2 / 2 + k3 x^4 / 4."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    """Linear coefficient k."""
     hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)]
     """Cubic coefficient k3."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Of the damper beside the spring; it acts in contact only."""
     position: Annotated[float, quantity("m", "rad")] = 0.0
+    """Where the surface is."""
     side: Side = "below"
+    """Where the wall is solid: below its position, or above it."""
 
     relaxes: ClassVar[bool] = False
 

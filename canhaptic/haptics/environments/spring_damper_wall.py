@@ -11,9 +11,13 @@ class SpringDamperWall(Parameters):
     """A wall that is in contact while the position is beyond its surface."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    """Of the spring behind the surface."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Of the damper beside the spring; it acts in contact only."""
     position: Annotated[float, quantity("m", "rad")] = 0.0
+    """Where the surface is."""
     side: Side = "below"
+    """Where the wall is solid: below its position, or above it."""
 
     relaxes: ClassVar[bool] = False
 

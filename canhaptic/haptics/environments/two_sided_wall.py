@@ -13,9 +13,13 @@ class TwoSidedWall(Parameters):
     """Two walls of the same stiffness that face each other; free from `lower` to `upper`."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    """Of the spring behind each surface."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Of the damper beside the spring; it acts in contact only."""
     lower: Annotated[float, quantity("m", "rad")]
+    """Surface of the wall below."""
     upper: Annotated[float, quantity("m", "rad")]
+    """Surface of the wall above; more than `lower`."""
 
     relaxes: ClassVar[bool] = False
 

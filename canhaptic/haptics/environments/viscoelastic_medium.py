@@ -10,9 +10,11 @@ class ViscoelasticMedium(Parameters):
     """Dough: stiff against a quick motion, yielding to a slow one; it remembers for about its relaxation time."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
+    """Of the spring that gives way."""
     relaxation_time: Annotated[float, quantity("s", gt=0.0)]
     """Time in which a spring left alone falls to 1/e: series damping over stiffness."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Of the damper beside it."""
 
     relaxes: ClassVar[bool] = True
 

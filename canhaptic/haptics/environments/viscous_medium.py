@@ -9,6 +9,7 @@ class ViscousMedium(Parameters):
     """Honey: torque = -d v wherever the axis is."""
 
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)]
+    """Coefficient d of the medium."""
 
     linear_stiffness: ClassVar[float] = 0.0
     relaxes: ClassVar[bool] = False

@@ -34,7 +34,9 @@ class FiveBar(Parameters):
     least_sine: Annotated[float, quantity("1", gt=0.0, lt=1.0)] = 0.1
     """Of the angle between the distal links, and between each distal link and its proximal one."""
     workspace_lower: tuple[float, ...] | None = None
+    """Least task coordinates [m or rad] of the workspace, beyond which nothing is rendered; None: no such limit."""
     workspace_upper: tuple[float, ...] | None = None
+    """Largest task coordinates [m or rad] of the workspace; None: no such limit."""
 
     @model_validator(mode="after")
     def _closes(self) -> "FiveBar":

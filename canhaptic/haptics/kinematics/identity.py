@@ -14,6 +14,7 @@ class Identity(Parameters):
     """x = q, for any number of axes, all in the same unit."""
 
     axes: Annotated[int, quantity("count", ge=1, le=16)]
+    """Number of motor axes; of a group in a scene it follows from its `axes`."""
     _rows: Rows = PrivateAttr(default=())
 
     def model_post_init(self, context: object, /) -> None:

@@ -20,7 +20,9 @@ class Transmission(Parameters):
     offset: tuple[float, ...] | None = None
     """Task coordinates at motor positions 0."""
     workspace_lower: tuple[float, ...] | None = None
+    """Least task coordinates [m or rad] of the workspace, beyond which nothing is rendered; None: no such limit."""
     workspace_upper: tuple[float, ...] | None = None
+    """Largest task coordinates [m or rad] of the workspace; None: no such limit."""
 
     @model_validator(mode="after")
     def _regular(self) -> "Transmission":

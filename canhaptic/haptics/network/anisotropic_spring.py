@@ -12,6 +12,7 @@ class AnisotropicSpring(Parameters):
     """F = -K (p - centre) - D p'."""
 
     centre: tuple[float, ...]
+    """Task coordinates [m or rad] where the spring is at rest."""
     stiffness: tuple[tuple[float, ...], ...]
     """K, symmetric and positive semidefinite [N/m or N*m/rad]."""
     damping: tuple[tuple[float, ...], ...] | None = None

@@ -14,7 +14,9 @@ class Box(Surface):
     """From `lower` to `upper` in every coordinate."""
 
     lower: tuple[float, ...]
+    """Least task coordinates [m or rad] of the box."""
     upper: tuple[float, ...]
+    """Largest task coordinates [m or rad]; each more than that of `lower`."""
     side: Literal["inside", "outside"] = "inside"
     """Where free space is."""
 

@@ -19,8 +19,11 @@ class Damper(Parameters):
 
     type: Literal["damper"] = "damper"
     viscous: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Linear coefficient r."""
     squared: Annotated[float, quantity("N*s^2/m^2", "N*m*s^2/rad^2", ge=0.0, le=1e9)] = 0.0
+    """Quadratic coefficient r2."""
     coulomb: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
+    """Coulomb friction F_c."""
     corner: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] = 1e-3
     """Flow f_c below which Coulomb friction fades, so that a sampled one does not chatter."""
     states: Mapping[int, float] = Field(default_factory=dict)

@@ -15,7 +15,9 @@ class General(Parameters):
     """xdot = (J - R) e + g u, y = g'e + S u; see `canhaptic.haptics.network.model.Network`."""
 
     storages: tuple[Storage, ...]
+    """What stores energy, in the order of the states x."""
     dissipators: tuple[Dissipator, ...] = ()
+    """What dissipates: R and S of the equation."""
     structure: Rows | None = None
     """J, skew; None: zero."""
     gain: Rows

@@ -17,12 +17,15 @@ class GuidedPath(Parameters):
     """Straight pieces from point to point; nothing is felt within `width` of them."""
 
     points: tuple[tuple[float, ...], ...]
+    """Task coordinates [m or rad] of the corners, two at least."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
+    """Of the spring towards the path."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Across the path."""
     width: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Distance from the path at which the spring begins."""
     closed: bool = False
+    """Whether the last point is joined to the first."""
 
     @model_validator(mode="after")
     def _is_a_line(self) -> "GuidedPath":

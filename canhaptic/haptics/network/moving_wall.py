@@ -20,7 +20,9 @@ class MovingWall(Surface):
     offset: float = 0.0
     """Distance of the surface from the origin along the normal at rest [m or rad]."""
     amplitude: Annotated[float, quantity("m", "rad")]
+    """Largest advance of the surface along the normal."""
     frequency: Annotated[float, quantity("Hz", gt=0.0, le=100.0)]
+    """Of its motion, f."""
 
     def build(self, dimensions: int) -> Rendered:
         """Returns the wall; see `NetworkEnvironment`."""

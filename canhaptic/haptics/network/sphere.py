@@ -12,7 +12,9 @@ class Sphere(Surface):
     """Round in every coordinate of task space."""
 
     centre: tuple[float, ...]
+    """Task coordinates [m or rad] of the centre."""
     radius: Annotated[float, quantity("m", "rad", gt=0.0)]
+    """From the centre to the surface."""
     side: Literal["inside", "outside"] = "outside"
     """Where free space is."""
 

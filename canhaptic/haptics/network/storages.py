@@ -21,6 +21,7 @@ class Spring(Parameters):
 
     type: Literal["spring"] = "spring"
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    """Linear coefficient k."""
     hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)] = 0.0
     """Cubic coefficient k3."""
     lower: Annotated[float, quantity("m", "rad")] | None = 0.0
@@ -50,6 +51,7 @@ class Mass(Parameters):
 
     type: Literal["mass"] = "mass"
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)]
+    """m."""
 
 
 class QuadraticForm(Parameters):

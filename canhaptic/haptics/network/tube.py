@@ -12,8 +12,11 @@ class Tube(Surface):
     """Around the line through `point` along `direction`; in a plane it is a channel."""
 
     point: tuple[float, ...]
+    """Any one point [m or rad] of the line."""
     direction: tuple[float, ...]
+    """Along the line; its length does not matter."""
     radius: Annotated[float, quantity("m", "rad", gt=0.0)]
+    """From the line to the surface."""
     side: Literal["inside", "outside"] = "inside"
     """Where free space is."""
 

@@ -17,9 +17,11 @@ class VirtualMass(Parameters):
     """
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)]
+    """Of the virtual body, the same in every direction."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Of the coupling."""
     hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)] = 0.0
+    """Cubic coefficient k3 of the coupling."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Of the coupling."""
     floor: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
@@ -53,7 +55,9 @@ class MassOnSpring(VirtualMass):
     """The same mass, held by a spring to a point of task space."""
 
     anchor: tuple[float, ...]
+    """Task coordinates [m or rad] of the point."""
     anchor_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
+    """Of the spring between mass and point."""
 
     @model_validator(mode="after")
     def _somewhere(self) -> "MassOnSpring":

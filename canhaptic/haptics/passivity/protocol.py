@@ -10,6 +10,7 @@ class LoopProperties(Parameters):
     """What is known of the loop around the controller; optional values are None when unknown, never assumed."""
 
     sample_time: Annotated[float, quantity("s", gt=0.0, le=1.0)]
+    """Time T from SYNC to SYNC."""
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Whole holds between the computation of a torque and the hold in which it acts: 0 event RPDO, 1 synchronous."""
     moving_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)] | None = None

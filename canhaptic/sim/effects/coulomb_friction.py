@@ -66,7 +66,9 @@ class CoulombFriction(Parameters):
 
     type: Literal["coulomb_friction"] = "coulomb_friction"
     kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Friction while it slides."""
     static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Force at which it breaks away; at least `kinetic`."""
 
     @model_validator(mode="after")
     def _static_is_not_below_kinetic(self) -> "CoulombFriction":

@@ -17,6 +17,7 @@ class EncoderQuantisation(Parameters):
 
     type: Literal["encoder_quantisation"] = "encoder_quantisation"
     count: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
+    """Displacement of one count."""
 
     def add_to(self, scene: Scene) -> None:
         """Adds the rounding of the reading."""

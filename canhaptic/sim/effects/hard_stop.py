@@ -19,10 +19,13 @@ class HardStop(Parameters):
 
     type: Literal["hard_stop"] = "hard_stop"
     position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)]
+    """Where the handle meets the stop."""
     side: Literal["upper", "lower"] = "upper"
     """upper: stops motion towards +q; lower: towards -q."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)]
+    """Of the stop."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """Of the stop."""
 
     def add_to(self, scene: Scene) -> None:
         """Adds the contact of the handle with the stop."""

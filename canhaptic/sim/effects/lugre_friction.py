@@ -28,11 +28,17 @@ class LuGreFriction(Parameters):
 
     type: Literal["lugre_friction"] = "lugre_friction"
     kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Friction of a fast slide."""
     static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Friction of a slow slide; at least `kinetic`."""
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
+    """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
     bristle_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
+    """Of the bristles before they slip."""
     bristle_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """Of the bristles."""
     viscous: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """Viscous friction beside the bristles."""
 
     @model_validator(mode="after")
     def _static_is_not_below_kinetic(self) -> "LuGreFriction":

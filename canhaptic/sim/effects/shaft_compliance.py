@@ -22,8 +22,11 @@ class ShaftCompliance(Parameters):
 
     type: Literal["shaft_compliance"] = "shaft_compliance"
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)]
+    """Of the shaft."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """Of the shaft."""
     load_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
+    """Of the handle's side; `plant.mass` is then the motor's side."""
 
     def add_to(self, scene: Scene) -> None:
         """Adds the load and the shaft."""

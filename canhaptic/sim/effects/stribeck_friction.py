@@ -25,8 +25,11 @@ class StribeckFriction(Parameters):
 
     type: Literal["stribeck_friction"] = "stribeck_friction"
     kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Friction of a fast slide."""
     static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Force at which it breaks away; at least `kinetic`."""
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
+    """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
 
     @model_validator(mode="after")
     def _static_is_not_below_kinetic(self) -> "StribeckFriction":

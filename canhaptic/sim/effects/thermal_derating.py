@@ -29,10 +29,15 @@ class ThermalDerating(Parameters):
     copper_loss: Annotated[float, quantity("W/N^2", "W/N^2/m^2", gt=0.0, le=1e9)]
     """Heat per torque squared [W/N^2 or W/(N*m)^2]."""
     thermal_resistance: Annotated[float, quantity("K/W", gt=0.0, le=1e6)]
+    """From the winding to its surroundings."""
     time_constant: Annotated[float, quantity("s", gt=0.0, le=1e6)]
+    """With which the winding warms and cools."""
     ambient: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 293.15
+    """Temperature of the surroundings, with which the winding starts."""
     warm: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 373.15
+    """Temperature from which the limit falls."""
     hot: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 403.15
+    """Temperature at which the limit is 0; more than `warm`."""
 
     @model_validator(mode="after")
     def _hot_is_above_warm(self) -> "ThermalDerating":

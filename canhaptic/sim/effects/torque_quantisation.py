@@ -18,6 +18,7 @@ class TorqueQuantisation(Parameters):
 
     type: Literal["torque_quantisation"] = "torque_quantisation"
     quantum: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Smallest step of the torque."""
 
     def add_to(self, scene: Scene) -> None:
         """Adds the rounding."""

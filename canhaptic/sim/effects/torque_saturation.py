@@ -18,6 +18,7 @@ class TorqueSaturation(Parameters):
 
     type: Literal["torque_saturation"] = "torque_saturation"
     limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Largest torque of the motor."""
 
     def add_to(self, scene: Scene) -> None:
         """Adds the clip."""

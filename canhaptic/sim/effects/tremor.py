@@ -20,8 +20,11 @@ class Tremor(Parameters):
 
     type: Literal["tremor"] = "tremor"
     amplitude: Annotated[float, quantity("m", "rad", ge=0.0, le=1e3)]
+    """Half of the way from end to end."""
     frequency: Annotated[float, quantity("Hz", gt=0.0, le=1e3)] = 8.0
+    """Cycles per second."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
+    """At the start of the plant."""
 
     def add_to(self, scene: Scene) -> None:
         """Adds an oscillator to what the hand follows.

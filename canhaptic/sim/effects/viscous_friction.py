@@ -18,6 +18,7 @@ class ViscousFriction(Parameters):
 
     type: Literal["viscous_friction"] = "viscous_friction"
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)]
+    """Force per velocity."""
 
     def add_to(self, scene: Scene) -> None:
         """Adds the force on the motor's body."""

@@ -37,8 +37,11 @@ class ElbowStop(Parameters):
     """Springs that keep the elbows' distance within bounds, short of where the distal links stretch or fold."""
 
     least: Annotated[float, quantity("m", ge=0.0, le=1e3)] = 0.0
+    """Distance of the elbows below which the spring pushes them apart."""
     most: Annotated[float, quantity("m", gt=0.0, le=1e3)]
+    """Distance beyond which it draws them together."""
     stiffness: Annotated[float, quantity("N/m", gt=0.0, le=1e8)]
+    """Of the springs."""
 
 
 class FiveBar(Parameters):
@@ -59,9 +62,11 @@ class FiveBar(Parameters):
     distal_mass: Annotated[float, quantity("kg", ge=0.0, le=1e4)] = 0.0
     """Of each distal link, a uniform rod."""
     handle_mass: Annotated[float, quantity("kg", ge=0.0, le=1e4)] = 0.0
+    """At the joint of the distal links."""
     damping: Annotated[float, quantity("N*m*s/rad", ge=0.0, le=1e4)] = 0.0
     """Viscous friction of the bearings of each motor."""
     elbow_stop: ElbowStop | None = None
+    """Springs between the elbows; None: none."""
     initial_angles: tuple[Angle, Angle]
     """Of the left and the right motor, from +x, counterclockwise."""
 

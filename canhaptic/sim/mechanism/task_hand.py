@@ -29,7 +29,9 @@ class PlaneMotion(Parameters):
     """Voluntary motion in each direction; None: none."""
 
     x: SinusoidMotion | None = None
+    """Voluntary motion in x."""
     y: SinusoidMotion | None = None
+    """Voluntary motion in y."""
 
 
 class TaskHand(Parameters):
@@ -40,6 +42,7 @@ class TaskHand(Parameters):
     stiffness_across: Annotated[float, quantity("N/m", ge=0.0, le=1e6)] | None = None
     """Across it; None: the same."""
     damping: Annotated[float, quantity("N*s/m", ge=0.0, le=1e4)] = 0.0
+    """Along the major axis of the ellipse."""
     damping_across: Annotated[float, quantity("N*s/m", ge=0.0, le=1e4)] | None = None
     """Across the major axis; None: the same."""
     angle: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
@@ -49,6 +52,7 @@ class TaskHand(Parameters):
     rest: tuple[Length, Length] = (0.0, 0.0)
     """Where the hand's spring is at rest; the motion comes on top of it."""
     motion: PlaneMotion = PlaneMotion()
+    """Voluntary motion, which the handle follows through the grip."""
 
     @model_validator(mode="after")
     def _motion_reaches_the_handle(self) -> "TaskHand":

@@ -28,7 +28,9 @@ class DryFriction(Parameters):
     """Coulomb friction with stiction of one guide; exact."""
 
     kinetic: Annotated[float, quantity("N", gt=0.0, le=1e6)]
+    """Friction while it slides."""
     static: Annotated[float, quantity("N", gt=0.0, le=1e6)]
+    """Force at which it breaks away; at least `kinetic`."""
 
     @model_validator(mode="after")
     def _static_is_not_below_kinetic(self) -> "DryFriction":
@@ -51,9 +53,13 @@ class XYStage(Parameters):
     damping_x: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
     """Viscous friction of the guide in x."""
     damping_y: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
+    """Viscous friction of the guide in y."""
     friction_x: DryFriction | None = None
+    """Dry friction of the guide in x; None: none."""
     friction_y: DryFriction | None = None
+    """Dry friction of the guide in y; None: none."""
     initial_position: tuple[Length, Length] = (0.0, 0.0)
+    """Where the stage is before the start."""
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "XYMotion":
         """Returns the stage at rest; it needs no substeps."""
