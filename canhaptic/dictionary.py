@@ -17,7 +17,9 @@ of whoever saved a DCF. This reader returns the same types and differs in:
 What cannot be read at all raises `DictionaryError` with file and section.
 """
 
+import pickle
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -68,7 +70,18 @@ def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
     path = Path(path)
     if not 1 <= node_id <= 127:
         raise DictionaryError(f"{path}: node ID {node_id} does not exist, expected 1..127")
-    sections = _parse(path)
+    fresh: ObjectDictionary = pickle.loads(_pickled(path, _content(path), node_id))
+    return fresh
+
+
+@lru_cache(maxsize=32)
+def _pickled(path: Path, content: bytes, node_id: int) -> bytes:
+    """Returns a dictionary in the form from which every reader gets its own: a sweep reads one for each scene."""
+    return pickle.dumps(_read(path, content, node_id))
+
+
+def _read(path: Path, content: bytes, node_id: int) -> ObjectDictionary:
+    sections = _parse(path, content)
     saved_for = _integer(sections.get("devicecomissioning", {}).get("nodeid", ""))
     source = _Source(path, sections, node_id, is_for_node=saved_for in (None, node_id))
     dictionary: ObjectDictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
@@ -88,11 +101,11 @@ def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
 # --- the text ---------------------------------------------------------------------------------------------------
 
 
-def _parse(path: Path) -> _Sections:
+def _parse(path: Path, content: bytes) -> _Sections:
     """Returns the entries of each section, names and keys in lower case; comments and stray lines left out."""
     sections: _Sections = {}
     entries: _Entries | None = None
-    for line in _text(path).splitlines():
+    for line in _text(path, content).splitlines():
         line = line.strip()
         if line.startswith("[") and "]" in line:
             entries = sections.setdefault(line[1 : line.index("]")].strip().lower(), {})
@@ -102,13 +115,16 @@ def _parse(path: Path) -> _Sections:
     return sections
 
 
-def _text(path: Path) -> str:
+def _content(path: Path) -> bytes:
     try:
-        content = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise DictionaryError(
             f"{path}: cannot be read ({error.strerror}); give the path of the drive's EDS or DCF"
         ) from error
+
+
+def _text(path: Path, content: bytes) -> str:
     if content.lstrip().startswith(b"<"):
         raise DictionaryError(f"{path}: is XML (XDD or EPF), expected an EDS or DCF; export it from the vendor's tool")
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
