@@ -42,6 +42,8 @@ _LEAN: Final = 0.25
 _DEEPEST: Final = 0.1
 """Depth [m or rad] to which the hand leans into the softest wall that is tried."""
 DURATION: Final = 2.0  # [s]
+_TRIALS, _WALLS = 15.0, 50.0
+"""Batches of a search, and walls in each, about: what says whether compiling pays."""
 _FREQUENCY: Final = 1.0  # of the hand that presses [Hz]
 _METRICS: Final = ("diverged", "least_interaction", "stiffness_rendered.share", "damping_rendered.mean", "contact")
 
@@ -175,4 +177,6 @@ def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:
 def _recipe(scene: Scene, engine: Engine) -> Recipe:
     varied = [ranged(STIFFNESS, 1e-3, STIFFEST, 2, "log"), ranged(DAMPING, 0.0, MOST_DAMPING, 2)]
     points = make_points(varied, [ALGORITHM])
-    return make_recipe(scene, points, metrics=_METRICS, engine=chosen_engine(engine), duration=DURATION)
+    cycles = _TRIALS * DURATION / scene.bus.sample_time
+    chosen = chosen_engine(engine, _WALLS * cycles, cycles)
+    return make_recipe(scene, points, metrics=_METRICS, engine=chosen, duration=DURATION)

@@ -20,7 +20,7 @@ import numpy as np
 from canhaptic.errors import CanHapticError, InputError, WorkersLostError
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch import why_not_batchable
-from canhaptic.study.compare import with_algorithm
+from canhaptic.study.compare import cycles_of, with_algorithm
 from canhaptic.study.sweep.chunk import FIGURES, ChunkResult, is_batch_key, run_chunk
 from canhaptic.study.sweep.points import Points, make_points
 from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe
@@ -33,6 +33,8 @@ Engine = Literal["auto", "numpy", "numba"]
 _BATCH_CHUNK: Final = (1000, 5000)
 """Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
 _SCALAR_CHUNK: Final = (1, 50)
+_WORTH_COMPILING: Final = (2e7, 1e4)
+"""Scenes times cycles, and batches times cycles, from which "auto" compiles: 1 to 10 s in each worker."""
 _FEWEST_CHUNKS: Final = 16
 _FEWEST_TOGETHER: Final = 8
 """Scenes of one kind in a sweep, below which making their batch costs more than running them."""
@@ -128,7 +130,7 @@ def make_sweep(
         duration: Of every scene [s]; by default that of the scene.
         cycles: SYNCs of every scene instead of a duration.
         metrics: Names of `FIGURES`; all by default.
-        engine: For scenes that fit a batch; "auto" is numba where it is installed.
+        engine: For scenes that fit a batch; "auto" is numba where it is installed and pays.
         chunk: Scenes that are finished together; changes nothing but how much a kill can lose.
         beyond_bus: Whether to judge rates that the bus could not carry, instead of refusing them.
 
@@ -145,7 +147,7 @@ def make_sweep(
         scene,
         points,
         metrics=tuple(dict.fromkeys(metrics or FIGURES)),
-        engine=chosen_engine(engine),
+        engine=chosen_engine(engine, 0.0, 0.0),
         duration=duration,
         cycles=cycles,
         beyond_bus=beyond_bus,
@@ -156,11 +158,19 @@ def make_sweep(
         recipe = replace(recipe, alone=reason)
     least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
+    count, per_scene = len(points), recipe.cycles or cycles_of(scene, duration)
+    batches = max(-(-count // chunk), count // max(1, together))
+    recipe = replace(recipe, engine=chosen_engine(engine, count * per_scene, batches * per_scene))
     return Sweep(recipe, points, chunk, _identity(scene, recipe, points))
 
 
-def chosen_engine(engine: Engine) -> str:
+def chosen_engine(engine: Engine, scene_cycles: float, batch_cycles: float) -> str:
     """Returns the engine that "auto" stands for here; decided once, so that workers need not agree on it.
+
+    Args:
+        engine: As asked for.
+        scene_cycles: SYNCs of all scenes together: what a compiled loop saves is in proportion to them.
+        batch_cycles: SYNCs of all batches together: each one costs NumPy some hundred calls, however few its scenes.
 
     Raises:
         InputError: numba is asked for and not installed.
@@ -168,7 +178,10 @@ def chosen_engine(engine: Engine) -> str:
     there = importlib.util.find_spec("numba") is not None
     if engine == "numba" and not there:
         raise InputError("engine numba is not installed; install it with: pip install 'canhaptic[fast]', or take numpy")
-    return ("numba" if there else "numpy") if engine == "auto" else engine
+    if engine != "auto":
+        return engine
+    pays = scene_cycles >= _WORTH_COMPILING[0] or batch_cycles >= _WORTH_COMPILING[1]
+    return "numba" if there and pays else "numpy"
 
 
 class _Run:
