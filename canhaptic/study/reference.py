@@ -15,7 +15,7 @@ from canhaptic.study.loop import Array
 _FINEST: Final = 200_000
 """Longest time between two readings of the reference [ns]; at least two readings a hold."""
 _MOST_READINGS: Final = 400_000
-_REST: Final = 0.02
+REST: Final = 0.02
 """Peak-to-peak motion, as a part of the whole travel, below which the reference counts as being at rest."""
 
 
@@ -36,7 +36,7 @@ class Reference(NamedTuple):
 
     def rests(self, rows: slice) -> bool:
         """Whether the continuous axis is at rest in these rows."""
-        return float(np.ptp(self.position[rows])) <= _REST * max(self.travel, 1e-9)
+        return float(np.ptp(self.position[rows])) <= REST * max(self.travel, 1e-9)
 
 
 def continuous_reference(
@@ -62,7 +62,7 @@ def continuous_reference(
     Raises:
         InputError: The environment is not piecewise affine and the plant not linear, or scipy is missing.
     """
-    readings = _readings_per_hold(sample_time_ns, cycles)
+    readings = readings_per_hold(sample_time_ns, cycles)
     times = [(k * sample_time_ns) // readings for k in range((cycles - 1) * readings + 1)]
     effect = continuous_effect(environment)
     if effect is None:
@@ -109,7 +109,8 @@ def environment_torque(environment: Environment, position: Array, velocity: Arra
     return torque
 
 
-def _readings_per_hold(sample_time_ns: int, cycles: int) -> int:
+def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
+    """Returns how often the reference is read in a hold [ns] of a run of some cycles."""
     least = max(2, -(-sample_time_ns // _FINEST))
     least = min(least, max(2, _MOST_READINGS // max(1, cycles)))
     exact = next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)

@@ -31,7 +31,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.cases import batch_case, check_values, why_not, why_not_beforehand
 from canhaptic.study.batch.marching import Engine, march
-from canhaptic.study.batch.meter import METRICS
+from canhaptic.study.batch.meter import ALL, CONTINUOUS, METRICS
 from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.radius import radii
 from canhaptic.study.batch.scalar import run_scalar
@@ -39,7 +39,9 @@ from canhaptic.study.batch.varied import BATCH_KEYS, scene_with
 from canhaptic.study.loop import Array
 
 __all__ = [
+    "ALL",
     "BATCH_KEYS",
+    "CONTINUOUS",
     "METRICS",
     "NotBatchableError",
     "run_batch",
@@ -77,18 +79,17 @@ def run_batch(
         varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
         cycles: SYNCs, at least 2.
         engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and pays. Both give the same bits.
-        metrics: Names of `METRICS`; None for all. Fewer are faster: what nobody asked for is not computed.
+        metrics: Names of `ALL`; None for `METRICS`. Fewer are faster: what nobody asked for is not computed. Those of
+            `CONTINUOUS` march a continuous run beside every loop and are NaN where it has no closed form.
 
     Raises:
         ParameterError: A key that cannot vary inside a batch, a value out of its range, an unknown metric.
         NotBatchableError: The scene cannot run in arrays.
     """
     names = list(METRICS) if metrics is None else list(metrics)
-    unknown = [name for name in names if name not in METRICS]
+    unknown = [name for name in names if name not in ALL]
     if unknown or cycles < 2:
-        raise ParameterError(
-            f"run_batch: got metrics {unknown} and {cycles} cycles; expected {list(METRICS)}, 2 or more"
-        )
+        raise ParameterError(f"run_batch: got metrics {unknown} and {cycles} cycles; expected {list(ALL)}, 2 or more")
     arrays = {key: np.asarray(values, dtype=float) for key, values in varied.items()}
     reason = why_not_beforehand(scene)
     if reason:

@@ -21,6 +21,7 @@ class SampledAxis:
         torque_quantum: Step of the command; None for an ideal one [N or N*m].
         torque_limit: Of the drive; None for none [N or N*m].
         furthest: Distance from the origin that counts as divergence [m or rad].
+        last_from: SYNC with which the last part of the run begins.
 
     Attributes:
         meter: The figures so far.
@@ -38,16 +39,24 @@ class SampledAxis:
         torque_quantum: float | None,
         torque_limit: float | None,
         furthest: float,
+        last_from: float = 0.0,
     ) -> None:
         self._controller = controller
         self._delay, self._furthest = delay, furthest
         self._counts_per_unit, self._torque_quantum, self._torque_limit = counts_per_unit, torque_quantum, torque_limit
-        self.meter = Meter(environment)
+        self.meter = Meter(environment, last_from)
         self.held = self._waiting = self._interaction = self._true_before = 0.0
         self.out = False
 
-    def sync(self, true_position: float) -> None:
-        """Takes a SYNC of a plant on which nothing but the torque held acts on the motor's side of the port."""
+    def sync(self, true_position: float, continuous_position: float, continuous_torque: float) -> None:
+        """Takes a SYNC of a plant on which nothing but the torque held acts on the motor's side of the port.
+
+        Args:
+            true_position: [m or rad].
+            continuous_position: Of the axis in the continuous environment [m or rad].
+            continuous_torque: Of that, its mean over the hold that ended [N or N*m].
+        """
+        self.meter.compare(true_position, self.held, continuous_position, continuous_torque)
         self._interaction -= self.held * (true_position - self._true_before)
         self._true_before = true_position
         self.sync_with(true_position, true_position, self._interaction)

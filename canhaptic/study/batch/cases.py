@@ -107,6 +107,7 @@ def _numbers(
         "counts_per_unit": case.counts_per_unit,
         "torque_quantum": case.torque_quantum,
         "torque_limit": case.torque_limit,
+        "last_from": 0.0,
     }
     period: Array | float = float(sample_time_ns)
     if _RATE in varied:

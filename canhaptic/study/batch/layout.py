@@ -22,7 +22,7 @@ _NUMPY: Final[dict[str, Any]] = {
 
 
 _SERIES: Final = ("exp", "sin", "cos", "tan")
-_ALWAYS: Final = ("array", "fill", "store", "load", "loop", "out")
+_ALWAYS: Final = ("array", "fill", "store", "load", "loop", "out", "input")
 """Operations that are done for each scene, whatever they work on."""
 
 
@@ -41,7 +41,7 @@ class Layout:
         self.states = sorted(program.then)
         goals = [*(program.then[name] for name in self.states), program.out, *program.results.values()]
         everything = below(goals)
-        self.steps = [node for node in everything if node.changes and node.op not in ("state", "array")]
+        self.steps = [node for node in everything if node.changes and node.op not in ("state", "array", "input")]
         used = {arg for node in self.steps for arg in node.args} | set(goals)
         self.fixed = sorted((node for node in used if not node.changes), key=lambda node: node.number)
         self._lane_states = self._differing_states()

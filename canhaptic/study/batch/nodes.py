@@ -61,7 +61,7 @@ TRUTH: Final[dict[str, Callable[..., bool]]] = {
 }
 """Operations with a truth value as their result."""
 
-_CHANGING: Final = ("state", "array", "var")
+_CHANGING: Final = ("state", "array", "var", "input")
 _ROWS: Final = ("array", "store", "fill")
 
 
@@ -69,10 +69,10 @@ class Node:
     """One operation; made by a `Graph` only.
 
     Attributes:
-        op: Name of `NUMBER` or `TRUTH`; "select", "const", "param" or "state"; of lists and loops (`rings`) "fill",
-            "array", "store", "load", "loop", "var" and "out".
+        op: Name of `NUMBER` or `TRUTH`; "select", "const", "param", "state" or "input"; of lists and loops (`rings`)
+            "fill", "array", "store", "load", "loop", "var" and "out".
         args: Nodes it works on.
-        value: Of a constant; name of a parameter or state.
+        value: Of a constant; name of a parameter, state or input.
         is_truth: Whether its result is a truth value.
         changes: Whether it depends on a state, so that it is to be computed in every cycle.
         number: Position in the order of making; arguments come before what uses them.

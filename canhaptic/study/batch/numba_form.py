@@ -14,12 +14,13 @@ import numpy as np
 
 from canhaptic.study.batch.layout import Layout, known_values, widened
 from canhaptic.study.batch.nodes import Node
+from canhaptic.study.batch.numpy_form import BLOCK, Feed
 from canhaptic.study.batch.program import Program
 from canhaptic.study.loop import Array
 
 WIDTH: Final = 128
 """Scenes in a chunk: a few ten rows of it fit the first-level cache, and loads do not wait for stores of other rows."""
-_ARGUMENTS: Final = "count, blocks, values, begins, kept, when, ones, given"
+_ARGUMENTS: Final = "count, done, blocks, values, begins, kept, when, ones, given, inputs"
 _MAGIC: Final = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to a whole number, halves to even
 _INFIX: Final = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "mod": "%", "floordiv": "//", "lt": "<", "le": "<=", "gt": ">",
@@ -57,13 +58,14 @@ class NumbaForm:
         )
         self._kernel = compiled(self.source, len(self._rings))
 
-    def run(self, numbers: Mapping[str, Any], count: int, cycles: int) -> tuple[dict[str, Any], Any]:
+    def run(self, numbers: Mapping[str, Any], count: int, cycles: int, feed: Feed) -> tuple[dict[str, Any], Any]:
         """Returns the states of some scenes after their cycles, or when they diverged, and the cycle of that.
 
         Args:
             numbers: By parameter, one or of shape (count,).
             count: Scenes.
             cycles: After the first SYNC.
+            feed: Gives the inputs of the next cycles.
 
         Returns:
             State -> value; and for each scene the cycle in which it diverged, 0 where it did not.
@@ -79,8 +81,22 @@ class NumbaForm:
         given = np.array([float(fixed[node]) for node in self._one_values])
         lists = [self._list(fixed[program.first[name]], chunks) for name in self._rings]
         flat = block.reshape(chunks, -1), values.reshape(chunks, -1)
-        self._kernel(cycles, *flat, begin, frozen, when, ones, given, *lists)
+        done = 0
+        while done < cycles:
+            some = min(BLOCK, cycles - done) if program.inputs else cycles
+            inputs = self._inputs(feed, some, chunks)
+            self._kernel(some, done, *flat, begin, frozen, when, ones, given, inputs, *lists)
+            done += some
         return self._states(block, frozen, when, ones, count), when[:count]
+
+    def _inputs(self, feed: Feed, cycles: int, chunks: int) -> Array:
+        """Returns the inputs of some cycles, shape (chunks, inputs, cycles, WIDTH)."""
+        nodes = self.program.inputs
+        found = feed(cycles) if nodes else {}
+        padded = np.zeros((len(nodes), cycles if nodes else 0, chunks * WIDTH))
+        for i, node in enumerate(nodes):
+            padded[i, :, : found[node.value].shape[1]] = found[node.value]
+        return np.ascontiguousarray(padded.reshape(*padded.shape[:2], chunks, WIDTH).transpose(2, 0, 1, 3))
 
     def _list(self, rows: Any, chunks: int) -> Array:
         """Returns the rows of a list, shape (chunks, rows, WIDTH)."""
@@ -117,7 +133,8 @@ def compiled(source: str, lists: int) -> Callable[..., None]:
     names |= {name: getattr(__import__("math"), name) for name in ("sqrt", "exp", "sin", "cos", "tan", "asin", "inf")}
     names |= {"copied": numba.njit(_copied, inline="always"), "place": numba.njit(_place, inline="always")}
     exec(compile(source, "<batch>", "exec"), names)
-    types = ["int64", *["float64[:, ::1]"] * 4, "int64[::1]", *["float64[::1]"] * 2, *["float64[:, :, ::1]"] * lists]
+    types = ["int64", "int64", *["float64[:, ::1]"] * 4, "int64[::1]", *["float64[::1]"] * 2, "float64[:, :, :, ::1]"]
+    types += ["float64[:, :, ::1]"] * lists
     function: Callable[..., None] = numba.njit(f"void({', '.join(types)})", error_model="numpy")(names["cycles"])
     return function
 
@@ -149,11 +166,13 @@ def _source(
     own |= {kind: [states[n] for n in names] for kind, names in (("r", rings), ("s", lane_states), ("o", one_states))}
     for kind, nodes in own.items():
         name |= {node: f"{kind}{i}" for i, node in enumerate(nodes)}
+    name |= {node: f"x{i}" for i, node in enumerate(program.inputs)}
     once: list[str] = []
     each: list[str] = []
     for node in layout.steps:
         (each if node in layout.lanes else once).extend(_lines(node, name))
     load = [_loaded(f"s{i}", i, states[n].is_truth) for i, n in enumerate(lane_states)]
+    load += [f"x{i} = inputs[chunk, {i}, cycle, i]" for i in range(len(program.inputs))]
     load += [_loaded(f"v{i}", i, node.is_truth, "fixed") for i, node in enumerate(lane_values)]
     keep = [
         f"rows[{i * WIDTH} + i] = {_stored(name[program.then[n]], program.then[n].is_truth)}"
@@ -188,7 +207,7 @@ def _escapes(states: int) -> list[str]:
         f"        if rows[{states * WIDTH} + i] != 0.0:",
         f"            first = when[chunk * {WIDTH} + i] == 0",
         "            if first:",
-        f"                when[chunk * {WIDTH} + i] = cycle + 1",
+        f"                when[chunk * {WIDTH} + i] = done + cycle + 1",
         f"            for row in range({states}):",
         "                if first:",
         f"                    kept[chunk, row * {WIDTH} + i] = rows[row * {WIDTH} + i]",

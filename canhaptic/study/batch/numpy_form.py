@@ -8,7 +8,12 @@ import numpy as np
 from canhaptic.study.batch.layout import Layout, known_values, widened
 from canhaptic.study.batch.nodes import Node
 from canhaptic.study.batch.program import Program
+from canhaptic.study.loop import Array
 
+BLOCK: Final = 64
+"""Cycles for which inputs are laid out at a time."""
+Feed = Callable[[int], Mapping[str, Array]]
+"""From a number of cycles to the inputs of the next ones, by name, shape (cycles, n_scenes) each."""
 _CALLS: Final[dict[str, str]] = {
     "add": "add", "sub": "subtract", "mul": "multiply", "div": "divide", "mod": "mod", "floordiv": "floor_divide",
     "neg": "negative", "abs": "absolute", "sqrt": "sqrt", "exp": "exp", "sin": "sin", "cos": "cos", "tan": "tan",
@@ -41,6 +46,7 @@ class NumpyForm:
         count: int,
         cycles: int,
         escaped: Callable[[Any, Mapping[str, Any], int], None],
+        feed: Feed,
     ) -> dict[str, Any]:
         """Returns the states of a chunk after its cycles.
 
@@ -49,6 +55,7 @@ class NumpyForm:
             count: Scenes.
             cycles: After the first SYNC.
             escaped: Told (which scenes left every place in this cycle, all states, the cycle); may put the states back.
+            feed: Gives the inputs of the next cycles.
         """
         layout, program = self.layout, self.program
         fixed = known_values([*layout.fixed, *program.first.values()], numbers, {})
@@ -61,12 +68,23 @@ class NumpyForm:
         given = [fixed[node] for node in layout.fixed if node.op != "const"]
         buffers = [np.empty(count, bool if name.startswith("b") else float) for name in self._writer.buffers]
 
-        def told(out: Any, now: tuple[Any, ...], cycle: int) -> None:
-            escaped(out, dict(zip(layout.states, now, strict=True)), cycle)
+        done = 0
 
-        with np.errstate(all="ignore"):
-            after = self._cycles(cycles, told, states, given, buffers, *_rows(count))
-        return dict(zip(layout.states, after, strict=True))
+        def told(out: Any, now: tuple[Any, ...], cycle: int) -> None:
+            escaped(out, dict(zip(layout.states, now, strict=True)), done + cycle)
+
+        while done < cycles:
+            some = min(BLOCK, cycles - done) if program.inputs else cycles
+            inputs = self._inputs(feed, some)
+            with np.errstate(all="ignore"):  # arrays change hands: what was a buffer may be a state afterwards
+                states, buffers = self._cycles(some, told, states, given, buffers, inputs, *_rows(count))
+            done += some
+        return dict(zip(layout.states, states, strict=True))
+
+    def _inputs(self, feed: Feed, cycles: int) -> list[Array]:
+        nodes = self.program.inputs
+        found = feed(cycles) if nodes else {}
+        return [found[node.value] for node in nodes]
 
 
 def _rows(count: int) -> tuple[Callable[..., Any], ...]:
@@ -103,6 +121,7 @@ class _Writer:
         self._given = [f"p{i}" for i in range(len(given))]
         self._name |= dict(zip(given, self._given, strict=True))
         self._name |= {node: _literal(node.value) for node in layout.fixed if node.op == "const"}
+        self._name |= {node: f"i{i}" for i, node in enumerate(program.inputs)}
 
     def source(self) -> str:
         """Returns the text of the function."""
@@ -119,13 +138,15 @@ class _Writer:
         out = layout.program.out
         turned = self._turned(then)
         check = f"if {self._name[out]}.any(): told({self._name[out]}, ({', '.join(self._state)},), cycle)"
-        body = [*lines, *turned, check if out in layout.lanes else "pass"]
-        head = ["def cycles(count, told, states, given, buffers, fresh, get, put):"]
+        taken = [f"{self._name[node]} = inputs[{i}][cycle - 1]" for i, node in enumerate(layout.program.inputs)]
+        body = [*taken, *lines, *turned, check if out in layout.lanes else "pass"]
+        head = ["def cycles(count, told, states, given, buffers, inputs, fresh, get, put):"]
         for names, source in ((self._state, "states"), (self._given, "given"), (self.buffers, "buffers")):
             if names:
                 head.append(f"    {', '.join(names)}, = {source}")
         loop = ["    for cycle in range(1, count + 1):", *(f"        {line}" for line in body)]
-        return "\n".join([*head, *loop, f"    return {', '.join(self._state)},"]) + "\n"
+        both = (", ".join((*names, "")) for names in (self._state, self.buffers))
+        return "\n".join([*head, *loop, f"    return ({'), ('.join(both)})"]) + "\n"
 
     def _last_uses(self, goals: list[Node]) -> dict[Node, int]:
         last = {arg: index for index, node in enumerate(self._layout.steps) for arg in node.args}

@@ -52,7 +52,7 @@ def why_not_linear(simulation: AxisSimulation) -> str:
 
 
 def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> Numbers:
-    """Returns start and flow of many plants by the names of `BatchCase.numbers`; a coefficient of 0 is left out.
+    """Returns start, flow and rates of many plants by the names of `BatchCase.numbers`; a coefficient of 0 is left out.
 
     Args:
         simulation: What all have in common.
@@ -60,23 +60,26 @@ def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, var
         varied: Keys under `simulation.` -> value of each scene.
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
+    known = all(effect.name in _IN_ARRAYS for effect in simulation.effects)
+    rates, start = _in_arrays(simulation, keys) if known else (None, None)
     if not keys and isinstance(sample_time_ns, float):
         plant = _plant(simulation, int(sample_time_ns))
-        return _named(plant.whole_flow()[None], plant.initial_state()[None])
-    if all(effect.name in _IN_ARRAYS for effect in simulation.effects):
-        return _named(*_in_arrays(simulation, sample_time_ns, keys))
-    return _named(*_one_by_one(simulation, sample_time_ns, keys))
+        flows, start = plant.whole_flow()[None], plant.initial_state()[None]
+    elif rates is None:
+        flows, start = _one_by_one(simulation, sample_time_ns, keys)
+    else:
+        flows = np.eye(rates.shape[-1]) + flow_changes(
+            rates * np.reshape(np.asarray(sample_time_ns) * 1e-9, (-1, 1, 1))
+        )
+    begin: Numbers = {f"start.{row}": _shared(start[:, row]) for row in range(flows.shape[-1] - 2)}
+    return begin | _named("flow", flows) | ({} if rates is None else _named("rate", rates))
 
 
-def _named(flows: Array, start: Array) -> Numbers:
-    numbers: Numbers = {}
-    states = flows.shape[-1] - 2
-    for row in range(states):
-        numbers[f"start.{row}"] = _shared(start[:, row])
-        for column in range(states + 2):
-            if flows[:, row, column].any():
-                numbers[f"flow.{row}.{column}"] = _shared(flows[:, row, column])
-    return numbers
+def _named(name: str, matrices: Array) -> Numbers:
+    """Returns the entries of the rows of the states that are not 0 everywhere."""
+    size = matrices.shape[-1]
+    places = [(row, column) for row in range(size - 2) for column in range(size)]
+    return {f"{name}.{i}.{j}": _shared(matrices[:, i, j]) for i, j in places if matrices[:, i, j].any()}
 
 
 def _shared(values: Array) -> Array | float:
@@ -89,7 +92,8 @@ def _plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
     return Plant(simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy)
 
 
-def _in_arrays(simulation: AxisSimulation, sample_time_ns: Array | float, keys: Mapping[str, Array]) -> tuple[Any, Any]:
+def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[Any, Any]:
+    """Returns the rates of change [1/s], shape (n, k, k), and the states at the start, shape (n, k)."""
     user = simulation.user or UserParameters()
 
     def number(name: str, value: float) -> Any:
@@ -112,7 +116,7 @@ def _in_arrays(simulation: AxisSimulation, sample_time_ns: Array | float, keys: 
             motions.append((found.amplitude, 2.0 * np.pi * found.frequency, found.phase))
         else:
             damping = damping + found.damping
-    count = max([1, np.size(sample_time_ns), *(len(values) for values in keys.values())])
+    count = max([1, *(len(values) for values in keys.values())])
     size = 4 + 2 * len(motions)
     rates, start = np.zeros((count, size, size)), np.zeros((count, size))
     start[:, 0], start[:, 1], start[:, -1] = plant["initial_position"], plant["initial_velocity"], 1.0
@@ -126,7 +130,7 @@ def _in_arrays(simulation: AxisSimulation, sample_time_ns: Array | float, keys: 
         rates[:, sine, cosine], rates[:, cosine, sine] = omega, -omega
         start[:, sine], start[:, cosine] = np.sin(phase), np.cos(phase)
     force /= np.reshape(plant["mass"], (-1, 1))
-    return np.eye(size) + flow_changes(rates * np.reshape(np.asarray(sample_time_ns) * 1e-9, (-1, 1, 1))), start
+    return rates, start
 
 
 def flow_changes(rates: Array) -> Array:

@@ -22,6 +22,8 @@ from canhaptic.study.batch.rings import Body, below, loop_of
 from canhaptic.study.loop import Array
 from canhaptic.tables import load
 
+INPUTS: Final = ("continuous_position", "continuous_torque")
+"""What a cycle may be given for every scene: of the continuous run beside it."""
 _HELD: Final = ("state", "array")
 _MOST_ROUNDS: Final = 50
 
@@ -101,6 +103,7 @@ class Program:
         out: Whether the axis diverged in this cycle.
         results: Sum of the meter -> its value at the end, made of states.
         kinds: What is known of each parameter.
+        inputs: Of `INPUTS`, those that a cycle uses.
     """
 
     first: dict[str, Node]
@@ -108,6 +111,7 @@ class Program:
     out: Node
     results: dict[str, Node]
     kinds: dict[str, Kind]
+    inputs: tuple[Node, ...]
 
 
 class _Numbers:
@@ -149,7 +153,7 @@ def build_program(case: BatchCase, sums: Sequence[str]) -> Program:
     lowering, numbers = Lowering(graph), _Numbers(graph, case.kinds())
     axis = _axis(lowering, numbers, case)
     start = [numbers.get(f"start.{i}") for i in range(case.size - 2)]
-    lowering.call(SampledAxis.sync, (axis, start[0]), {})
+    lowering.call(SampledAxis.sync, (axis, start[0], start[0], 0.0), {})
     first = dict(lowering.heap.leaves())
     after_first = lowering.heap.save()
     states: set[str] = set()
@@ -158,7 +162,7 @@ def build_program(case: BatchCase, sums: Sequence[str]) -> Program:
         lowering.heap.change(partial(_placed, graph, states))
         placed = dict(lowering.heap.leaves())
         moved = _moved(graph, numbers, case.size, axis.held)
-        lowering.call(SampledAxis.sync, (axis, moved[0]), {})
+        lowering.call(SampledAxis.sync, (axis, moved[0], *(graph.made("input", (), name) for name in INPUTS)), {})
         then = dict(lowering.heap.leaves())
         changed = {name for name in then if name not in states and differs(then[name], placed[name])}
         if not changed:
@@ -187,6 +191,7 @@ def _axis(lowering: Lowering, numbers: _Numbers, case: BatchCase) -> Any:
         torque_quantum=numbers.get("torque_quantum"),
         torque_limit=numbers.get("torque_limit"),
         furthest=case.furthest,
+        last_from=numbers.get("last_from"),
     )
 
 
@@ -229,7 +234,9 @@ def _reduced(
         thens = {name: rewrite(node) for name, node in thens.items() if graph.slot(name, node) not in same}
         out, ends = rewrite(out), {name: rewrite(node) for name, node in ends.items()}
     live = _live(graph, thens, [out, *ends.values()])
-    return Program({name: firsts[name] for name in live}, {name: thens[name] for name in live}, out, ends, kinds)
+    firsts, thens = {name: firsts[name] for name in live}, {name: thens[name] for name in live}
+    inputs = tuple(node for node in below([*thens.values(), out]) if node.op == "input")
+    return Program(firsts, thens, out, ends, kinds, inputs)
 
 
 def _two_valued(graph: Graph, first: dict[str, Node], then: dict[str, Node]) -> dict[Node, Node]:

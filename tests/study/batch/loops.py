@@ -46,19 +46,20 @@ def in_arrays(case: LoopCase, numbers: dict[str, np.ndarray] | None = None) -> B
     return loop_in_arrays(case, PLANT, USER, numbers or {})
 
 
-def with_floats(case: LoopCase, batch: BatchCase, cycles: int) -> dict[str, float]:
+def with_floats(case: LoopCase, batch: BatchCase, cycles: int, last: int = 0) -> dict[str, float]:
     """Returns the figures of one loop by the scalar classes, its plant moved term by term in Python.
 
     Args:
         case: What the scalar classes are made of.
         batch: Whose flow is used; of numbers, not arrays.
         cycles: SYNCs.
+        last: Those of the whole run, where they are not all run.
     """
     flow: Any = batch.numbers
     states = batch.size - 2
     state = [float(flow[f"start.{i}"]) for i in range(states)]
-    axis = axis_of(case)
-    axis.sync(state[0])
+    axis = axis_of(case, last or cycles)
+    axis.sync(state[0], state[0], 0.0)
     for _ in range(cycles - 1):
         before = [*state, axis.held, 1.0]
         state = []
@@ -68,7 +69,7 @@ def with_floats(case: LoopCase, batch: BatchCase, cycles: int) -> dict[str, floa
                 if f"flow.{row}.{column}" in flow:
                     total = total + flow[f"flow.{row}.{column}"] * before[column]
             state.append(total)
-        axis.sync(state[0])
+        axis.sync(state[0], 0.0, 0.0)
     names = [name for name in METRICS if name not in COUNTED]
     sums = {name: np.array([getattr(axis.meter, name)]) for name in sums_of(names)}
     return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}
