@@ -12,7 +12,8 @@ from canhaptic.cli.output import write_json, write_note
 from canhaptic.cli.scene_progress import SceneProgress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.errors import InputError
-from canhaptic.study.sweep.chunk import FIGURES
+from canhaptic.study.batch import CONTINUOUS
+from canhaptic.study.sweep.chunk import USUAL
 from canhaptic.study.sweep.summary import summary, summary_report
 from canhaptic.study.sweep.sweep import Progress, sweep
 from canhaptic.study.sweep.table import SweepTable
@@ -44,7 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     length.add_argument("--duration", metavar="S", type=seconds, help="of every scene [s]; by default the scene's")
     length.add_argument("--cycles", metavar="N", type=_count, help="SYNCs of every scene, whatever its rate")
     parser.add_argument(
-        "--metrics", metavar="A,B,...", type=_names, help=f"fewer are faster; of {', '.join(FIGURES)}; by default all"
+        "--metrics",
+        metavar="A,B,...",
+        type=_names,
+        help=f"fewer are faster; by default {', '.join(USUAL)}; beside a continuous run also {', '.join(CONTINUOUS)}",
     )
     parser.add_argument(
         "--engine", choices=("auto", "numpy", "numba"), default="auto", help="of scenes that fit a batch"

@@ -61,7 +61,9 @@ def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, var
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
     known = all(effect.name in _IN_ARRAYS for effect in simulation.effects)
-    rates, start = _in_arrays(simulation, keys) if known else (None, None)
+    rates: Array | None = None
+    if known:
+        rates, start = _in_arrays(simulation, keys)
     if not keys and isinstance(sample_time_ns, float):
         plant = _plant(simulation, int(sample_time_ns))
         flows, start = plant.whole_flow()[None], plant.initial_state()[None]
@@ -92,7 +94,7 @@ def _plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
     return Plant(simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy)
 
 
-def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[Any, Any]:
+def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[Array, Array]:
     """Returns the rates of change [1/s], shape (n, k, k), and the states at the start, shape (n, k)."""
     user = simulation.user or UserParameters()
 

@@ -16,6 +16,7 @@ _MOST_LINES: Final = 5
 _LOG_SPAN: Final = 8.0
 """Ratio of largest and least value from which an axis is logarithmic."""
 _LEAST_ENERGY: Final = 1e-6  # [J]
+_ERROR: Final = "position_error.rms"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +104,15 @@ def _usual_panels(field: Field, chosen: Chosen) -> list[Panel]:
     free = [key for key in field.keys if key != chosen.x] or field.keys
     z = STIFFNESS if STIFFNESS in free else free[-1]
     if len(field.keys) == 1:
-        return [_profile(field, z, metric) for metric in ("margin", "stiffness_rendered.share") if field.has(metric)]
+        return [
+            _profile(field, z, metric) for metric in ("margin", "stiffness_rendered.share", _ERROR) if field.has(metric)
+        ]
     others = sorted((key for key in field.keys if key != z), key=_preference)
     x = chosen.x or others[0]
     y = chosen.y if chosen.y not in (None, z) else next((key for key in others if key != x), None)
     judgement = chosen.judgement or usual_judgement(field)
     panels: list[Panel] = [_width(field, z, x, y, judgement)]
-    for metric in ("margin", "stiffness_rendered.share", "damping_rendered.mean"):
+    for metric in ("margin", "stiffness_rendered.share", "damping_rendered.mean", _ERROR):
         if field.has(metric):
             panels.append(_metric_panel(field, Chosen(x, z), metric))
     return panels
@@ -196,10 +199,10 @@ def _metric_panel(field: Field, chosen: Chosen, metric: str) -> Panel:
         places = field.values[x][columns], field.values[y][rows]
     else:
         places = field.values[x], field.values[y]
-    limits = {"share": (0.0, 1.2), "energy": None, "plain": None}[kind]
+    limits = (0.0, 1.2) if kind == "share" else None
     return Cells(
         title, field.label(x), field.label(y), *places, values, label, _is_log(places[0]), _is_log(places[1]),
-        value_log=kind == "energy", limits=limits, contour=0.95 if kind == "share" else None, dots=not field.is_grid,
+        value_log=kind in ("energy", "error"), limits=limits, contour=0.95 if kind == "share" else None, dots=not field.is_grid,
     )  # fmt: skip
 
 
@@ -219,6 +222,8 @@ def _shown(field: Field, metric: str) -> tuple[Array, str, str]:
             return np.where(asked > 0.0, values / asked, np.nan), "damping rendered over asked", "share"
     if metric.endswith(".share"):
         return values, "stiffness rendered over asked", "share"
+    if metric == _ERROR:
+        return values, f"position error, rms [{field.scene.axes[0].parameters.unit}]", "error"
     return values, metric, "plain"
 
 
@@ -234,11 +239,11 @@ def _asked_damping(field: Field, values: Array) -> Array:
 
 
 def _worst(values: Array, over: tuple[int, ...], kind: str) -> Array:
-    """Returns the worst of some dimensions: the most energy missing, the share furthest from one, else the least."""
+    """Returns the worst of some dimensions: the most energy missing, the largest error, the share furthest from one, else the least."""
     if not over:
         return values
     flat = values.reshape(*values.shape[:2], -1)
-    score = {"energy": flat, "share": np.abs(flat - 1.0), "plain": -flat}[kind]
+    score = {"energy": flat, "error": flat, "share": np.abs(flat - 1.0), "plain": -flat}[kind]
     unknown = np.isnan(score)
     worst = np.where(unknown, -np.inf, score).argmax(axis=2)
     found: Array = np.take_along_axis(flat, worst[:, :, None], axis=2)[:, :, 0]
@@ -252,7 +257,7 @@ def _profile(field: Field, key: str, metric: str) -> Panel:
     flat = _worst(values.reshape(len(order), 1, -1), (2,), kind)[:, 0] if field.is_grid else values
     places = field.values[key][order]
     line = Line(_name(field), places, flat[order], "measured")
-    log = kind == "energy"
+    log = kind in ("energy", "error")
     return Lines(f"{_name(field)}: {label}", field.label(key), label, (line,), _is_log(places), log)
 
 

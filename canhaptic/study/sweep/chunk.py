@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.scene.models import Scene
-from canhaptic.study.batch import BATCH_KEYS, METRICS, run_batch, run_scalar, spectral_radius, why_not_batchable
+from canhaptic.study.batch import ALL, BATCH_KEYS, METRICS, run_batch, run_scalar, spectral_radius, why_not_batchable
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import batch_key
 from canhaptic.study.sweep.points import Column
@@ -32,7 +32,9 @@ from canhaptic.study.sweep.recipe import (
 
 RADIUS: Final = "spectral_radius"
 """Metric of the linear sampled loop, from its eigenvalues; NaN where the loop is not linear."""
-FIGURES: Final = (*METRICS, RADIUS)
+FIGURES: Final = (*ALL, RADIUS)
+USUAL: Final = (*METRICS, RADIUS)
+"""Metrics that need no continuous run beside each scene."""
 STATUS: Final = ("pending", "completed", "refused", "failed")
 ENGINES: Final = ("none", "closed form", "numpy", "numba", "scalar")
 SLOTS: Final = 32
@@ -187,6 +189,7 @@ class _Chunk:
         return varied
 
     def _one_by_one(self, rows: _Rows, reason: str) -> None:
+        asked = [metric for metric in self._recipe.metrics if metric != RADIUS]
         for row in rows.tolist():
             built = scene_of(self._recipe, self._row(row))
             if built.scene is None:
@@ -196,13 +199,12 @@ class _Chunk:
             for index, name in enumerate(self._recipe.axes):
                 scene = seeded(self._recipe, _alone(built, index), self._start + row)
                 try:
-                    figures = run_scalar(scene, cycles_in(self._recipe, scene))
+                    figures = run_scalar(scene, cycles_in(self._recipe, scene), asked)
                 except CanHapticError as error:
                     status, remark = _FAILED, str(error).splitlines()[0]
                     continue
-                for metric in self._recipe.metrics:
-                    if metric != RADIUS:
-                        self._figures[f"{name}/{metric}"][row] = figures[metric]
+                for metric in asked:
+                    self._figures[f"{name}/{metric}"][row] = figures[metric]
             self._note(row, status, _SCALAR, remark)
 
     def _note_all(self, rows: _Rows, engine: int, remark: str) -> None:

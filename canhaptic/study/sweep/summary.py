@@ -84,6 +84,8 @@ def _shares(table: SweepTable, axis: str, rows: Any) -> dict[str, Any]:
     if "spectral_radius" in asked:
         radii = of("spectral_radius")
         found["stable"] = _mean(radii[np.isfinite(radii)] < 1.0)
+    if "position_error.rms" in asked:
+        found["position_rms"] = _median(of("position_error.rms"))
     if "stiffness_rendered.share" in asked:
         found["stiffness_rendered"] = _median(of("stiffness_rendered.share"))
     return found
@@ -135,6 +137,7 @@ _COLUMNS: Final = {
     "least_margin": "least margin",
     "diverged": "diverged",
     "stable": "linear loop stable",
+    "position_rms": "position error rms, median",
     "stiffness_rendered": "stiffness, median",
 }
 

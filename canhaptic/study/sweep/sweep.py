@@ -21,7 +21,7 @@ from canhaptic.errors import CanHapticError, InputError, WorkersLostError
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch import why_not_batchable
 from canhaptic.study.compare import cycles_of, with_algorithm
-from canhaptic.study.sweep.chunk import FIGURES, ChunkResult, is_batch_key, run_chunk
+from canhaptic.study.sweep.chunk import FIGURES, USUAL, ChunkResult, is_batch_key, run_chunk
 from canhaptic.study.sweep.points import Points, make_points
 from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe
 from canhaptic.study.sweep.table import Columnset, SweepTable, create
@@ -129,7 +129,7 @@ def make_sweep(
         seed: Of the hypercube.
         duration: Of every scene [s]; by default that of the scene.
         cycles: SYNCs of every scene instead of a duration.
-        metrics: Names of `FIGURES`; all by default.
+        metrics: Names of `FIGURES`; by default `USUAL`, which need no continuous run beside each scene.
         engine: For scenes that fit a batch; "auto" is numba where it is installed and pays.
         chunk: Scenes that are finished together; changes nothing but how much a kill can lose.
         beyond_bus: Whether to judge rates that the bus could not carry, instead of refusing them.
@@ -146,7 +146,7 @@ def make_sweep(
     recipe = make_recipe(
         scene,
         points,
-        metrics=tuple(dict.fromkeys(metrics or FIGURES)),
+        metrics=tuple(dict.fromkeys(metrics or USUAL)),
         engine=chosen_engine(engine, 0.0, 0.0),
         duration=duration,
         cycles=cycles,
