@@ -3,35 +3,39 @@
 Keys, units, ranges and defaults come from the models themselves, the words from their docstrings.
 """
 
-import ast
-import inspect
 import re
 import sys
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Literal, NamedTuple
 
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.haptics.environments import ENVIRONMENTS
 from canhaptic.haptics.kinematics import KINEMATICS
-from canhaptic.haptics.network import NETWORKS
+from canhaptic.haptics.network import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters
-from canhaptic.scene.axes import LOOP_KEYS
+from canhaptic.scene.axes import LOOP_KEYS, SCALING_KEYS
+from canhaptic.scene.buses import BusTitle, FurtherBus
 from canhaptic.scene.models import AutoAccuracy, RunParameters, SimulationParameters
+from canhaptic.scene.profiles import PROFILE_KEY
 from canhaptic.sim.bus_effects import BusEffects
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import EFFECTS
 from canhaptic.sim.mechanism import MECHANISMS
+from canhaptic.sim.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.tables import load
+from tools.field_words import first_sentence, words_of
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"
 _INTRODUCTION = """\
@@ -41,67 +45,176 @@ Every key of a scene file. This page is made from the models by `python -m tools
 
 Plain numbers are SI (or the unit given here). A text may carry a unit, which is checked for dimension: `1 kHz`,
 `100 N/m`, `50 us`. Where two units stand, the first is of a linear axis (`unit: m`), the second of a rotary one
-(`unit: rad`). A key that is not listed is an error that names the nearest one. Any value can be laid over from the
+(`unit: rad`). A key without a default may be left out; where the words say None, they say what leaving it out (or
+`null`) means. A key that is not listed is an error that names the nearest one. Any value can be laid over from the
 command line: `--set environment.stiffness="500 N/m"`, `--set axes.0.node_id=5`.
 
 `canhaptic schema` prints the same as JSON Schema, for editors.
 """
+_HEAD = "| key | unit | value | default | |\n|---|---|---|---|---|"
+_REQUIRED = "required"
+_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+
+Row = tuple[str, str, str, str, str]  # key, unit, value, default, words
+
+
+class _Table(NamedTuple):
+    """One table: the keys of a model, and those that a scene has beside it."""
+
+    title: str  # "" directly below the heading of the section
+    model: type[Parameters] | None = None
+    only: frozenset[str] | None = None  # keys of the model; None: all
+    beside: tuple[Row, ...] = ()
+    words: str = ""
+    taken: Mapping[str, str] = {}  # where a scene takes keys from that the model would need, or whose default it knows
 
 
 class _Section(NamedTuple):
     title: str
     words: str
-    models: list[tuple[str, type[Parameters], frozenset[str] | None]]  # heading, model, keys of it or all
+    tables: list[_Table]
 
 
 def page() -> str:
     """Returns the text of the page."""
     parts = [_INTRODUCTION]
     for section in _sections():
-        parts.append(f"\n## {section.title}\n\n{section.words}\n")
-        seen: set[type[Parameters]] = set()
-        for heading, model, keys in section.models:
-            parts.extend(_model(heading, model, keys, seen))
-    return "\n".join(parts).rstrip() + "\n"
+        parts.append(f"\n## {section.title}\n\n{fill(section.words, 120)}\n")
+        for table in section.tables:
+            parts.extend(_written(table, section.title.strip("`")))
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(parts)).rstrip() + "\n"
 
 
 def _sections() -> list[_Section]:
+    return [*_of_the_rig(), *_of_groups(), *_of_the_simulation(), *_of_the_run()]
+
+
+def _key(name: str, value: str, default: str, words: str) -> Row:
+    return name, "", value, default, words
+
+
+_OWN_LOOP = "Keys of the section `passivity` for this axis alone, laid over it."
+_NAMES = "list of names"
+
+
+def _of_the_rig() -> list[_Section]:
+    of_axis = (
+        _key("bus", "name", "", "The bus that the drive is on; needed where there are several."),
+        _key(PROFILE_KEY, "name or path", "", "Profile of a drive: keys of an axis, laid under these."),
+        _key("environment", "keys", "", "Keys of the section `environment` for this axis alone, laid over it."),
+        _key("passivity", "keys", "", _OWN_LOOP),
+    )
+    further = "A second bus and those behind it: rate, link policy and the rest are those of the first."
+    loop = "What is known of the loop; of every algorithm."
     return [
-        _Section("Top level", "Beside the sections below.", [("", RunParameters, None)]),
+        _Section(
+            "Top level", "The sections of a scene, and what belongs to none.", [_Table("", RunParameters, beside=_TOP)]
+        ),
         _Section(
             "`bus`",
-            "One bus, or a list of them, each with a `name` that an axis's `bus` gives.",
-            [("", BusParameters, None)],
+            "One CAN bus, its rate of SYNC, and what happens when frames go missing on it. For several buses it is a "
+            "list, and each has a `name`.",
+            [
+                _Table("", BusParameters),
+                _Table("`bus[0].name`", BusTitle),
+                _Table("`bus[1]` and on", FurtherBus, words=further),
+            ],
         ),
         _Section(
             "`axes`",
-            "A list. `drive: NAME` lays a profile of `configs/drives/` under an axis.",
-            [("", AxisParameters, None)],
+            "A list of drives, each with the axis behind it. Torques are those of the axis: N*m where it turns, N where"
+            " it slides.",
+            [_Table("", AxisParameters, beside=of_axis)],
         ),
         _Section("`environment`", "Chosen by `type`; of all axes, or inside one axis.", _chosen("type", ENVIRONMENTS)),
         _Section(
             "`passivity`",
             "Chosen by `algorithm`; of all axes, or inside one axis.",
             [
-                ("for every algorithm: what is known of the loop", LoopProperties, frozenset(LOOP_KEYS)),
+                _Table("beside `algorithm`", LoopProperties, frozenset(LOOP_KEYS), words=loop, taken=_FROM_BUS),
                 *_chosen("algorithm", ALGORITHMS),
             ],
         ),
+    ]
+
+
+_FROM_BUS = {"sample_time": "from `bus.rate`", "delay": "from `bus.rpdo`"}
+_TOP = (
+    _key("bus", "keys or list", _REQUIRED, "The CAN bus, or several: [below](#bus)."),
+    _key("axes", "list", _REQUIRED, "The drives and what they move: [below](#axes)."),
+    _key("environment", "keys", "", "What is rendered on an axis: [below](#environment)."),
+    _key("passivity", "keys", "", "The algorithm that keeps the account: [below](#passivity)."),
+    _key("groups", "list", "", "Axes that render together: [below](#groups)."),
+    _key("simulation", "keys", "", "What stands behind simulated drives: [below](#simulation)."),
+    _key("accuracy", "keys", "", "How the simulated plant is computed: [below](#accuracy)."),
+    _key("log", "keys", "", "What a run writes: [below](#log)."),
+)
+
+
+def _of_groups() -> list[_Section]:
+    entry = (
+        _key("name", "text", _REQUIRED, "Of the group, in messages, tables and logs."),
+        _key("axes", _NAMES, _REQUIRED, "The motor axes, in the order of the kinematics."),
+        _key("kinematics", "keys", "`{type: identity}`", "From motor axes to task space; below."),
+        _key("network", "keys", _REQUIRED, "What is rendered in task space; below."),
+        _key("passivity", "keys", _REQUIRED, "The algorithm of the group; below."),
+    )
+    loop = "What is known of the loops of all its axes; an axis may have its own in its `passivity`."
+    return [
+        _Section(
+            "`groups`", "A list of groups of axes that render one network with one account.", [_Table("", beside=entry)]
+        ),
         _Section(
             "`groups[].kinematics`",
-            "Between the motor axes of a group and its task space.",
-            _chosen("type", KINEMATICS),
+            "Between the motor axes of a group and its task space; chosen by `type`.",
+            _chosen("type", KINEMATICS, {"identity": {"axes": "those of the group"}}),
         ),
-        _Section("`groups[].network`", "What a group of axes renders with one account.", _chosen("type", NETWORKS)),
+        _Section("`groups[].network`", "What a group renders; chosen by `type`.", _chosen("type", NETWORKS)),
+        _Section(
+            "`groups[].passivity`",
+            "Chosen by `algorithm`.",
+            [
+                _Table(
+                    "beside `algorithm` of a group",
+                    LoopProperties,
+                    frozenset(LOOP_KEYS),
+                    words=loop,
+                    taken=_FROM_BUS,
+                ),
+                *_chosen("algorithm", GROUP_ALGORITHMS),
+            ],
+        ),
+    ]
+
+
+def _of_the_simulation() -> list[_Section]:
+    parts = (
+        _key("drive", "keys", "", "The simulated drive; below."),
+        _key("plant", "keys", _REQUIRED, "The moving mass; below. Not of an axis that moves a mechanism."),
+        _key("user", "keys", "", "The hand; below."),
+        _key("effects", "list", "`[]`", "What else plant, drive and hand do: [below](#simulationeffects)."),
+        _key("axes", "keys by axis", "", "`drive`, `plant`, `user`, `effects` of one axis, laid over those of all."),
+        _key("bus", "keys", "", "What the simulated bus does to its frames; below."),
+        _key("mechanisms", "list", "", "What several drives move together: [below](#simulationmechanisms)."),
+    )
+    entry = (
+        _key("axes", _NAMES, _REQUIRED, "The axes of its motors, in the order of the mechanism."),
+        _key("hand", "keys", "", "What holds the handle, in task space; below. Without it nobody does."),
+    )
+    return [
         _Section(
             "`simulation`",
             "Present only without hardware: what stands behind the drives.",
             [
-                ("", SimulationParameters, None),
-                ("`drive`", SimulatedDriveParameters, None),
-                ("`plant`", PlantParameters, None),
-                ("`user`", UserParameters, None),
-                ("`bus`: what the simulated bus does to its frames", BusEffects, None),
+                _Table("", SimulationParameters, beside=parts),
+                _Table(
+                    "`simulation.drive`",
+                    SimulatedDriveParameters,
+                    taken=dict.fromkeys(SCALING_KEYS, "that of the axis"),
+                ),
+                _Table("`simulation.plant`", PlantParameters),
+                _Table("`simulation.user`", UserParameters),
+                _Table("`simulation.bus`", BusEffects),
             ],
         ),
         _Section(
@@ -109,86 +222,124 @@ def _sections() -> list[_Section]:
         ),
         _Section(
             "`simulation.mechanisms`",
-            "Chosen by `type`: what several motors move together.",
-            _chosen("type", MECHANISMS),
+            "A list; each chosen by `type`: what several motors move together.",
+            [
+                _Table("beside `type`", beside=entry),
+                _Table("`simulation.mechanisms[].hand`", TaskHand),
+                *_chosen("type", MECHANISMS),
+            ],
         ),
-        _Section(
-            "`accuracy`",
-            "How the simulated plant is computed.",
-            [("", AccuracyParameters, None), ("chosen by a tolerance", AutoAccuracy, None)],
-        ),
-        _Section("`log`", "What a run writes.", [("", LogParameters, None)]),
     ]
 
 
-def _chosen(selector: str, table: Mapping[str, str]) -> list[tuple[str, type[Parameters], frozenset[str] | None]]:
-    found: list[tuple[str, type[Parameters], frozenset[str] | None]] = []
+def _of_the_run() -> list[_Section]:
+    auto = "In place of the keys above: the build chooses them."
+    return [
+        _Section(
+            "`accuracy`",
+            "How the simulated plant is computed: what it spends on events and on effects that are not exact.",
+            [_Table("", AccuracyParameters), _Table("`accuracy.auto`", AutoAccuracy, words=auto)],
+        ),
+        _Section(
+            "`log`",
+            "Where a run is written to; paths are relative to the current folder, and options of `run` win over them.",
+            [_Table("", LogParameters)],
+        ),
+    ]
+
+
+def _chosen(
+    selector: str, table: Mapping[str, str], taken: Mapping[str, Mapping[str, str]] | None = None
+) -> list[_Table]:
+    """Returns one table for each entry of a table of the package."""
+    found = []
     for name in table:
         entry = load(dict(table), name, selector)
-        found.append((f"`{selector}: {name}`", getattr(entry, "parameters_type", entry), None))
+        known = (taken or {}).get(name, {})
+        found.append(_Table(f"`{selector}: {name}`", getattr(entry, "parameters_type", entry), taken=known))
     return found
 
 
-def _model(
-    heading: str, model: type[Parameters], keys: frozenset[str] | None, seen: set[type[Parameters]]
-) -> Iterator[str]:
-    """Yields a heading, what the model says of itself, its table, and the models that it contains."""
-    if heading:
-        yield f"\n### {heading}\n"
-    about = _first_sentence(inspect.getdoc(model) or "") if model.__doc__ else ""
-    if about:
-        yield f"{about}\n"
-    words = _words(model)
-    fields = {name: field for name, field in model.model_fields.items() if keys is None or name in keys}
-    if fields:
-        yield "| key | unit | range | default | |\n|---|---|---|---|---|"
-    inner: list[type[Parameters]] = []
-    for name, field in fields.items():
-        unit, limits, choices, contained = _traits(field.annotation, list(field.metadata))
-        inner += [each for each in contained if each not in seen]
-        default = "required" if field.is_required() else _default(field.default, field.default_factory)
-        row = [f"`{name}`", unit, limits or choices, default, words.get(name, "")]
-        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
-    for each in dict.fromkeys(inner):
-        seen.add(each)
-        yield from _model(f"{each.__name__}, inside {heading or 'it'}", each, None, seen)
+def _written(table: _Table, path: str) -> Iterator[str]:
+    """Yields a title, what the model says of itself, its keys, and the tables of the models that it contains."""
+    about = table.words or (first_sentence(table.model) if table.model is not None and table.title else "")
+    yield f"\n### {table.title}\n\n{about}\n" if table.title else ""
+    rows, inner = list(table.beside), dict[type[Parameters], list[str]]()
+    if table.model is not None:
+        words = words_of(table.model)
+        for name, field in table.model.model_fields.items():
+            if (table.only is not None and name not in table.only) or name == "type":
+                continue
+            rows.append(_row(name, field, words.get(name, ""), table.taken.get(name, "")))
+            for each in _contained(field.annotation):
+                inner.setdefault(each, []).append(name)
+    if rows:
+        yield "\n".join([_HEAD, *(_line(row) for row in rows)]) + "\n"
+    for model, names in inner.items():
+        yield from _written(_Table(_title(table.title, path, model, names), model), path)
 
 
-def _traits(annotation: Any, metadata: list[Any]) -> tuple[str, str, str, list[type[Parameters]]]:
-    """Returns unit, range, choices and contained models of a field."""
-    unit = limits = ""
-    choices: list[str] = []
-    contained: list[type[Parameters]] = []
-    for part in (*metadata, *_leaves(annotation)):
-        if hasattr(part, "limits") and hasattr(part, "unit"):
-            unit = " or ".join(dict.fromkeys((part.unit.linear, part.unit.rotary)))
-            limits = ", ".join(f"{_SIGNS[key]} {value:g}" for key, value in part.limits.items())
-        elif typing.get_origin(part) is Literal:
-            choices += [f"`{_plain(value)}`" for value in typing.get_args(part)]
-        elif part is bool:
-            choices += ["`true`", "`false`"]
-        elif isinstance(part, type) and issubclass(part, Parameters):
-            contained.append(part)
-    return ("" if unit == "1" else unit), limits, ", ".join(choices), contained
+def _title(outer: str, path: str, model: type[Parameters], names: list[str]) -> str:
+    """Returns the title of a model inside another: its path, and its `type` where it has one."""
+    kind = model.model_fields.get("type")
+    chosen = f" with `type: {kind.default}`" if kind is not None and kind.default is not PydanticUndefined else ""
+    if outer.startswith("`type:"):
+        return ", ".join(f"`{name}`" for name in names) + f"{chosen} of {outer}"
+    before = outer.strip("`") or path
+    return ", ".join(f"`{before}.{name}`" for name in names) + chosen
 
 
-_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+def _row(name: str, field: FieldInfo, words: str, taken: str) -> Row:
+    unit, value = _value(field.annotation, field.metadata)
+    default = _REQUIRED if field.is_required() else _default(field.default, field.default_factory)
+    return name, unit, value, taken or default, words
 
 
-def _leaves(annotation: Any) -> Iterator[Any]:
-    """Yields what an annotation is made of."""
-    origin = typing.get_origin(annotation)
-    if origin is None or origin is Literal:
-        yield annotation
-        return
+def _line(row: Row) -> str:
+    cells = (f"`{row[0]}`", *row[1:])
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _value(annotation: Any, notes: Sequence[Any] = ()) -> tuple[str, str]:
+    """Returns unit and accepted values of a field."""
+    origin, parts = typing.get_origin(annotation), typing.get_args(annotation)
+    for note in notes:
+        if hasattr(note, "limits") and hasattr(note, "unit"):
+            unit = " or ".join(dict.fromkeys((note.unit.linear, note.unit.rotary)))
+            limits = ", ".join(f"{_SIGNS[key]} {value:g}" for key, value in note.limits.items())
+            return "" if unit == "1" else unit, limits or "any"
     if origin is typing.Annotated:
-        inner, *notes = typing.get_args(annotation)
-        yield from notes
-        yield from _leaves(inner)
-        return
-    if origin in (types.UnionType, typing.Union) or origin in (tuple, list, dict):
-        for part in typing.get_args(annotation):
-            yield from _leaves(part)
+        return _value(parts[0], parts[1:])
+    if origin is Literal:
+        return "", ", ".join(f"`{_plain(value)}`" for value in parts)
+    if origin in (types.UnionType, typing.Union):
+        found = [_value(part) for part in parts if part is not type(None)]
+        return found[0][0], " or ".join(dict.fromkeys(value for _, value in found))
+    if origin is tuple or origin is list:
+        unit, each = _value(parts[0])
+        count = "list" if parts[-1] is Ellipsis or origin is list else f"{len(parts)} values"
+        return unit, f"{count} of {_MANY[each]}" if each in _MANY else f"{count}, each {each}"
+    return "", _KINDS.get(origin or annotation, "keys")
+
+
+_MANY = {"number": "numbers", "integer": "integers", "text": "texts", "keys": "mappings", "list of numbers": "rows"}
+_KINDS: dict[Any, str] = {
+    bool: "`true`, `false`",
+    str: "text",
+    Path: "path",
+    int: "integer",
+    float: "number",
+    dict: "mapping",
+    Mapping: "mapping",
+}
+
+
+def _contained(annotation: Any) -> Iterator[type[Parameters]]:
+    """Yields the models that a field contains."""
+    if isinstance(annotation, type) and issubclass(annotation, Parameters):
+        yield annotation
+    for part in typing.get_args(annotation) if typing.get_origin(annotation) is not Literal else ():
+        yield from _contained(part)
 
 
 def _default(default: Any, factory: Any) -> str:
@@ -208,35 +359,11 @@ def _plain(value: Any) -> str:
     return str(value)
 
 
-def _words(model: type[Parameters]) -> dict[str, str]:
-    """Returns what is said of each field: the string below it, or its entry under `Attributes:`."""
-    found: dict[str, str] = {}
-    for owner in reversed(model.__mro__):
-        if not issubclass(owner, Parameters) or owner is Parameters:
-            continue
-        [body] = [node for node in ast.walk(ast.parse(_source(owner))) if isinstance(node, ast.ClassDef)][:1]
-        found.update(_attributes(inspect.cleandoc(ast.get_docstring(body) or "")))
-        for field, text in zip(body.body, body.body[1:], strict=False):
-            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-                found[ast.unparse(field.target)] = " ".join(str(text.value.value).split())
-    return found
-
-
-def _source(owner: type) -> str:
-    return inspect.cleandoc("\n" + inspect.getsource(owner))
-
-
-def _attributes(docstring: str) -> dict[str, str]:
-    _, _, listed = docstring.partition("Attributes:\n")
-    entries = re.split(r"\n    (?=\w+: )", "\n" + listed.split("\n\n")[0])
-    pairs = [entry.split(": ", 1) for entry in entries if ": " in entry]
-    return {name.strip(): " ".join(text.split()) for name, text in pairs}
-
-
-def _first_sentence(docstring: str) -> str:
-    return " ".join(docstring.split("\n\n")[0].split())
+def main() -> int:
+    """Writes the page; returns 0."""
+    PAGE.write_text(page(), encoding="utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
-    sys.stdout.write(f"{PAGE}\n")
+    sys.exit(main())
