@@ -1,22 +1,8 @@
 """Judges many scenes that differ in some keys: `python tools/sweep.py CONFIG --vary KEY=VALUES`. See --help."""
 
-import argparse
 import sys
 
-from canhaptic.cli.sweep import add_arguments, execute
-from canhaptic.errors import CanHapticError
-
-
-def main() -> int:
-    """Returns the exit status: 0, 1 where workers died, 2 for bad input, 130 and 143 after a signal."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(parser)
-    try:
-        return execute(parser.parse_args())
-    except CanHapticError as error:
-        print(error, file=sys.stderr)
-        return error.exit_status
-
+from canhaptic.cli.main import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["sweep", *sys.argv[1:]]))

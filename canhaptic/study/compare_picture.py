@@ -14,6 +14,7 @@ from canhaptic.study.compare import AxisComparison, Comparison
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference import Reference
 from canhaptic.view.decimate import decimate
+from canhaptic.view.picture_style import STYLE, matplotlib_figure
 from canhaptic.view.si import si
 
 _BLUE, _VERMILION, _GREEN, _GREY = "#0072B2", "#D55E00", "#009E73", "#8C8C8C"
@@ -24,18 +25,6 @@ _FLATTENING: Final = 4.0
 """Times the median range of an energy, beyond which a run does not widen the scale of all."""
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
 _PAPER: Final[Any] = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
-_STYLE: Final[Any] = {
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#808080",
-    "axes.grid": True,
-    "grid.color": "#E6E6E6",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "svg.hashsalt": "canhaptic",
-}
 
 
 def draw_comparison(comparison: Comparison, path: str | Path) -> None:
@@ -44,17 +33,13 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
     """
-    try:
-        import matplotlib as mpl
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
+    mpl, figure_type = matplotlib_figure()
     columns = max(len(axis.runs) for axis in comparison.axes)
     if columns == 0:
         raise InputError("no algorithm ran, there is nothing to draw; the table says why")
     rows = 3 * len(comparison.axes)
-    with mpl.rc_context(_STYLE):
-        figure: Any = Figure(figsize=(1.2 + 3.0 * columns, 0.9 + 2.5 * rows), dpi=110, layout="constrained")
+    with mpl.rc_context(STYLE):
+        figure: Any = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.5 * rows), dpi=110, layout="constrained")
         panels: Any = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
         for index, axis in enumerate(comparison.axes):
             _draw_axis(axis, comparison, panels[3 * index : 3 * index + 3])

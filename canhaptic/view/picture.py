@@ -18,6 +18,7 @@ from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.view.decimate import decimate
 from canhaptic.view.extent import contacts, rows_between
+from canhaptic.view.picture_style import STYLE, matplotlib_figure
 from canhaptic.view.series import faults_of
 from canhaptic.view.si import si
 
@@ -26,21 +27,6 @@ _OF_AXES: Final = (_BLUE, _VERMILION, _GREEN, _ORANGE)  # axes of a group in tur
 _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
 _MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
 _MAX_FAULTS_NAMED: Final = 4
-_STYLE: Final[Any] = {
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#808080",
-    "axes.grid": True,
-    "grid.color": "#E6E6E6",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "legend.frameon": False,
-    "legend.handlelength": 1.6,
-    "svg.hashsalt": "canhaptic",
-}
 _LEGEND: Final[Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.985),
@@ -81,15 +67,11 @@ def draw_energy(
     if log.rows == 0:
         raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
     rows = rows_between(log, start, stop)
-    try:
-        import matplotlib as mpl
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
-    with mpl.rc_context(_STYLE):
+    mpl, figure_type = matplotlib_figure()
+    with mpl.rc_context(STYLE):
         grouped = {axis for axes in log.groups.values() for axis in axes}
         shown = {name: port for name, port in log.ports.items() if name not in grouped}
-        figure: Any = Figure(figsize=(2.0 + 6.5 * len(shown), 9.0), dpi=120, layout="constrained")
+        figure: Any = figure_type(figsize=(2.0 + 6.5 * len(shown), 9.0), dpi=120, layout="constrained")
         figure.get_layout_engine().set(hspace=0.04, h_pad=0.06)
         panels: Any = figure.subplots(4, len(shown), sharex=True, squeeze=False, height_ratios=(3, 3, 4, 2))
         for column, (name, port) in enumerate(shown.items()):

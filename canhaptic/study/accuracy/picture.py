@@ -10,6 +10,7 @@ from typing import Any, Final
 from canhaptic.errors import InputError
 from canhaptic.study.accuracy.advice import FLOOR
 from canhaptic.study.accuracy.candidates import OURS
+from canhaptic.view.picture_style import STYLE, matplotlib_figure
 
 Row = Mapping[str, Any]
 
@@ -32,18 +33,6 @@ GROUPS: Final[dict[str, str]] = {
     "encoder count": "#56B4E9",
     "effect": "#8C8C8C",
 }
-_STYLE: Final[Any] = {
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#808080",
-    "axes.grid": True,
-    "grid.color": "#E6E6E6",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "svg.hashsalt": "canhaptic",
-}
 
 
 def draw_accuracy(result: Row, path: str | Path) -> None:
@@ -52,16 +41,12 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.
     """
-    try:
-        import matplotlib as mpl
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
+    mpl, figure_type = matplotlib_figure()
     if not result["plant"]:
         raise InputError("nothing was measured, there is nothing to draw")
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         loop = [row for row in result["loop"] if row["position_error"]]
-        figure: Any = Figure(figsize=(14.5, max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained")
+        figure: Any = figure_type(figsize=(14.5, max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained")
         panels: Any = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.05))
         time = price_of(result)
         _draw_ladder(panels[0], result, time[0], "position_error")

@@ -10,25 +10,16 @@ import numpy as np
 from canhaptic.errors import InputError
 from canhaptic.study.loop import Array
 from canhaptic.study.map.panels import Cells, Lines, Panel
+from canhaptic.view.picture_style import STYLE, matplotlib_figure
 
 _FEW: Final = 8
 _LETTERS: Final = 80
 """Of the caption over one column."""
 COLOURS: Final = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-_STYLES: Final[dict[str, dict[str, Any]]] = {
+_LINES: Final[dict[str, dict[str, Any]]] = {
     "measured": {"linewidth": 2.0, "marker": "o", "markersize": 4.0},
     "colgate": {"linewidth": 1.4, "linestyle": "--", "zorder": 4},
     "abbott_okamura": {"linewidth": 1.4, "linestyle": ":", "color": "black"},
-}
-_STYLE: Final[Any] = {
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#808080",
-    "axes.axisbelow": True,
-    "grid.color": "#E6E6E6",
-    "grid.linewidth": 0.6,
-    "svg.hashsalt": "canhaptic",
 }
 
 
@@ -38,14 +29,10 @@ def draw_map(columns: Sequence[Sequence[Panel]], caption: str, path: str | Path)
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
-    try:
-        import matplotlib as mpl
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
+    mpl, figure_type = matplotlib_figure()
     rows = max(len(column) for column in columns)
-    with mpl.rc_context(_STYLE):
-        figure: Any = Figure(figsize=(0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows), dpi=110, layout="constrained")
+    with mpl.rc_context(STYLE):
+        figure: Any = figure_type(figsize=(0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows), dpi=110, layout="constrained")
         axes: Any = figure.subplots(rows, len(columns), squeeze=False)
         for row in range(rows):
             panels = [column[row] if row < len(column) else None for column in columns]
@@ -94,7 +81,7 @@ def few_values(panel: Panel) -> list[float]:
 def _draw_lines(place: Any, panel: Lines) -> None:
     place.grid(visible=True)
     for line in panel.lines:
-        style = {"color": COLOURS[line.colour % len(COLOURS)], **_STYLES[line.style]}
+        style = {"color": COLOURS[line.colour % len(COLOURS)], **_LINES[line.style]}
         place.plot(line.x, line.y, label=line.label, **style)
     if panel.note:
         place.text(0.0, -0.17, panel.note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")

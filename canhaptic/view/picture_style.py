@@ -1,0 +1,36 @@
+"""How every picture of the package looks, and where matplotlib is asked for."""
+
+from typing import Any, Final
+
+from canhaptic.errors import InputError
+
+STYLE: Final[Any] = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#808080",
+    "axes.grid": True,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "svg.hashsalt": "canhaptic",
+}
+"""For `matplotlib.rc_context`."""
+
+
+def matplotlib_figure() -> tuple[Any, Any]:
+    """Returns matplotlib and its `Figure`, which needs no display.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
+    return mpl, Figure
