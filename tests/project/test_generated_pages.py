@@ -1,7 +1,69 @@
 """Pages of the documentation that are made from data say what the data says."""
 
-from tools.make_link_policy import PAGE, page
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from canhaptic.scene.schema import scene_schema
+from tools import make_configuration, make_how_it_works, make_link_policy
+
+CONFIGURATION = make_configuration.PAGE.read_text(encoding="utf-8")
+SCHEMA = scene_schema()
 
 
 def test_the_page_of_the_link_policy_is_current() -> None:
-    assert PAGE.read_text(encoding="utf-8") == page(), "run: python -m tools.make_link_policy"
+    page = make_link_policy.PAGE.read_text(encoding="utf-8")
+    assert page == make_link_policy.page(), "run: python -m tools.make_link_policy"
+
+
+def test_the_page_of_the_configuration_is_current() -> None:
+    assert make_configuration.page() == CONFIGURATION, "run: python -m tools.make_configuration"
+
+
+def test_the_trace_of_a_cycle_is_current() -> None:
+    page = make_how_it_works.PAGE.read_text(encoding="utf-8")
+    assert make_how_it_works.page() == page, "run: python -m tools.make_how_it_works"
+
+
+def keys_of(schema: Any) -> Iterator[str]:
+    """Every key that a JSON schema accepts, at any depth, but for `type` and `algorithm`, which stand in titles."""
+    if isinstance(schema, list):
+        for part in schema:
+            yield from keys_of(part)
+    elif isinstance(schema, dict) and schema:
+        if "$ref" in schema:
+            yield from keys_of(SCHEMA["$defs"][schema["$ref"].removeprefix("#/$defs/")])
+        for name, inside in schema.get("properties", {}).items():
+            if name not in ("type", "algorithm"):
+                yield name
+            yield from keys_of(inside)
+        for part in ("anyOf", "oneOf", "prefixItems", "items", "additionalProperties"):
+            yield from keys_of(schema.get(part))
+
+
+@pytest.mark.parametrize("section", SCHEMA["properties"])
+def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(section: str) -> None:
+    parts = re.split(r"^## ", CONFIGURATION, flags=re.MULTILINE)
+    above, own = parts[1], [part for part in parts if re.match(rf"`{section}\b", part)]
+    assert f"\n| `{section}` |" in above
+    listed = set(re.findall(r"^\| `(\w+)` \|", "".join(own), re.MULTILINE))
+    schema = SCHEMA["properties"][section]
+    if section == "axes":  # whose own environment and passivity are those of the sections of that name
+        own_sections: dict[str, Any] = {"environment": {}, "passivity": {}}
+        schema = {"properties": {**schema["items"]["properties"], **own_sections}}
+    expected = set(keys_of(schema))
+    assert expected <= listed
+    assert expected or section == "duration"
+
+
+def test_every_key_of_the_page_is_explained_and_has_a_value() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|(.*)\|$", CONFIGURATION, re.MULTILINE)
+    assert len(rows) > 250
+    for name, cells in rows:
+        _unit, value, _default, words = [cell.strip() for cell in re.split(r"(?<!\\)\|", cells)]
+        assert words, f"{name}: give its field a docstring"
+        assert value, f"{name}: no kind of value"
+    assert re.findall(r"^\| `\w+` \| m or rad \| > 0", CONFIGURATION, re.MULTILINE)
+    assert "inside it" not in CONFIGURATION
