@@ -202,7 +202,8 @@ def _metric_panel(field: Field, chosen: Chosen, metric: str) -> Panel:
     limits = (0.0, 1.2) if kind == "share" else None
     return Cells(
         title, field.label(x), field.label(y), *places, values, label, _is_log(places[0]), _is_log(places[1]),
-        value_log=kind in ("energy", "error"), limits=limits, contour=0.95 if kind == "share" else None, dots=not field.is_grid,
+        value_log=kind in ("energy", "error"), limits=limits, contour=0.95 if kind == "share" else None,
+        dots=not field.is_grid,
     )  # fmt: skip
 
 
@@ -239,7 +240,7 @@ def _asked_damping(field: Field, values: Array) -> Array:
 
 
 def _worst(values: Array, over: tuple[int, ...], kind: str) -> Array:
-    """Returns the worst of some dimensions: the most energy missing, the largest error, the share furthest from one, else the least."""
+    """Returns the worst: the most energy missing, the largest error, the share furthest from one, else the least."""
     if not over:
         return values
     flat = values.reshape(*values.shape[:2], -1)
