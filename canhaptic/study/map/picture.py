@@ -84,7 +84,15 @@ def _draw_lines(place: Any, panel: Lines) -> None:
         style = {"color": COLOURS[line.colour % len(COLOURS)], **_LINES[line.style]}
         place.plot(line.x, line.y, label=line.label, **style)
     if panel.note:
-        place.text(0.0, -0.17, panel.note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")
+        place.text(
+            0.0,
+            -0.17,
+            textwrap.fill(panel.note, _LETTERS - 20),
+            transform=place.transAxes,
+            fontsize=8.0,
+            color="#606060",
+            va="top",
+        )
     place.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=8.0, loc="best")
 
 
