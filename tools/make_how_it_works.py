@@ -32,24 +32,23 @@ class _Trace:
 
     def __call__(self, frame: FrameType, event: str, _argument: Any) -> None:
         file = frame.f_code.co_filename
-        if event not in (_CALLED, "return") or not file.startswith(_PACKAGE):
-            return
+        if event not in (_CALLED, "return") or not file.startswith(_PACKAGE) or frame.f_code.co_name.startswith("<"):
+            return  # comprehensions are frames of their own in some versions of Python and not in others
         if event == "return":
             self._depth -= 1
             self._hidden -= self._hidden > 0
             return
         self._depth += 1
         name = Path(file).relative_to(ROOT).as_posix()
-        is_comprehension = frame.f_code.co_name.startswith("<")
-        if self._hidden or self._depth > _DEEPEST or is_comprehension:
+        is_far = name.startswith(_FAR_SIDE)
+        if self._hidden or (self._depth > _DEEPEST and not is_far):
             self._hidden += bool(self._hidden)
             return
-        if name.startswith(_FAR_SIDE):
-            self._hidden = 1
-        self._write(f"{'    ' * (self._depth - 1)}{frame.f_code.co_qualname}", name)
+        self._hidden = int(is_far)
+        self._write(f"{'    ' * min(self._depth - 1, _DEEPEST)}{frame.f_code.co_qualname}", name)
 
     def _write(self, call: str, file: str) -> None:
-        line = f"{call:<60} {file.removeprefix('canhaptic/')}"
+        line = f"{call:<56} {file.removeprefix('canhaptic/')}"
         if not self.lines or self.lines[-1] != line:  # the same again: a frame handled like the one before
             self.lines.append(line)
 
