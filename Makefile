@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 JOBS ?= auto
 SOURCES := canhaptic tests tools
 
-.PHONY: demo test test-all test-socketcan format bench clean
+.PHONY: demo test test-all test-socketcan format bench docs clean
 
 # One stamp per set of extras: a changed pyproject.toml installs again.
 $(VENV)/bin/pip:
@@ -48,5 +48,9 @@ bench: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 	$(if $(filter-out simulation,$(Q)),,-$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench,fast]")
 	$(BIN)/python tools/bench/run.py $(Q)
 
+# The documentation as a site in site/, strict; NO_MKDOCS_2_WARNING silences the theme's notice of its successor.
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 clean:
-	rm -rf $(VENV) build dist *.egg-info demo_output
+	rm -rf $(VENV) build dist *.egg-info demo_output site

@@ -1,0 +1,42 @@
+"""The documentation builds as a site, without a warning, and its pages ask nothing of a network."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from documents import ROOT
+
+import canhaptic
+
+_ASKED = re.compile(r"<(?:script|link|img|iframe|source|video)\b[^>]*?\b(?:src|href)=[\"']?(?:https?:)?//[^\"'> ]+")
+_ASKED_BY_STYLE = re.compile(r"(?:url\(\s*[\"']?|@import\s+[\"'])(?:https?:)?//[^)\"']+")
+
+
+@pytest.mark.slow
+def test_the_site_builds_strictly_and_asks_nothing_of_a_network(tmp_path: Path) -> None:
+    for module in ("mkdocs", "material", "mkdocstrings_handlers.python"):
+        pytest.importorskip(module, reason="needs the extra `docs`")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    built = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    assert "WARNING" not in built.stderr
+    html = {file: file.read_text(encoding="utf-8") for file in tmp_path.rglob("*.html")}
+    assert len(html) > 20
+    assert {file.name: found for file, text in html.items() if (found := _ASKED.findall(text))} == {}
+    assert not [file for file, text in html.items() if 'class="mermaid"' in text]  # drawn by a script from a network
+    styles = [file.read_text(encoding="utf-8") for file in tmp_path.rglob("*.css")]
+    assert styles
+    assert [found for text in styles for found in _ASKED_BY_STYLE.findall(text)] == []
+    api = html[tmp_path / "api.html"]
+    for name in ("canhaptic.scene.load.load_scene", "canhaptic.cycle.Cycle.step", "canhaptic.errors.CanHapticError"):
+        assert f'id="{name}"' in api
+
+
+def test_every_public_name_is_in_the_api() -> None:
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^::: [\w.]+\.(\w+)$", page, re.MULTILINE))
+    assert set(canhaptic.__all__) - listed == {"CanHapticError"}  # with all other errors, as their module
