@@ -13,9 +13,15 @@ is the same number. What the axes share is only the energy: motion across the to
 For symmetric 0 <= M^-1 <= P the largest value of W' M^-1 f is (W'Pf + |W|_P |f|_P) / 2: never more than the product of
 the norms, and 0 for opposed torques. For one axis it is max(0, W f) / m.
 
-**Hand.** W' M^-1 u <= F_h |W|_P |1|_P, u the torque of the hand at the motors: it accelerates the axes ALONG THE
-TORQUE no more than F_h would accelerate the lightest of them. For equal, uncoupled axes this is the component of the
-hand's force along the torque. Forces that come from an inertia changing with the pose count with the hand's.
+**Hand.** W' M^-1 u <= F_h |W|_P |1|_P, u the torque of the hand at the motors, for the torques W of the hold and of the
+1 + delay holds after it. Every hand that pulls each motor axis with F_h or less is covered, however fast the torque
+turns and whatever M is. A hand may push harder against the torque (into a wall) where M does not couple the axes; a
+harder push ACROSS the torque is covered as long as the torque does not turn, and the axes are equal and not coupled.
+Forces that come from an inertia changing with the pose (Coriolis, centrifugal) count with the hand's.
+
+**Friction** of an axis raises an inward displacement, by no more than e^(-bT/m) in every hold; that is counted axis by
+axis. What it lowers counts only for one axis alone: where M couples them, friction on one axis pushes the others, and
+counts with the hand's force.
 
 **Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d serves every user.
 
@@ -36,8 +42,7 @@ class Axes(NamedTuple):
     before: Vector  # response of the displacement to the torque of the hold before [m/N]
     during: Vector  # and of the hold itself [m/N]
     lost: Vector  # largest share of an inward displacement that friction takes from the next hold
-    lost_most: float
-    hand: float  # displacement by the hand for |W|_P = 1, in the norm of before + during
+    hand: float  # F_h |1|_P: displacement by the hand for |W|_P = 1, both in the norm of before + during
     by_hand: bool  # whether the hand-force certificate is declared
     damping: Vector  # certain damping over the sample time [N/m]; 0 where it is not known
     by_damping: bool
@@ -50,25 +55,28 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
 
     Args:
         loops: Of each axis.
-        hand_force: F_h [N or N*m]; None: the certificate is not used. It needs every moving mass.
+        hand_force: F_h of each axis [N or N*m]; None: the certificate is not used. It needs every moving mass.
         hand_speed: v_max [m/s or rad/s]; None: not used.
     """
     sample_time = loops[0].sample_time
     by_hand = hand_force is not None and all(loop.moving_mass is not None for loop in loops)
+    alone = len(loops) == 1
     responses = [
-        reach(sample_time, loop.moving_mass or 1.0, 1.0, loop.device_damping or 0.0, loop.device_damping_bound or 0.0)
+        reach(
+            sample_time, loop.moving_mass or 1.0, 1.0, (loop.device_damping or 0.0) if alone else 0.0,
+            max(loop.device_damping or 0.0, loop.device_damping_bound or 0.0),
+        )
         if by_hand
         else Reach(1.0, 0.0, 0.0, 0.0)
         for loop in loops
-    ]
+    ]  # fmt: skip
     lost = [1.0 - response.retained for response in responses]
     damping = [(loop.device_damping or 0.0) / sample_time for loop in loops]
     return Axes(
         before=[response.before for response in responses],
         during=[response.during for response in responses],
         lost=lost,
-        lost_most=max(lost),
-        hand=(hand_force or 0.0) * math.sqrt(max(response.hand for response in responses)),
+        hand=(hand_force or 0.0) * math.sqrt(sum(response.hand for response in responses)),
         by_hand=by_hand,
         damping=damping,
         by_damping=all(value > 0.0 for value in damping),
@@ -108,20 +116,24 @@ def along_last(axes: Axes, torques: Vector, displacement: Vector, blur: Vector) 
     return total
 
 
-def after_friction(axes: Axes, torques: Vector, displacement: Vector, bound: float) -> float:
-    """Returns the bound of W . D_0 in the hold after, with what friction takes of the inward parts [J]."""
+def raised_by_friction(axes: Axes, torques: Vector, displacement: Vector) -> float:
+    """Returns how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
+    total = 0.0
     for i in range(len(axes.lost)):
         if axes.lost[i] != 0.0:
             along = torques[i] * displacement[i] + abs(torques[i]) * axes.count[i]
             if along < 0.0:
-                bound -= axes.lost[i] * along
-    return bound
+                total -= axes.lost[i] * along
+    return total
 
 
 def base_of(
     axes: Axes, torques: Vector, displacement: Vector, bound: float, last: Vector, under_way: list[Vector]
 ) -> float:
     """Returns the base of l W . D [J] for torques that act after those under way.
+
+    Friction acts on what D_0 has left in every hold, axis by axis: where one axis moves inward and another outward,
+    their sum says nothing of it. The responses to forces are bounded without friction.
 
     Args:
         axes: What is known of them.
@@ -131,13 +143,15 @@ def base_of(
         last: Torques held in that hold, (axes,).
         under_way: Torques of the holds before that of W.
     """
-    hand = hand_term(axes, torques)
-    total = after_friction(axes, torques, displacement, bound)
+    hand, friction = hand_term(axes, torques), raised_by_friction(axes, torques, displacement)
+    total = bound + friction
     total += response_to(torques, last, axes.before) + hand
     for acting in under_way:
         total += response_to(torques, acting, axes.during)
-        if total < 0.0:
-            total -= axes.lost_most * total
+        if len(axes.lost) > 1:
+            total += friction
+        elif total < 0.0:
+            total -= axes.lost[0] * total
         total += response_to(torques, acting, axes.before) + hand
     return total
 

@@ -41,7 +41,7 @@ class GroupCommands:
             ports: Of the network.
             delay: Whole holds between computation and action.
         """
-        self.axes, self._delay = axes, delay
+        self.axes, self.delay = axes, delay
         zeros = (0.0,) * axes
         self.nothing = GroupCommand(zeros, zeros, zeros, (0.0,) * ports)
         self.reset()
@@ -49,7 +49,7 @@ class GroupCommands:
     def reset(self) -> None:
         """Forgets the last positions; no torque in flight."""
         self._positions: Values | None = None
-        self._queue: deque[GroupCommand] = deque([self.nothing] * (self._delay + 1))
+        self._queue: deque[GroupCommand] = deque([self.nothing] * (self.delay + 1))
         self._skipped: tuple[Values, ...] = ()
 
     def ended(self, positions: Values, torques_applied: Values) -> EndedHold | None:
@@ -104,7 +104,7 @@ class GroupCommands:
     @property
     def under_way(self) -> list[Values]:
         """Torques that act before the next command, the one that acts now first; right only after `ended`."""
-        return [command.torques for command in self._queue] if self._delay else []
+        return [command.torques for command in self._queue] if self.delay else []
 
 
 def _as_applied(command: GroupCommand, applied: Values) -> GroupCommand:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from canhaptic.haptics.network import bound
+from canhaptic.haptics.network.apart import AxesApart
 from canhaptic.haptics.network.bound import Axes
 from canhaptic.haptics.network.commands import GroupCommands, Values
 
@@ -18,15 +19,18 @@ class GroupAccount:
         unsure: How much less than booked may have come in so far [J]: encoder counts and lost samples.
     """
 
-    def __init__(self, axes: Axes, commands: GroupCommands, credit: float) -> None:
+    def __init__(self, axes: Axes, commands: GroupCommands, credit: float, losses: int = 0) -> None:
         """Makes an empty account.
 
         Args:
             axes: What the certificates know of the motor axes.
             commands: Of the same group.
             credit: Energy that may be given out before any came in [J].
+            losses: Consecutive cycles without a new torque, on any axis, that the certificates survive.
         """
         self._axes, self._commands, self._credit = axes, commands, credit
+        self._losses = losses
+        self._apart = AxesApart(axes, commands.delay, losses) if losses else None
         self._coarse = any(axes.count)
         self.reset()
 
@@ -62,6 +66,8 @@ class GroupAccount:
         torques bounds - not the displacement: a reversal has next to none.
         """
         axes, holds, last = self._axes, len(sent), sent[-1]
+        if self._losses > 1:
+            sent = (self._torques, *sent)  # an older torque may have stayed
         largest = [max(abs(torques[i]) for torques in sent) for i in range(len(last))]
         reached = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
         push = math.sqrt(sum(r * t * t for r, t in zip(reached, largest, strict=True))) + axes.hand
@@ -150,6 +156,8 @@ class GroupAccount:
     def _free(self, energy: float) -> float:
         """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
         axes, under_way = self._axes, self._commands.under_way
+        if self._apart is not None:
+            return self._free_apart(self._apart, energy)
         if not under_way:
             return energy + self.dissipated
         free = 0.0
@@ -175,6 +183,8 @@ class GroupAccount:
             moved: What a mover will take out with W in its hold [J].
         """
         axes, under_way = self._axes, self._commands.under_way
+        if self._apart is not None:
+            return self._shares_apart(self._apart, tuple(torques), energy, moved)
         by_force = by_damping = by_speed = 0.0
         if axes.by_hand:
             budget = energy
@@ -191,3 +201,44 @@ class GroupAccount:
             budget = energy - sum(bound.path_need(axes, acting) for acting in under_way)
             by_speed = budget / (bound.path_need(axes, torques) + max(0.0, moved)) if budget > 0.0 else 0.0
         return by_force, by_damping, by_speed
+
+    def _free_apart(self, apart: AxesApart, energy: float) -> float:
+        axes = self._axes
+        apart.take(self._displacement, self._blur, self._torques, self._commands.under_way)
+        nothing, free = (0.0,) * len(axes.count), 0.0
+        if axes.by_hand:
+            free = energy - apart.needed_by_hand()
+        if axes.path:
+            free = max(free, energy - axes.path * sum(apart.needs(nothing, 1)[0]))
+        if axes.by_damping:
+            old = zip(apart.needs(nothing, 2)[0], axes.damping, strict=True)
+            free = max(free, energy + self.dissipated - sum(f / (4.0 * b) for f, b in old))
+        return free if free > 0.0 else 0.0
+
+    def _shares_apart(
+        self, apart: AxesApart, torques: Values, energy: float, moved: float
+    ) -> tuple[float, float, float]:
+        """Returns `shares` for axes that may act apart; none is above 1 by hand force."""
+        axes, moved = self._axes, max(0.0, moved) * (1 + self._losses)
+        apart.take(self._displacement, self._blur, self._torques, self._commands.under_way)
+        by_force = by_damping = by_speed = 0.0
+        if axes.by_hand:
+            by_force = apart.share_by_hand(torques, energy, moved)
+        if axes.by_damping:
+            old, new = apart.needs(torques, 2)
+            budget = (
+                energy + self.dissipated - moved - sum(f / (4.0 * b) for f, b in zip(old, axes.damping, strict=True))
+            )
+            need = sum(f / (4.0 * b) for f, b in zip(new, axes.damping, strict=True))
+            by_damping = _root_of(budget, need)
+        if axes.path:
+            old, new = apart.needs(torques, 1)
+            by_speed = _root_of(energy - axes.path * sum(old), axes.path * sum(new) + moved) ** 2
+        return by_force, by_damping, by_speed
+
+
+def _root_of(budget: float, need: float) -> float:
+    """Returns sqrt(budget / need); 1 where nothing more is needed than there is."""
+    if budget < 0.0:
+        return 0.0
+    return math.sqrt(budget / need) if need > 0.0 else 1.0

@@ -42,6 +42,9 @@ class GuardedGroupParameters(Parameters):
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
     lead: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
     """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
+    lost_frames: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    """Consecutive cycles in which any axis may be without a new torque, or hold a part of it (`apart`); each costs
+    stiffness. 0: all axes always apply together what was sent."""
     compiled: bool = False
     """Whether the network's equation runs compiled by numba (the extra `fast`); pays with masses, some seconds once."""
 
@@ -77,7 +80,7 @@ class GuardedGroup:
         self._quanta = [loop.torque_quantum for loop in loops]
         self._quantised = any(self._quanta)
         self._commands = GroupCommands(axes, motion.ports, delay)
-        self._account = GroupAccount(known, self._commands, parameters.credit)
+        self._account = GroupAccount(known, self._commands, parameters.credit, parameters.lost_frames)
         self.reset()
 
     def reset(self) -> None:

@@ -1,0 +1,148 @@
+"""The certificates for axes that may act apart: each holds its new torque, an older one, or a part of either.
+
+`bound` holds for torques that act together. Where a frame is lost, a link policy ramps, or a limiter or drive cuts one
+axis alone, the group's torque turns, and energy that one axis was to bring in is missing while another still gives it
+out. With `lost_frames` = L declared, the energy is certified axis by axis: in every hold from now on, axis i may have
+any torque between 0 and one of those sent for it, each of which may stay for L more holds. With D_ij the displacement
+of axis i in hold j, counted along such a torque f,
+
+    energy out <= sum over holds and axes of max over f of max(0, f D_ij),
+    D_ij <= D_i0 + j sqrt(r_i) (N + h),        r_i = T^2 / m_i,
+
+N the largest |f|_r of all torques that may act, h that of the hand: for any inertia M >= diag(m) one axis answers to
+the torques of all with no more than this (Cauchy-Schwarz). f D_ij grows with f where it is positive, so that the ends
+of the interval are enough. With the new torques scaled by l <= 1, N <= N_0 + l N_1 with
+N_1^2 = sum(r_i max(0, W_i^2 - f_i^2)), f_i the largest sent before. Every term is a parabola in l, their sum convex,
+and the largest l within the budget is found by solving for the terms that count at the last one, from l = 1 down.
+
+The hand counts axis by axis as well: a force across the torque of the group that pulls one axis along its own torque is
+part of the declared force.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from canhaptic.haptics.network.bound import Axes, share_within
+from canhaptic.haptics.network.commands import Values
+
+_PASSES: Final = 24
+"""Of the search for a share; what needs more renders nothing."""
+_ROUNDING: Final = 1e-12
+
+Parabola = tuple[float, float, float]
+"""A + B l + C l^2 [J]."""
+
+
+class AxesApart:
+    """What the torques under way may still give out, and how much of new ones may be added."""
+
+    def __init__(self, axes: Axes, delay: int, losses: int) -> None:
+        """Keeps what is known.
+
+        Args:
+            axes: What the certificates know of the motor axes.
+            delay: Whole holds between computation and action.
+            losses: Consecutive cycles in which an axis may be without a new torque.
+        """
+        self._axes, self._delay, self._losses = axes, delay, losses
+        whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
+        self._responses, self._roots = whole, [math.sqrt(r) for r in whole]
+        self._first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
+        self._holds = delay + 1 + losses
+
+    def take(self, displacement: Values, blur: Values, torques: Values, under_way: Sequence[Values]) -> None:
+        """Takes the hold that ended and the torques that may still act.
+
+        Args:
+            displacement: In the hold that ended, (axes,) [rad or m].
+            blur: How much further each axis may have moved in it (axes,).
+            torques: Held in it, (axes,) [N*m or N].
+            under_way: Sent, and to act before the next command.
+        """
+        axes, losses, sent = self._axes, self._losses, (torques, *under_way)
+        self._committed = [
+            sent[max(0, hold - losses) : min(hold, self._delay) + 1] for hold in range(1, self._holds + 1)
+        ]
+        self._largest = [max(abs(values[i]) for values in sent) for i in range(len(torques))]
+        self._norm = math.sqrt(sum(r * t * t for r, t in zip(self._responses, self._largest, strict=True)))
+        self._norm += axes.hand
+        self._starts = []
+        for i, moved in enumerate(displacement):
+            slack = axes.count[i] + blur[i]
+            along = slack + moved, slack - moved
+            self._starts.append([(start, axes.lost[i] * max(0.0, -start)) for start in along])
+
+    def _cells(self, torques: Values) -> list[list[Parabola]]:
+        """Returns what each axis may give out in each hold: the largest of some parabolas, and of 0."""
+        added = [r * max(0.0, t * t - f * f) for r, t, f in zip(self._responses, torques, self._largest, strict=True)]
+        norm, more = self._norm, math.sqrt(sum(added))
+        cells = []
+        for index, committed in enumerate(self._committed):
+            hold, mine = index + 1, index - self._delay
+            grown = more * (mine + self._first) if mine >= 0 else 0.0
+            for i, root in enumerate(self._roots):
+                pieces = []
+                for sign, (start, lost) in zip((1.0, -1.0), self._starts[i], strict=True):
+                    base = start + hold * (lost + root * norm)
+                    slope = root * grown
+                    old = max([sign * values[i] for values in committed], default=0.0)
+                    if old > 0.0:
+                        pieces.append((old * base, old * slope, 0.0))
+                    new = sign * torques[i]
+                    if mine >= 0 and new > 0.0:
+                        pieces.append((0.0, new * base, new * slope))
+                cells.append(pieces)
+        return cells
+
+    def needed_by_hand(self) -> float:
+        """Returns the most energy [J] that the torques under way may give out to a hand within its declared force."""
+        nothing = (0.0,) * len(self._roots)
+        return sum(max([0.0, *[piece[0] for piece in pieces]]) for pieces in self._cells(nothing))
+
+    def share_by_hand(self, torques: Values, budget: float, moved: float) -> float:
+        """Returns the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
+
+        Args:
+            torques: W, (axes,) [N*m or N].
+            budget: [J].
+            moved: What a mover will take out with W [J], >= 0.
+        """
+        cells = self._cells(torques)
+        cells.append([(0.0, moved, 0.0)])
+        share = 1.0
+        for _ in range(_PASSES):
+            fixed = linear = square = 0.0
+            for pieces in cells:
+                most = 0.0
+                active = 0.0, 0.0, 0.0
+                for piece in pieces:
+                    value = piece[0] + share * (piece[1] + share * piece[2])
+                    if value > most:
+                        most, active = value, piece
+                fixed, linear, square = fixed + active[0], linear + active[1], square + active[2]
+            size = abs(fixed) + share * (abs(linear) + share * square)
+            if fixed + share * (linear + share * square) <= budget + _ROUNDING * size:
+                return share
+            smaller = share_within(budget - fixed, linear, square)
+            if not smaller < share:
+                return 0.0
+            share = smaller
+        return 0.0
+
+    def needs(self, torques: Values, power: int) -> tuple[list[float], list[float]]:
+        """Returns sums over all holds of |f_i|^power by the torques under way, and what l^power of new ones adds.
+
+        Args:
+            torques: W, (axes,); zeros for those under way alone.
+            power: 1 or 2.
+        """
+        count = len(torques)
+        old, new = [0.0] * count, [0.0] * count
+        for index, committed in enumerate(self._committed):
+            for i, torque in enumerate(torques):
+                held = max([abs(values[i]) for values in committed], default=0.0) ** power
+                old[i] += held
+                if index >= self._delay:
+                    new[i] += max(0.0, abs(torque) ** power - held)
+        return old, new
