@@ -9,14 +9,13 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.study.loop import Array
 from canhaptic.study.sweep.points import CONTROLLER
+from canhaptic.study.sweep.selected import Selected
 from canhaptic.study.sweep.table import SweepTable
 from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 
 _MOST_REMARKS: Final = 20
-_COMPLETED: Final = 1
 
 Summary = dict[str, Any]
 
@@ -55,54 +54,26 @@ def _by(counts: Counter[tuple[str, str, str]], part: int) -> dict[str, int]:
 
 def _figures(table: SweepTable, axis: str) -> dict[str, Any]:
     """Returns shares and medians over the completed scenes, per algorithm."""
-    completed = table.status() == _COMPLETED
     if CONTROLLER not in table.keys:
-        return {"of the scene": {"scenes": int(completed.sum()), **_shares(table, axis, completed)}}
-    found = {}
-    which, names = table.numbered(CONTROLLER)
-    for index, name in enumerate(names):
-        rows = completed & (which == index)
-        found[name] = {"scenes": int(rows.sum()), **_shares(table, axis, rows)}
-    return found
+        return {"of the scene": _shares(Selected(table, axis))}
+    return {name: _shares(Selected(table, axis, index)) for index, name in enumerate(table.texts(CONTROLLER))}
 
 
-def _shares(table: SweepTable, axis: str, rows: Any) -> dict[str, Any]:
-    asked = set(table.metrics)
-
-    def of(metric: str) -> Array:
-        values: Array = table.figure(axis, metric)[rows]
-        return values
-
-    found: dict[str, Any] = {}
+def _shares(selected: Selected) -> dict[str, Any]:
+    asked = set(selected.table.metrics)
+    found: dict[str, Any] = {"scenes": selected.count()}
     if "least_interaction" in asked:
-        found["passive"] = _mean(of("least_interaction") >= -PASSIVE_TOLERANCE)
+        found["passive"] = selected.share("least_interaction", lambda values: values >= -PASSIVE_TOLERANCE)
     if "margin" in asked:
-        found["margin_kept"] = _mean(of("margin") >= -PASSIVE_TOLERANCE)
-        found["least_margin"] = _least(of("margin"))
+        found["margin_kept"] = selected.share("margin", lambda values: values >= -PASSIVE_TOLERANCE)
+        found["least_margin"] = selected.least("margin")
     if "diverged" in asked:
-        found["diverged"] = _mean(of("diverged") == 1.0)
+        found["diverged"] = selected.share("diverged", lambda values: values == 1.0)
     if "spectral_radius" in asked:
-        radii = of("spectral_radius")
-        found["stable"] = _mean(radii[np.isfinite(radii)] < 1.0)
-    if "position_error.rms" in asked:
-        found["position_rms"] = _median(of("position_error.rms"))
+        found["stable"] = selected.share("spectral_radius", lambda values: values < 1.0, finite=True)
     if "stiffness_rendered.share" in asked:
-        found["stiffness_rendered"] = _median(of("stiffness_rendered.share"))
+        found["stiffness_rendered"] = selected.median("stiffness_rendered.share")
     return found
-
-
-def _mean(truths: Any) -> float | None:
-    return float(np.mean(truths)) if len(truths) else None
-
-
-def _least(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.min()) if len(known) else None
-
-
-def _median(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
 
 
 def summary_report(found: Summary) -> RenderableType:

@@ -131,10 +131,13 @@ class SweepTable:
         known = json.loads(texts)
         return [known[i] for i in found.tolist()]
 
-    def numbered(self, key: str) -> tuple[NDArray[Any], list[str]]:
-        """Returns (index of every scene's text, the texts) of a key whose values are texts."""
-        dataset = self._file[f"values/{_name(key)}"]
-        return np.asarray(dataset[:]), [str(text) for text in json.loads(dataset.attrs["texts"])]
+    def texts(self, key: str) -> list[str]:
+        """Returns the texts that a key may be; `numbers` are indices in them."""
+        return [str(text) for text in json.loads(self._file[f"values/{_name(key)}"].attrs["texts"])]
+
+    def numbers(self, key: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Returns the index of every scene's text of a key whose values are texts, shape (n,)."""
+        return np.asarray(self._file[f"values/{_name(key)}"][start:stop])
 
     def columns(self, start: int, stop: int) -> dict[str, Column]:
         """Returns the values of some scenes by key."""

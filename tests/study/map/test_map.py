@@ -137,23 +137,27 @@ def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
     assert cells.values.shape == (2, 2)
 
 
-def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(two_controllers, tmp_path):
+@pytest.mark.parametrize("kind", [pytest.param("grid", marks=pytest.mark.slow), "samples", "one key"])
+def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(request, kind, tmp_path):
     pytest.importorskip("matplotlib")
-    samples, profile = tmp_path / "samples.h5", tmp_path / "profile.h5"
-    scene = load_scene(DEMO, ["simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"])
-    sweep(scene, ["environment.stiffness=1e2:1e4:log", "environment.damping=0:5"], samples, samples=30, cycles=20)
-    sweep(scene, ["environment.stiffness=1e2:1e4:log:5"], profile, cycles=20)
-    for path in (two_controllers, samples, profile):
-        with SweepTable(path) as table:
-            columns = panels_of(fields_of(table), Chosen())
-        draw_map(columns, "caption", tmp_path / "map.png")
-        assert (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
-        if importlib.util.find_spec("bokeh") is not None:
-            write_map(columns, "a <caption>", tmp_path / "map.html")
-            page = (tmp_path / "map.html").read_text()
-            assert "a <caption>" not in page
-            assert "<script src" not in page
-            assert "<link" not in page
+    path, scene = tmp_path / "a.h5", load_scene(DEMO)
+    options = {"cycles": 20, "metrics": ["margin", "diverged"]}
+    if kind == "grid":
+        path = request.getfixturevalue("two_controllers")
+    elif kind == "samples":
+        sweep(scene, ["environment.stiffness=1e2:1e4:log", "environment.damping=0:5"], path, samples=30, **options)
+    else:
+        sweep(scene, ["environment.stiffness=1e2:1e4:log:5"], path, **options)
+    with SweepTable(path) as table:
+        columns = panels_of(fields_of(table), Chosen())
+    draw_map(columns, "caption", tmp_path / "map.png")
+    assert (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
+    if importlib.util.find_spec("bokeh") is not None:
+        write_map(columns, "a <caption>", tmp_path / "map.html")
+        page = (tmp_path / "map.html").read_text()
+        assert "a <caption>" not in page
+        assert "<script src" not in page
+        assert "<link" not in page
 
 
 def test_edges_lie_halfway_between_neighbours():

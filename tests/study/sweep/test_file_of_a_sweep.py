@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from conftest_sweep import DEMO, VARY
 
+from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.sweep import sweep
@@ -21,9 +22,10 @@ from canhaptic.study.sweep.table import SweepTable
 
 LONG = [
     "sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:6", "--vary", "simulation.seed=0:4:lin:5",
-    "--cycles", "200", "--chunk", "1", "--engine", "numpy",
+    "--cycles", "100", "--chunk", "1", "--engine", "numpy",
 ]  # fmt: skip
 CHUNKS = 30
+ONE = {"cycles": 20, "metrics": ["travel"]}
 
 
 def begin(path, *options):
@@ -51,13 +53,11 @@ def wait_until(is_so, limit=90.0):
 def whole(tmp_path_factory):
     """The file of a sweep that nothing disturbed."""
     path = tmp_path_factory.mktemp("whole") / "whole.h5"
-    process = begin(path)
-    assert process.communicate()[0] is None
-    assert process.returncode == 0
+    assert main([*LONG, "--out", str(path)]) == 0
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
 def test_after_kill_9_every_finished_chunk_is_there_and_the_rest_is_run(tmp_path, whole, workers):
     path = tmp_path / "killed.h5"
     process = begin(path, "--workers", workers)
@@ -97,14 +97,13 @@ def test_ctrl_c_ends_after_the_chunk_under_way_and_says_how_to_go_on(tmp_path, w
     assert process.returncode == 130
     assert f"--resume goes on with {path}" in said
     assert 2 <= finished(path) < CHUNKS
-    again = begin(path, "--resume")
-    again.communicate()
+    assert main([*LONG, "--out", str(path), "--resume"]) == 0
     assert path.read_bytes() == whole
 
 
 def test_a_disk_that_fills_up_costs_the_chunk_under_way_alone(demo, tmp_path, monkeypatch):
     path, undisturbed = tmp_path / "full.h5", tmp_path / "whole.h5"
-    sweep(demo, VARY, undisturbed, cycles=40, chunk=4)
+    sweep(demo, VARY, undisturbed, chunk=4, **ONE)
     write, room = os.pwrite, [10**6]
 
     def refuse(descriptor, content, offset):
@@ -120,9 +119,9 @@ def test_a_disk_that_fills_up_costs_the_chunk_under_way_alone(demo, tmp_path, mo
     with monkeypatch.context() as patch:
         patch.setattr(os, "pwrite", refuse)
         with pytest.raises(LogWriteError, match=r"no room.*--resume"):
-            sweep(demo, VARY, path, cycles=40, chunk=4, progress=fill_up)
+            sweep(demo, VARY, path, chunk=4, **ONE, progress=fill_up)
     assert finished(path) == 2
-    assert sweep(demo, VARY, path, cycles=40, chunk=4, resume=True).done == 32
+    assert sweep(demo, VARY, path, chunk=4, **ONE, resume=True).done == 32
     assert path.read_bytes() == undisturbed.read_bytes()
 
 
@@ -147,7 +146,7 @@ def test_a_folder_that_is_not_there_is_named(demo, tmp_path):
 
 def test_two_sweeps_cannot_write_one_file(demo, tmp_path):
     path = tmp_path / "a.h5"
-    sweep(demo, VARY, path, cycles=20)
+    sweep(demo, VARY, path, **ONE)
     code = f"from canhaptic.study.sweep.table import SweepTable; SweepTable({str(path)!r}, writable=True)"
     with SweepTable(path, writable=True):
         found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -156,29 +155,29 @@ def test_two_sweeps_cannot_write_one_file(demo, tmp_path):
 
 def test_a_file_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_path):
     path = tmp_path / "a.h5"
-    sweep(demo, VARY, path, cycles=20)
+    sweep(demo, VARY, path, **ONE)
     before = path.read_bytes()
     with pytest.raises(InputError, match="--resume goes on with it, --force replaces it"):
-        sweep(demo, VARY, path, cycles=20)
+        sweep(demo, VARY, path, **ONE)
     others = [
-        (demo, VARY[:1], {"cycles": 20}, "varied"),
-        (demo, VARY, {"cycles": 21}, "cycles"),
-        (demo, VARY, {"cycles": 20, "samples": 32}, "samples"),
-        (demo, VARY, {"cycles": 20, "metrics": ["margin"]}, "metrics"),
-        (load_scene(DEMO, ["environment.position=0"]), VARY, {"cycles": 20}, "configuration"),
+        (demo, VARY[:1], ONE, "varied"),
+        (demo, VARY, ONE | {"cycles": 21}, "cycles"),
+        (demo, VARY, ONE | {"samples": 32}, "samples"),
+        (demo, VARY, ONE | {"metrics": ["margin"]}, "metrics"),
+        (load_scene(DEMO, ["environment.position=0"]), VARY, ONE, "configuration"),
     ]
     for scene, vary, options, what in others:
         with pytest.raises(InputError, match=f"was made with {what}"):
             sweep(scene, vary, path, resume=True, **options)
     assert path.read_bytes() == before
-    sweep(demo, VARY[:1], path, cycles=20, force=True)
+    sweep(demo, VARY[:1], path, force=True, **ONE)
     assert len(path.read_bytes()) < len(before)
 
 
 def test_a_finished_sweep_is_not_run_again(demo, tmp_path):
     path = tmp_path / "a.h5"
-    sweep(demo, VARY, path, cycles=20)
-    state = sweep(demo, VARY, path, cycles=20, resume=True)
+    sweep(demo, VARY, path, **ONE)
+    state = sweep(demo, VARY, path, resume=True, **ONE)
     assert (state.done, state.begun) == (32, 32)
 
 

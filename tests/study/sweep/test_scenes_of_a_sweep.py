@@ -1,10 +1,14 @@
 """Every row of a sweep is the scene that a user would have written, or is refused with the reason of that scene."""
 
+import statistics
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest_sweep import DEMO, VARY
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from canhaptic.errors import InputError, SceneError
 from canhaptic.scene.load import load_scene
@@ -12,6 +16,7 @@ from canhaptic.study.batch import run_scalar
 from canhaptic.study.compare import with_algorithm
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.chunk import MORE, SLOTS
+from canhaptic.study.sweep.selected import Selected
 from canhaptic.study.sweep.summary import summary
 from canhaptic.study.sweep.table import SweepTable
 
@@ -24,7 +29,7 @@ def run(scene, vary, path, **options):
 
 
 def test_every_row_is_the_scene_written_by_hand(demo, tmp_path):
-    with run(demo, VARY, tmp_path / "a.h5", cycles=150) as table:
+    with run(demo, VARY, tmp_path / "a.h5", cycles=150, metrics=EXACT) as table:
         assert table.status().tolist() == [1] * 32
         for row in (0, 5, 17, 31):
             values = {key: table.values(key)[row] for key in table.keys}
@@ -42,9 +47,9 @@ def test_a_duration_is_as_many_holds_as_each_rate_makes_of_it(demo, tmp_path):
 
 
 def test_the_bits_do_not_depend_on_how_scenes_are_dealt_into_chunks(demo, tmp_path):
-    found = []
-    for chunk in (1, 5, 32):
-        with run(demo, VARY, tmp_path / f"{chunk}.h5", cycles=120, chunk=chunk) as table:
+    found, vary = [], ["environment.stiffness=100,9000", *VARY[1:]]
+    for chunk in (1, 3, 8):
+        with run(demo, vary, tmp_path / f"{chunk}.h5", cycles=40, chunk=chunk) as table:
             found.append(np.array([table.figure("handle", metric) for metric in table.metrics]))
     assert found[0].tobytes() == found[1].tobytes() == found[2].tobytes()
 
@@ -168,3 +173,21 @@ def test_what_cannot_be_swept_is_refused(demo, tmp_path):
         sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a.h5", controllers=["best"])
     with pytest.raises(InputError, match="give one"):
         sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a.h5", cycles=5, duration=1.0)
+
+
+@given(arrays(np.float64, st.integers(1, 40), elements=st.floats() | st.sampled_from([0.0, -0.0, 1.0, -1.0])))
+def test_medians_and_extremes_of_a_column_read_in_blocks_are_those_of_the_whole(values):
+    class Table:
+        figure = staticmethod(lambda _axis, _metric, start, stop: values[start:stop])
+        status = staticmethod(lambda start, stop: np.ones(len(values[start:stop]), dtype=np.uint8))
+        __len__ = staticmethod(lambda: len(values))
+
+    selected = Selected(Table(), "handle")
+    known = values[np.isfinite(values)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("canhaptic.study.sweep.selected._BLOCK", 7)
+        assert selected.least("margin") == (known.min() if len(known) else None)
+        middle = statistics.median(known.tolist()) if len(known) and np.abs(known).max() < 1e308 else None
+        assert middle is None or selected.median("margin") == pytest.approx(middle, rel=1e-15, abs=0.0)
+        share = selected.share("margin", lambda part: part >= 0.0)
+        assert share == pytest.approx(np.mean(values >= 0.0))

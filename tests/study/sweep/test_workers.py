@@ -14,11 +14,11 @@ from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.workers import Pool, dask_executor
 
 OPTIONS = {
-    "cycles": 200,
+    "cycles": 40,
     "chunk": 8,
-    "controllers": ["direct", "guarded"],
+    "controllers": ["direct", "internal_dissipation"],
     "engine": "numpy",
-    "metrics": ["travel", "force_variation", "margin", "spectral_radius"],
+    "metrics": ["travel", "margin", "spectral_radius"],
 }
 SCENES = 64
 
