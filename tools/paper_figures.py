@@ -149,11 +149,6 @@ def _is_left(axes: Any) -> bool:
     return bool(axes.get_subplotspec().is_first_col())
 
 
-def figures() -> dict[str, dict[str, Any]]:
-    """Returns the figures of every run by name of figure and of run."""
-    return {name: {label: figures_of(taken) for label, taken in run_all(name).items()} for name in FIGURES}
-
-
 def main() -> int:
     """Makes everything; returns 0."""
     parser = argparse.ArgumentParser(description=__doc__)
