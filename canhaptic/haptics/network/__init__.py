@@ -1,6 +1,6 @@
 """Port-Hamiltonian networks on several motor axes: the tables that name them, and the controller of a group of axes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from canhaptic.errors import ParameterError
@@ -33,6 +33,9 @@ GROUP_ALGORITHMS: Final[dict[str, str]] = {
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type`, as those of `passivity.ALGORITHMS`."""
 
+_WHOLE: Final = ("guarded",)
+"""Whose whole step is compiled by `compiled: true`; of the others the equation of the network is."""
+
 
 def build_group_controller(
     environment: NetworkEnvironment,
@@ -62,5 +65,23 @@ def build_group_controller(
             f"group algorithm {algorithm_name!r}: got parameters {type(parameters).__name__}, "
             f"expected {algorithm.parameters_type.__name__}"
         )
+    if algorithm_name in _WHOLE and getattr(parameters, "compiled", False):
+        interpreted = parameters.model_copy(update={"compiled": False})
+        return _compiled(lambda mechanism: algorithm(environment, mechanism, interpreted, tuple(loops)), kinematics)
     controller: GroupController = algorithm(environment, kinematics, parameters, tuple(loops))
     return controller
+
+
+def _compiled(build: Callable[[Kinematics], GroupController], kinematics: Kinematics) -> GroupController:
+    """Returns a controller whose whole step is compiled.
+
+    Raises:
+        ParameterError: numba is not installed, or something is a function of one's own.
+    """
+    try:
+        from canhaptic.haptics.network.compiled_group import CompiledGroup
+    except ImportError as error:
+        raise ParameterError(
+            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
+        ) from error
+    return CompiledGroup(build, kinematics)

@@ -21,8 +21,8 @@ import numba
 import numpy as np
 
 from canhaptic.haptics.balance import EnergyBalance
-from canhaptic.haptics.network.protocol import GroupBalance, GroupController
-from canhaptic.haptics.network.unfolding.group_step import StandIn, Unfolded, unfold
+from canhaptic.haptics.network.protocol import GroupBalance
+from canhaptic.haptics.network.unfolding.group_step import NAMES, StandIn, unfold
 
 _WARMING = 4  # steps after which the state has its shape
 
@@ -54,7 +54,7 @@ class CompiledGroup:
             twin.step(still, still)
         self._unfolded = unfolded = unfold(group, twin)
         self.source = unfolded.source
-        self._run = compiled(unfolded.source)
+        self._run = compiled(unfolded.functions, unfolded.source)
         self._numbers = np.zeros(unfolded.memory.size)
         self._before = np.zeros(unfolded.memory.size)
         self._beside = np.array(unfolded.beside, dtype=np.int64)
@@ -111,26 +111,36 @@ class CompiledGroup:
             self._in_motion = False
 
 
-def compiled(source: str) -> Callable[..., bool]:
-    """Returns the step of a source, from the cache or compiled now."""
+def compiled(functions: str, source: str) -> Callable[..., bool]:
+    """Returns a step, from the cache or compiled now.
+
+    Args:
+        functions: Source of what it calls; compiled once for all networks.
+        source: Of the step.
+    """
+    called = _loaded(functions)
+    function: Callable[..., bool] = _loaded(source.replace(NAMES, f"{NAMES}from {called.__name__} import *\n")).group_step
+    return function
+
+
+def _loaded(source: str) -> Any:
+    """Returns a source as a module with a file, as the cache of numba needs it."""
     digest = hashlib.sha256(f"{numba.__version__} {source}".encode()).hexdigest()[:24]
-    path = _folder() / f"group_{digest}.py"
+    name = f"canhaptic_compiled_{digest}"
+    if name in sys.modules:
+        return sys.modules[name]
+    path = _folder() / f"{name}.py"
     if not path.exists():
         handle, unfinished = tempfile.mkstemp(dir=path.parent)
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(source)
         os.replace(unfinished, path)
-    name = f"canhaptic_{path.stem}"
-    if name in sys.modules:
-        known: Callable[..., bool] = sys.modules[name].group_step
-        return known
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # numba finds the cached function by name
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # numba finds what it has cached by this name
     spec.loader.exec_module(module)
-    function: Callable[..., bool] = module.group_step
-    return function
+    return module
 
 
 def _folder() -> Path:
@@ -143,6 +153,3 @@ def _folder() -> Path:
             return folder
     except OSError:
         return Path(tempfile.mkdtemp(prefix="canhaptic_"))
-
-
-__all__ = ["CompiledGroup", "GroupController", "Unfolded", "compiled"]

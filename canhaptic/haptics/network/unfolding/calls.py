@@ -145,7 +145,9 @@ class Calls(Expressions):
         return self.truth(value)
 
     def _finite(self, _frame: Frame, value: Any) -> Any:
-        return self.writer.computed(f"abs({value.name}) < inf", "bool") if isinstance(value, Var) else math.isfinite(value)
+        return (
+            self.writer.computed(f"abs({value.name}) < inf", "bool") if isinstance(value, Var) else math.isfinite(value)
+        )
 
     def _of_math(self, name: str) -> Callable[..., Any]:
         def written(_frame: Frame, value: Any) -> Any:
@@ -166,8 +168,10 @@ class Calls(Expressions):
 
     def _fsum(self, frame: Frame, value: Any) -> Any:
         entries = tuple(self.items(value, frame))
-        return math.fsum(entries) if is_plain(entries) else self.writer.computed(
-            f"exact_sum({self._argument(entries)})", "float"
+        return (
+            math.fsum(entries)
+            if is_plain(entries)
+            else self.writer.computed(f"exact_sum({self._argument(entries)})", "float")
         )
 
 

@@ -249,9 +249,7 @@ class Expressions:
     def _generatorexp(self, node: ast.GeneratorExp, frame: Frame) -> Any:
         return self.cell(list(self._comprehended(node.elt, node.generators, frame)))
 
-    def _comprehended(
-        self, element: ast.expr, generators: list[ast.comprehension], frame: Frame
-    ) -> Iterator[Any]:
+    def _comprehended(self, element: ast.expr, generators: list[ast.comprehension], frame: Frame) -> Iterator[Any]:
         inner = Frame(dict(frame.names), frame.outer, frame.where)
         for item in self.items(self.value(generators[0].iter, inner), inner):
             self.bind(generators[0].target, item, inner)
@@ -305,7 +303,13 @@ class Expressions:
         if isinstance(owner, Array) and is_scalar(value):
             self.writer.write(f"{owner.name}[{text_of(index)}] = {text_of(value)}")
         elif isinstance(owner, Cell) and isinstance(index, SCALARS):
-            self.writer.state.lists[owner][index] = value
+            self.writer.state.lists[owner][int(index)] = value
+        elif isinstance(owner, Cell) and isinstance(index, Var) and is_scalar(value):
+            entries = self.writer.state.lists[owner]
+            for i, entry in enumerate(entries):
+                floating = "float" in (kind_of(entry), kind_of(value))
+                text = f"{text_of(value)} if {index.name} == {i} else {text_of(entry)}"
+                entries[i] = self.writer.computed(text, "float" if floating else "int")
         else:
             raise self.refuse(target, frame)
 

@@ -26,15 +26,16 @@ from canhaptic.haptics.network.unfolding.writer import Frame
 from canhaptic.haptics.velocity import AdaptiveWindow
 from canhaptic.parameters import Parameters
 
-_HEAD: Final = '''"""Written from the source of a group of axes; numba compiles it."""
-from __future__ import annotations
+NAMES: Final = '''from __future__ import annotations
 import math
 from math import cos, exp, hypot, inf, sin, sqrt
+from typing import Any
 from numba import njit
 from canhaptic.haptics.network.step import Room
-from canhaptic.haptics.network.tables import Tables
-
-@njit(error_model="python")
+from canhaptic.haptics.network.tables import Matrix, Tables, Vector
+'''
+_FUNCTIONS: Final = '''
+@njit(error_model="python", cache=True)
 def exact_sum(values):
     total = error = 0.0
     for term in values:
@@ -44,20 +45,20 @@ def exact_sum(values):
         error += (before - (total - part)) + (term - part)
     return total + error
 
-@njit(error_model="python")
+
+@njit(error_model="python", cache=True)
 def length_of(values):
     total = 0.0
     for value in values:
         total += value * value
     return sqrt(total)
 '''
-_STEP: Final = '''
+_STEP: Final = """
 @njit("boolean(float64[::1], float64[::1], int64[::1])", cache=True, error_model="python")
 def group_step(numbers, before, beside):
     for k in range(numbers.size):
         before[k] = numbers[k]
-'''
-_LOOPS: Final = ("_next", "_ahead", "state")
+"""
 _KEPT: Final = {SampledNetwork: ("state", "_next", "_ahead"), AdaptiveWindow: ("_ring",)}
 
 
@@ -91,7 +92,8 @@ class StandIn:
 class Unfolded(NamedTuple):
     """A step as text, and its array."""
 
-    source: str
+    functions: str  # of networks, as they are
+    source: str  # of the step; it calls them
     memory: Memory
     constants: dict[int, list[float]]  # first entry -> numbers of the network that never change
     beside: list[int]
@@ -161,9 +163,9 @@ def unfold(group: Any, twin: Any) -> Unfolded:
     outputs = memory.take(len(values))
     stores += [f"numbers[{outputs + i}] = {as_kind(value, 'float')}" for i, value in enumerate(values)]
     body = [*lines, *loads, *walk.writer.lines, *stores, "return True"]
-    source = _HEAD + _functions() + _STEP + "".join(f"    {line}\n" for line in body)
+    source = NAMES + _STEP + "".join(f"    {line}\n" for line in body)
     kinds = tuple(kind_of(value) for value in values)
-    return Unfolded(source, memory, constants, [int(b) for b in network.tables.beside] or [-1], outputs, kinds)
+    return Unfolded(NAMES + _FUNCTIONS + _functions(), source, memory, constants, [int(b) for b in network.tables.beside] or [-1], outputs, kinds)
 
 
 _READ: Final = {"float": "numbers[{}]", "int": "int(numbers[{}])", "bool": "numbers[{}] != 0.0"}
@@ -262,7 +264,9 @@ def _constants(memory: Memory, network: SampledNetwork) -> tuple[dict[int, list[
 
 def _functions() -> str:
     """Returns the functions of `tables` and `step`, each after those that it calls, as they are."""
-    text = "".join(f"{name} = {value!r}\n" for name, value in vars(step).items() if name.isupper() or name[1:].isupper())
+    text = "".join(
+        f"{name} = {value!r}\n" for name, value in vars(step).items() if name.isupper() or name[1:].isupper()
+    )
     functions = [f for module in (tables, step) for f in vars(module).values() if _is_own(f, module)]
     waiting = {f.__name__: f for f in functions}
     order: list[Any] = []
@@ -278,7 +282,7 @@ def _functions() -> str:
     for function in functions:
         visit(function)
     wanted = [f for f in order if f.__name__ != "new_room"]
-    return text + "".join(f'\n@njit(error_model="python")\n{inspect.getsource(f)}' for f in wanted)
+    return text + "".join(f'\n@njit(error_model="python", cache=True)\n{inspect.getsource(f)}' for f in wanted)
 
 
 def _is_own(value: Any, module: ModuleType) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from canhaptic.haptics.network.unfolding.values import Array, Cell, CannotUnfoldError, Var
+from canhaptic.haptics.network.unfolding.values import Array, CannotUnfoldError, Cell, Var, is_plain
 
 _PACKAGE = "canhaptic."
 
@@ -43,7 +43,7 @@ class Memory:
         self.slots: dict[tuple[int, str], Slot] = {}
         self.blocks: dict[int, Block] = {}
         self.parameters: dict[int, float] = {}
-        self._lifted: dict[tuple[int, str], Any] = {}
+        self._lifted: dict[tuple[int, str], tuple[Any, Any]] = {}
 
     def take(self, count: int) -> int:
         """Returns the first of some free entries."""
@@ -67,12 +67,12 @@ class Memory:
 
         Zeros, ones and infinities stay: they say what is there at all.
         """
-        if type(value) not in (float, tuple, list):
+        if type(value) not in (float, tuple, list) or not is_plain(value):
             return value
         key = (id(owner), name)
         if key not in self._lifted:
-            self._lifted[key] = self._of_parameters(value)
-        return self._lifted[key]
+            self._lifted[key] = (owner, self._of_parameters(value))  # the owner stays, and its identity with it
+        return self._lifted[key][1]
 
     def _of_parameters(self, value: Any) -> Any:
         if type(value) in (tuple, list):

@@ -169,7 +169,11 @@ class Statements(Calls):
             for key, var in carried.items():
                 self.writer.write(f"{var.name} = {as_kind(self._of(key, frame), var.kind)}")
                 self._set(key, var, frame)
-            head, outer, found = self.writer.lines, self.writer.state.copy(), self._turn(span, statement, frame, carried)
+            head, outer, found = (
+                self.writer.lines,
+                self.writer.state.copy(),
+                self._turn(span, statement, frame, carried),
+            )
             if not found:
                 break
             carried |= found

@@ -155,9 +155,7 @@ class Writer:
         if isinstance(a, Cell) and isinstance(b, Cell):
             if len(lists[0][a]) != len(lists[1][b]):
                 return MIXED
-            entries = [
-                self._joined(x, y, sides, lists, done) for x, y in zip(lists[0][a], lists[1][b], strict=True)
-            ]
+            entries = [self._joined(x, y, sides, lists, done) for x, y in zip(lists[0][a], lists[1][b], strict=True)]
             cell = Cell()
             self.state.lists[cell] = entries
             return cell
