@@ -10,16 +10,15 @@ A PART is a key, or the name of one of the `rows` of a benchmark.
 """
 
 import ast
-import json
 import re
 import sys
-from functools import cache
 from pathlib import Path
 from textwrap import fill
 from typing import Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.view.si import si
+from tools.fill_numbers import value_at
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 SOURCE: Final = ROOT / "tools" / "paper_page.md"
@@ -32,16 +31,6 @@ _AS_WRITTEN: Final = ("|", "#", "!", "```")
 """How blocks begin that are not a paragraph."""
 
 
-@cache
-def _result(name: str) -> Any:
-    path = ROOT / "docs" / "results" / f"{name}.json"
-    if not path.is_file():
-        raise InputError(
-            f"{SOURCE.name}: no result {path.name}, expected one of docs/results; make it or mend the mark"
-        )
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
 def number(place: str) -> float:
     """Returns a number of docs/results.
 
@@ -51,18 +40,13 @@ def number(place: str) -> float:
     Raises:
         InputError: There is none.
     """
-    name, *parts = place.split("#")
-    found = _result(name)
-    for part in parts:
-        rows = found.get("rows") if isinstance(found, dict) else None
-        if rows is not None:
-            found = {row["row"]: row for row in rows}
-        if not isinstance(found, dict) or part not in found:
-            raise InputError(f"{SOURCE.name}: {place}: nothing is called {part!r} there; mend the mark")
-        found = found[part]
-    if isinstance(found, bool) or not isinstance(found, int | float):
-        raise InputError(f"{SOURCE.name}: {place}: got {found!r}, expected a number; mend the mark")
-    return found
+    try:
+        value = value_at(place)
+    except InputError as error:
+        raise InputError(f"{SOURCE.name}: {error}") from error
+    if isinstance(value, str):
+        raise InputError(f"{SOURCE.name}: {place}: got {value!r}, expected a number; mend the mark")
+    return value
 
 
 def _shown(mark: str) -> str:
