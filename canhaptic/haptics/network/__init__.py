@@ -1,7 +1,8 @@
 """Port-Hamiltonian networks on several motor axes: the tables that name them, and the controller of a group of axes."""
 
-from collections.abc import Callable, Sequence
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 from canhaptic.errors import ParameterError
 from canhaptic.haptics.kinematics.protocol import Kinematics
@@ -66,22 +67,39 @@ def build_group_controller(
             f"expected {algorithm.parameters_type.__name__}"
         )
     if algorithm_name in _WHOLE and getattr(parameters, "compiled", False):
-        interpreted = parameters.model_copy(update={"compiled": False})
-        return _compiled(lambda mechanism: algorithm(environment, mechanism, interpreted, tuple(loops)), kinematics)
+        return _compiled(algorithm, environment, kinematics, parameters, tuple(loops))
     controller: GroupController = algorithm(environment, kinematics, parameters, tuple(loops))
     return controller
 
 
-def _compiled(build: Callable[[Kinematics], GroupController], kinematics: Kinematics) -> GroupController:
-    """Returns a controller whose whole step is compiled.
+def _compiled(
+    algorithm: Any, environment: NetworkEnvironment, kinematics: Kinematics, parameters: Parameters,
+    loops: tuple[LoopProperties, ...],
+) -> GroupController:  # fmt: skip
+    """Returns a controller whose whole step is compiled; only its equation, where the rest has no compiled form.
 
     Raises:
-        ParameterError: numba is not installed, or something is a function of one's own.
+        ParameterError: numba is not installed, or the network has energies given as functions.
     """
     try:
         from canhaptic.haptics.network.compiled_group import CompiledGroup
+        from canhaptic.haptics.network.unfolding.values import CannotUnfoldError
     except ImportError as error:
         raise ParameterError(
             f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
         ) from error
-    return CompiledGroup(build, kinematics)
+    interpreted = parameters.model_copy(update={"compiled": False})
+    try:
+        return CompiledGroup(lambda mechanism: algorithm(environment, mechanism, interpreted, loops), kinematics)
+    except CannotUnfoldError as error:
+        controller: GroupController = algorithm(environment, kinematics, parameters, loops)
+        _REASONS[controller] = f"{error}; only the equation of the network is compiled"
+        return controller
+
+
+_REASONS: Final[WeakKeyDictionary[GroupController, str]] = WeakKeyDictionary()
+
+
+def why_interpreted(controller: GroupController) -> str:
+    """Returns why the step of a controller asked to be `compiled` is not; empty where it is, or was not asked to be."""
+    return _REASONS.get(controller, "")

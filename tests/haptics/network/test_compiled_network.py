@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from networks import EXAMPLE, Table, group, random_network, rendered
+from networks import random_network
 
 from canhaptic.errors import ParameterError
 from canhaptic.haptics.network.model import Network, UserEnergy
@@ -30,27 +30,7 @@ def test_a_compiled_network_moves_as_the_interpreted_one():
             assert pair[1].evaluations == pair[0].evaluations
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_a_compiled_group_renders_what_the_interpreted_one_does():
-    torques = []
-    for compiled in (False, True):
-        controller = group(EXAMPLE, delay=1, compiled=compiled)
-        plant = Table(1e-3, lambda t, q, v, _f: -200.0 * (q - 0.02 * t) - 3.0 * v, longest=5e-4)
-        found = []
-        rendered(controller, plant, 200, 1, lambda balance, _plant, into=found: into.append(balance.torques[0]))
-        torques.append(found)
-    assert max(abs(t) for t in torques[0]) > 0.1
-    assert torques[1] == pytest.approx(torques[0], rel=1e-9, abs=1e-9)
-
-
 def test_energies_given_as_functions_are_not_compiled():
     network = Network([UserEnergy(1, lambda x: 50.0 * x[0] ** 2, lambda x: [100.0 * x[0]])], gain=[[1.0]])
     with pytest.raises(ParameterError, match="leave it out"):
         SampledNetwork(network, 1e-3, compiled=True)
-
-
-def test_without_numba_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "canhaptic.haptics.network.compiled", None)
-    with pytest.raises(ParameterError, match=r"canhaptic\[fast\]"):
-        group(EXAMPLE, compiled=True)
