@@ -110,7 +110,7 @@ def path_of(name, axes, count):
     *middle, reach = REACHES.get(name, (*(0.0,) * axes, 0.01))
 
     def positions(k):
-        found = [m + reach * math.sin((0.02 + 0.003 * i) * k + i) for i, m in enumerate(middle)]
+        found = [m + reach * math.sin((0.04 + 0.013 * i) * k + i) for i, m in enumerate(middle)]
         return [count * round(p / count) for p in found] if count else found
 
     return positions
