@@ -8,6 +8,7 @@ import numpy as np
 from canhaptic.study.batch.layout import Layout, known_values, widened
 from canhaptic.study.batch.nodes import Node
 from canhaptic.study.batch.program import Program
+from canhaptic.study.batch.rings import Body, below
 from canhaptic.study.loop import Array
 
 BLOCK: Final = 64
@@ -36,7 +37,7 @@ class NumpyForm:
         self._writer = _Writer(self.layout)
         self.source = self._writer.source()
         names: dict[str, Any] = {name: getattr(np, name) for name in _CALLS.values()}
-        names |= {"where": np.where, "copyto": np.copyto}
+        names |= {"where": np.where, "copyto": np.copyto, "flatnonzero": np.flatnonzero, "some": _some}
         exec(compile(self.source, "<batch>", "exec"), names)
         self._cycles = names["cycles"]
 
@@ -89,19 +90,29 @@ class NumpyForm:
 
 def _rows(count: int) -> tuple[Callable[..., Any], ...]:
     """Returns what copies a value, what reads and what changes entries of a list that every scene has of its own."""
-    lanes = np.arange(count)
+    every = np.arange(count)
 
     def fresh(value: Any) -> Any:
         return np.array(np.broadcast_to(value, (count,)))
 
-    def get(rows: Any, index: Any) -> Any:
+    def get(rows: Any, index: Any, lanes: Any = every) -> Any:
+        if np.ndim(index) == 0:
+            return rows[int(index), lanes]
         return rows[np.clip(index, 0, len(rows) - 1).astype(np.intp), lanes]  # clipped where no scene looks
 
     def put(rows: Any, index: Any, value: Any, path: Any) -> None:
-        places = np.broadcast_to(np.asarray(index).astype(np.intp), (count,))
-        rows[places, lanes] = np.where(path, value, rows[places, lanes])
+        if np.ndim(index) == 0:
+            np.copyto(rows[int(index)], value, where=path)
+            return
+        places = index.astype(np.intp)
+        rows[places, every] = np.where(path, value, rows[places, every])
 
     return fresh, get, put
+
+
+def _some(value: Any, rows: Any) -> Any:
+    """Returns what some scenes have of a value that may be one for all."""
+    return value[rows] if np.ndim(value) else value
 
 
 class _Writer:
@@ -112,6 +123,10 @@ class _Writer:
         self.buffers: list[str] = []
         self._free: dict[bool, list[str]] = {False: [], True: []}
         self._name: dict[Node, str] = {}
+        self._outs: dict[Node, list[int]] = {}  # variables of a loop that something uses
+        for node in layout.steps:
+            if node.op == "out":
+                self._outs.setdefault(node.args[0], []).append(node.value)
         program = layout.program
         graph = program.out.graph
         self._state = [f"s{i}" for i in range(len(layout.states))]
@@ -172,25 +187,35 @@ class _Writer:
         return [self._line(node, args)]
 
     def _loop(self, node: Node, args: list[str]) -> list[str]:
-        """Returns the lines of a loop: passes for all scenes, until none has another; what ended keeps its values."""
+        """Returns the lines of a loop: each pass for the scenes that have one, fewer and fewer of them."""
         body, own = node.value, f"q{node.number}"
         self._name[node] = own
-        names = [f"{own}_{i}" for i in range(len(body.variables))]
-        inside = dict(zip(body.variables, names, strict=True))
-        lines = [f"{name} = fresh({value})" for name, value in zip(names, args, strict=False)]
-        lines.append(f"while {names[0]}.any():")
-        for part in body.inside():
+        wanted = self._outs.get(node, [])
+        kept = _carried(body, wanted)
+        name = {i: f"{own}v{i}" for i in kept}
+        lines = [f"{own}_{i} = fresh({args[i]})" for i in wanted]
+        lines += [f"{own}r = flatnonzero({args[0]})"]
+        lines += [f"{name[i]} = some({args[i]}, {own}r)" for i in kept]
+        inside = {body.variables[i]: name[i] for i in kept}
+        parts = [node for node in below([body.then[i] for i in kept]) if node in {*body.inside()}]
+        captured = []
+        for arg in sorted(
+            {arg for part in parts for arg in part.args} & self._layout.lanes, key=lambda arg: arg.number
+        ):
+            if arg in self._name and arg not in inside and not arg.is_rows:
+                inside[arg] = f"{own}c{arg.number}"
+                captured.append(inside[arg])
+                lines.append(f"{inside[arg]} = some({self._name[arg]}, {own}r)")
+        lines += [f"{own}a = some({args[0]}, {own}r)", f"while {own}r.size:"]
+        for part in parts:
             operands = [inside.get(arg) or self._text(arg) for arg in part.args]
             inside[part] = f"{own}t{part.number}"
-            call = (
-                f"get({', '.join(operands)})"
-                if part.op == "load"
-                else f"{_CALLS.get(part.op, 'where')}({', '.join(operands)})"
-            )
-            lines.append(f"    {inside[part]} = {call}")
-        then = [inside.get(value) or self._text(value) for value in body.then]
-        turned = [f"where({names[0]}, {value}, {name})" for name, value in zip(names[1:], then[1:], strict=True)]
-        lines.append(f"    {', '.join(names)}, = {names[0]} & {then[0]}, {', '.join(turned)},")
+            call = "get" if part.op == "load" else _CALLS.get(part.op, "where")
+            lanes = f", {own}r" if part.op == "load" else ""
+            lines.append(f"    {inside[part]} = {call}({', '.join(operands)}{lanes})")
+        then = [inside.get(body.then[i]) or self._text(body.then[i]) for i in kept]
+        lines.append(f"    {', '.join(name.values())}, = {', '.join(then)},")
+        lines += [f"    {line}" for line in _ended(own, [*name.values(), *captured], wanted)]
         return lines
 
     def _text(self, node: Node) -> str:
@@ -234,6 +259,32 @@ class _Writer:
         if takes:
             lines.append(f"{', '.join(takes)}, = {', '.join(gives)},")
         return lines
+
+
+def _carried(body: Body, wanted: list[int]) -> list[int]:
+    """Returns the variables of a loop on which its passes or what is wanted of it depend."""
+    kept = {0, *wanted}
+    while True:
+        used = {*below([body.then[i] for i in kept])}
+        more = kept | {i for i, variable in enumerate(body.variables) if variable in used}
+        if more == kept:
+            return sorted(kept)
+        kept = more
+
+
+def _ended(own: str, names: list[str], wanted: list[int]) -> list[str]:
+    """Returns the lines that keep what the scenes have that end with a pass, and leave them out now and then."""
+    rows, alive = f"{own}r", f"{own}a"
+    return [
+        f"over = flatnonzero({alive} > {names[0]})",
+        "if over.size:",
+        *(f"    {own}_{i}[{rows}[over]] = some({own}v{i}, over)" for i in wanted),
+        f"    {alive} = {alive} & {names[0]}",
+        f"    left = flatnonzero({alive})",
+        f"    if 4 * left.size < 3 * {rows}.size:",
+        f"        {rows}, {alive} = {rows}[left], {alive}[left]",
+        *(f"        {name} = some({name}, left)" for name in names),
+    ]
 
 
 def _literal(value: Any) -> str:
