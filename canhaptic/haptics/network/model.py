@@ -79,16 +79,24 @@ class Network:
         if self.ports == 0:
             raise ParameterError("network: gain has no columns, expected one for each port; nobody could touch it")
         self.structure_at = structure if callable(structure) else None
-        constant = _zeros(n, n) if structure is None else structure([0.0] * n) if callable(structure) else structure
-        check_skew(constant, n)
-        if self.structure_at is not None:
-            self._check_function(self.structure_at)
         dampers = [d for each in dissipators for d in (each.elements() if isinstance(each, DampingMatrix) else [each])]
-        self.tables = self._tabled(list(storages), dampers, constant, gain)
+        self.tables = self._tabled(list(storages), dampers, self._constant(structure), gain)
         self.user = UserEnergies.of(storages)
         if origin is not None:
             check_rows("origin", origin, n, self.ports)
         self.origin = [list(row) for row in (self._natural_origin() if origin is None else origin)]
+
+    def _constant(self, structure: Rows | Callable[[Sequence[float]], Rows] | None) -> Rows:
+        """Returns J, or that of a function at the state 0, after checking that it is skew."""
+        n = self.states
+        if callable(structure):
+            chance = np.random.default_rng(0)
+            for _ in range(8):
+                check_skew(structure([float(v) for v in chance.normal(size=n)]), n)
+            structure = structure([0.0] * n)
+        constant: Rows = _zeros(n, n) if structure is None else structure
+        check_skew(constant, n)
+        return constant
 
     def _natural_origin(self) -> Rows:
         tables = self.tables
@@ -101,11 +109,6 @@ class Network:
             else tables.gain[i]
             for i in range(self.states)
         ]
-
-    def _check_function(self, structure_at: Callable[[Sequence[float]], Rows]) -> None:
-        chance = np.random.default_rng(0)
-        for _ in range(8):
-            check_skew(structure_at([float(v) for v in chance.normal(size=self.states)]), self.states)
 
     def _tabled(
         self, storages: list[Storage | UserEnergy], dampers: list[Damper], structure: Rows, gain: Rows
