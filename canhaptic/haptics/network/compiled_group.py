@@ -62,7 +62,7 @@ class CompiledGroup:
             self._numbers[first : first + len(values)] = values
         for first, value in unfolded.memory.parameters.items():
             self._numbers[first] = value
-        self._view = memoryview(self._numbers)
+        self._view: Any = memoryview(self._numbers.data)
         self._out = unfolded.outputs
         self._in_motion = False
 
@@ -119,7 +119,9 @@ def compiled(functions: str, source: str) -> Callable[..., bool]:
         source: Of the step.
     """
     called = _loaded(functions)
-    function: Callable[..., bool] = _loaded(source.replace(NAMES, f"{NAMES}from {called.__name__} import *\n")).group_step
+    function: Callable[..., bool] = _loaded(
+        source.replace(NAMES, f"{NAMES}from {called.__name__} import *\n")
+    ).group_step
     return function
 
 
@@ -146,7 +148,7 @@ def _loaded(source: str) -> Any:
 def _folder() -> Path:
     """Returns where sources and compiled functions are kept; a fresh folder where no other can be written."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    folder = Path(numba.config.CACHE_DIR or home) / "canhaptic"
+    folder = Path(getattr(numba.config, "CACHE_DIR", "") or home) / "canhaptic"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

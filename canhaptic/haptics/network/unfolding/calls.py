@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from canhaptic.haptics.network.tables import Tables
 from canhaptic.haptics.network.step import Room
+from canhaptic.haptics.network.tables import Tables
 from canhaptic.haptics.network.unfolding.expressions import Expressions
 from canhaptic.haptics.network.unfolding.values import (
     Array,
@@ -27,13 +27,14 @@ class Calls(Expressions):
 
     def known_call(self, function: Any) -> Callable[..., Any] | None:
         """Returns how a function of Python is written; None for any other."""
-        return {
+        table: dict[Any, Callable[..., Any]] = {
             len: self._len, range: self._range, zip: self._zip, enumerate: self._enumerate, tuple: self._as_tuple,
             list: self._as_list, sum: self._sum, min: self._least, max: self._most, any: self._any, all: self._all,
             abs: self._abs, int: self._int, float: self._float, bool: self._bool, math.sqrt: self._of_math("sqrt"),
             math.sin: self._of_math("sin"), math.cos: self._of_math("cos"), math.exp: self._of_math("exp"),
             math.isfinite: self._finite, math.hypot: self._hypot, math.fsum: self._fsum,
-        }.get(function)  # fmt: skip
+        }  # fmt: skip
+        return table.get(function)
 
     def opaque(self, name: str, args: Sequence[Any], kind: str) -> Any:
         """Writes a call of a function that is compiled as it is; returns its result, None where it has none."""

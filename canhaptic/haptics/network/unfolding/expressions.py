@@ -161,20 +161,19 @@ class Expressions:
         if isinstance(a, Cell) or isinstance(b, Cell):
             return self._of_lists(sign, a, b)
         if not isinstance(a, Var) and not isinstance(b, Var):
-            if sign in ("==", "!=") and isinstance(a, tuple) and not (is_plain(a) and is_plain(b)):
-                return self._equal_tuples(sign, a, b)
-            return function(a, b)
+            known = sign not in ("==", "!=") or not isinstance(a, tuple) or (is_plain(a) and is_plain(b))
+            return function(a, b) if known else self._equal_tuples(sign, a, b)
         if not (is_scalar(a) and is_scalar(b)):
-            if sign in ("is", "is not"):
-                return sign == "is not"
-            raise CannotUnfoldError(f"compiled: {a!r} {sign} {b!r} has no form of plain numbers")
-        if sign in ("==", "!=") and ((known_other(a, b)) or known_other(b, a)):
+            if sign not in ("is", "is not"):
+                raise CannotUnfoldError(f"compiled: {a!r} {sign} {b!r} has no form of plain numbers")
+            return sign == "is not"
+        if sign in ("==", "!=") and (known_other(a, b) or known_other(b, a)):
             return sign == "!="
         whole = kind_of(a) != "float" and kind_of(b) != "float"
         kind = "bool" if sign in _COMPARING else "int" if whole and sign != "/" else "float"
-        if sign == "**" and b == 2:
-            return self.writer.computed(f"{text_of(a)} * {text_of(a)}", kind)
-        return self.writer.computed(f"{text_of(a)} {sign} {text_of(b)}", kind)
+        square = sign == "**" and b == 2
+        text = f"{text_of(a)} * {text_of(a)}" if square else f"{text_of(a)} {sign} {text_of(b)}"
+        return self.writer.computed(text, kind)
 
     def _of_lists(self, sign: str, a: Any, b: Any) -> Any:
         lists = self.writer.state.lists

@@ -26,15 +26,15 @@ from canhaptic.haptics.network.unfolding.writer import Frame
 from canhaptic.haptics.velocity import AdaptiveWindow
 from canhaptic.parameters import Parameters
 
-NAMES: Final = '''from __future__ import annotations
+NAMES: Final = """from __future__ import annotations
 import math
 from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Any
 from numba import njit
 from canhaptic.haptics.network.step import Room
 from canhaptic.haptics.network.tables import Matrix, Tables, Vector
-'''
-_FUNCTIONS: Final = '''
+"""
+_FUNCTIONS: Final = """
 @njit(error_model="python", cache=True)
 def exact_sum(values):
     total = error = 0.0
@@ -52,7 +52,7 @@ def length_of(values):
     for value in values:
         total += value * value
     return sqrt(total)
-'''
+"""
 _STEP: Final = """
 @njit("boolean(float64[::1], float64[::1], int64[::1])", cache=True, error_model="python")
 def group_step(numbers, before, beside):
@@ -165,7 +165,15 @@ def unfold(group: Any, twin: Any) -> Unfolded:
     body = [*lines, *loads, *walk.writer.lines, *stores, "return True"]
     source = NAMES + _STEP + "".join(f"    {line}\n" for line in body)
     kinds = tuple(kind_of(value) for value in values)
-    return Unfolded(NAMES + _FUNCTIONS + _functions(), source, memory, constants, [int(b) for b in network.tables.beside] or [-1], outputs, kinds)
+    return Unfolded(
+        NAMES + _FUNCTIONS + _functions(),
+        source,
+        memory,
+        constants,
+        [int(b) for b in network.tables.beside] or [-1],
+        outputs,
+        kinds,
+    )
 
 
 _READ: Final = {"float": "numbers[{}]", "int": "int(numbers[{}])", "bool": "numbers[{}] != 0.0"}

@@ -106,6 +106,7 @@ class Memory:
             _fill(getattr(block.owner, block.name), numbers[block.first : block.first + int(np.prod(block.shape))])
 
 
+_CHANGING: dict[type, frozenset[str]] = {}
 _ABSENT = object()
 _TELLING = (0.0, 1.0, -1.0, inf, -inf)
 _TYPES = {"float": float, "int": int, "bool": bool}
@@ -191,9 +192,10 @@ def source_of(function: Any) -> ast.FunctionDef:
     return parsed
 
 
-@cache
 def changing(owner: type) -> frozenset[str]:
     """Returns the attributes that the methods of a class assign, but for those that make it."""
+    if owner in _CHANGING:
+        return _CHANGING[owner]
     names = set()
     for base in owner.__mro__:
         if not base.__module__.startswith(_PACKAGE):
@@ -207,4 +209,5 @@ def changing(owner: type) -> frozenset[str]:
                     if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
                     and isinstance(node.value, ast.Name) and node.value.id == "self"
                 }  # fmt: skip
-    return frozenset(names)
+    _CHANGING[owner] = frozenset(names)
+    return _CHANGING[owner]

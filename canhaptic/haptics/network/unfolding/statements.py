@@ -3,6 +3,7 @@
 import ast
 import inspect
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import FunctionType, MethodType
 from typing import Any, Final, NamedTuple
 
@@ -52,17 +53,14 @@ class Statements(Calls):
         known = self.known_call(function) if not isinstance(function, (MethodType, FunctionType)) else None
         if known is not None:
             return known(frame, *args, **keywords)
-        if isinstance(function, type) and issubclass(function, tuple):
-            return function(*args, **keywords)
         if isinstance(function, FunctionType) and function.__module__ in _AS_THEY_ARE:
             kind = function.__annotations__["return"]
             return self.opaque(function.__name__, args, "None" if kind is None else kind.__name__)
-        if isinstance(function, MethodType):
-            return self._inside(function.__func__, [function.__self__, *args], keywords)
-        if isinstance(function, FunctionType):
-            return self._inside(function, args, keywords)
-        if is_plain(tuple(args)) and not keywords:
-            return function(*args)
+        if isinstance(function, (FunctionType, MethodType)):
+            bound = [function.__self__] if isinstance(function, MethodType) else []
+            return self._inside(getattr(function, "__func__", function), [*bound, *args], keywords)
+        if (isinstance(function, type) and issubclass(function, tuple)) or is_plain((*args, *keywords.values())):
+            return function(*args, **keywords)
         raise CannotUnfoldError(f"compiled: {frame.where}: {function!r} has no form of plain numbers")
 
     def _list_method(self, method: CellMethod, args: list[Any], frame: Frame) -> Any:
@@ -88,30 +86,34 @@ class Statements(Calls):
             rest = body[index + 1 :]
             if _raises(body[index:]):
                 return self.writer.bail()
-            if isinstance(statement, ast.Return):
-                return None if statement.value is None else self.value(statement.value, frame)
-            if isinstance(statement, (ast.Break, ast.Continue)):
-                if loop is None:
-                    raise self.refuse(statement, frame)
-                return (loop.out if isinstance(statement, ast.Break) else loop.again)()
+            if isinstance(statement, (ast.Return, ast.Break, ast.Continue)):
+                return self._leave(statement, frame, loop)
             if isinstance(statement, ast.If):
-                truth = self.truth(self.value(statement.test, frame))
-                if not isinstance(truth, Var):
-                    return self.run([*(statement.body if truth else statement.orelse), *rest], frame, follow, loop)
-                found = self._if(truth, statement, rest, frame, follow, loop)
+                found = self._if(statement, rest, frame, follow, loop)
                 if found is not THROUGH or _leaves(statement):
                     return found
-                continue
-            if isinstance(statement, ast.For):
-                return self._for(statement, frame, lambda rest=rest: self.run(rest, frame, follow, loop))
-            if isinstance(statement, ast.Try):
+            elif isinstance(statement, ast.For):
+                return self._for(statement, frame, partial(self.run, rest, frame, follow, loop))
+            elif isinstance(statement, ast.Try):
                 return self.run([*statement.body, *rest], frame, follow, loop)
-            self._simple(statement, frame)
+            else:
+                self._simple(statement, frame)
         return follow()
 
-    def _if(
-        self, truth: Var, statement: ast.If, rest: Sequence[ast.stmt], frame: Frame, follow: Follow, loop: Loop | None
-    ) -> Any:
+    def _leave(self, statement: ast.Return | ast.Break | ast.Continue, frame: Frame, loop: Loop | None) -> Any:
+        if isinstance(statement, ast.Return):
+            return None if statement.value is None else self.value(statement.value, frame)
+        if loop is None:
+            raise self.refuse(statement, frame)
+        return (loop.out if isinstance(statement, ast.Break) else loop.again)()
+
+    def _if(self, statement: ast.If, rest: Sequence[ast.stmt], frame: Frame, follow: Follow, loop: Loop | None) -> Any:
+        truth = self.truth(self.value(statement.test, frame))
+        if not isinstance(truth, Var):
+            chosen = statement.body if truth else statement.orelse
+            if _leaves(statement):
+                return self.run([*chosen, *rest], frame, follow, loop)
+            return self.run(chosen, frame, _through, None)
         if _leaves(statement):
             return self.writer.branch(
                 truth,
@@ -182,6 +184,7 @@ class Statements(Calls):
         for key, var in carried.items():
             self._set(key, var, frame)
         self.writer.lines += head
+        assert isinstance(statement.target, ast.Name)
         counter = frame.names[statement.target.id] = Var(self._counter, "int")
         self.writer.nest(f"for {counter.name} in range({text_of(span.first)}, {text_of(span.end)}):", body)
 
@@ -193,12 +196,13 @@ class Statements(Calls):
         self._counter = counter.name
         frame.names[statement.target.id] = counter
         found: dict[Any, Var] = {}
+        place = statement.target.id
 
         def leave(word: str) -> Any:
             moved: list[tuple[str, str]] = []
             for key, value in self._numbers(frame):
                 at_start = start.attributes.get(key[1]) if key[0] == "attribute" else names.get(key[1])
-                if key[1] == statement.target.id or at_start is None or not is_scalar(at_start):
+                if key[1] == place or at_start is None or not is_scalar(at_start):
                     continue
                 if key in carried:
                     if text_of(value) != carried[key].name:
@@ -216,7 +220,9 @@ class Statements(Calls):
         return found
 
     def _numbers(self, frame: Frame) -> list[tuple[Any, Any]]:
-        found = [(("attribute", key), value) for key, value in self.writer.state.attributes.items()]
+        found: list[tuple[Any, Any]] = [
+            (("attribute", key), value) for key, value in self.writer.state.attributes.items()
+        ]
         found += [(("name", key), value) for key, value in frame.names.items()]
         return [(key, value) for key, value in found if is_scalar(value)]
 

@@ -6,8 +6,8 @@ from typing import Any
 from canhaptic.haptics.network.unfolding.values import (
     DEAD,
     MIXED,
-    Cell,
     CannotUnfoldError,
+    Cell,
     Mixed,
     Var,
     as_kind,
@@ -72,7 +72,8 @@ class Writer:
     def branch(self, condition: Var, one: Callable[[], Any], other: Callable[[], Any], frame: Frame) -> Any:
         """Writes both sides of a branch and joins what they leave behind; returns the joined result."""
         lines, names, state = self.lines, dict(frame.names), self.state.copy()
-        self.lines = first = []
+        first: list[str] = []
+        self.lines = first
         results = [one()]
         ends = [(frame.names, self.state)]
         frame.names, self.state, self.lines = names, state, []
