@@ -2,6 +2,8 @@
 
 import json
 import struct
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +12,15 @@ import pytest
 from reference_loop import continuous, user_f, variation
 
 from tools.paper_figures import FIGURES, IMAGES, RESULT, draw, run_all
-from tools.paper_runs import figures_of, record
+from tools.paper_runs import Record, figures_of
 from tools.paper_traps import traps
 
 COMMITTED = json.loads(RESULT.read_text(encoding="utf-8"))
+
+
+@cache
+def runs(name: str) -> Mapping[str, Record]:
+    return run_all(name)
 
 
 def close_to(value: Any) -> Any:
@@ -25,7 +32,7 @@ def close_to(value: Any) -> Any:
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_the_figures_of_today_are_the_committed_ones(name: str) -> None:
-    found = {label: figures_of(taken) for label, taken in run_all(name).items()}
+    found = {label: figures_of(taken) for label, taken in runs(name).items()}
     assert found == close_to(COMMITTED[name])
 
 
@@ -40,7 +47,7 @@ def test_the_figures_of_the_traps_of_today_are_the_committed_ones() -> None:
 def test_the_continuous_wall_of_the_pictures_is_that_of_an_ode_solver(
     name: str, damping: float, wall: float, amplitude: float
 ) -> None:
-    taken = record(FIGURES[name].config)
+    taken = runs(name)["no_delay"]
     times = taken.reference.fine_time
     position, torque = continuous(user_f(amplitude), 100.0, damping, wall, times)
     assert taken.reference.position == pytest.approx(np.interp(taken.time, times, position), abs=1e-7)
@@ -49,7 +56,7 @@ def test_the_continuous_wall_of_the_pictures_is_that_of_an_ode_solver(
 
 @pytest.mark.parametrize("name", ["fig5", "fig8"])
 def test_the_energy_of_a_record_is_that_of_its_torques_and_motions(name: str) -> None:
-    taken = record(FIGURES[name].config)
+    taken = runs(name)["no_delay"]
     booked = -taken.torque[1:] * np.diff(taken.position)
     assert taken.h_i[1:] == pytest.approx(booked, abs=1e-15)
     counts = 1e-6 * (0.5 * np.abs(np.diff(taken.torque, prepend=0.0)).sum() + 0.5 * abs(taken.torque[-1]))
@@ -72,7 +79,7 @@ def test_figure_9_is_the_run_of_figure_8() -> None:
 def test_the_committed_picture_has_the_size_of_one_drawn_today(name: str, tmp_path: Path) -> None:
     committed = IMAGES / FIGURES[name].picture
     drawn = tmp_path / committed.name
-    draw(name, run_all(name), drawn)
+    draw(name, runs(name), drawn)
     assert size_of(committed) == size_of(drawn)
     assert 0.5 < drawn.stat().st_size / committed.stat().st_size < 2.0
     assert committed.stat().st_size < 150_000
