@@ -40,6 +40,8 @@ class LoopCase:
     counts_per_unit: float | None = None  # None: ideal encoder
     torque_quantum: float | None = None  # None: ideal torque [N or N*m]
     torque_limit: float | None = None  # of the drive [N or N*m]
+    device_damping: float = 0.0  # that the device has for certain [N*s/m or N*m*s/rad]
+    device_friction: float = 0.0  # Coulomb friction in motion that the device has for certain [N or N*m]
 
     def controller(self) -> Controller:
         """Returns the algorithm, at rest."""

@@ -57,4 +57,16 @@ def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
         counts_per_unit=axis.parameters.counts_per_unit,
         torque_quantum=None if rated is None else rated * _PER_MILLE,
         torque_limit=axis.parameters.torque_limit,
+        device_damping=_device_damping(axis),
+        device_friction=sum(float(getattr(effect.parameters, "kinetic", 0.0)) for effect in simulation.effects),
     )
+
+
+def _device_damping(axis: AxisScene) -> float:
+    """Returns the damping of the device that is declared, else that of the simulated plant."""
+    if axis.loop.device_damping is not None:
+        return axis.loop.device_damping
+    if axis.simulation is None:
+        return 0.0
+    viscous = (effect for effect in axis.simulation.effects if effect.name == "viscous_friction")
+    return axis.simulation.plant.damping + sum(float(getattr(one.parameters, "damping", 0.0)) for one in viscous)

@@ -22,6 +22,8 @@ class SampledAxis:
         torque_limit: Of the drive; None for none [N or N*m].
         furthest: Distance from the origin that counts as divergence [m or rad].
         last_from: SYNC with which the last part of the run begins.
+        damping_per_time: b / T of the device, for the meter [N/m or N*m/rad].
+        friction: Coulomb friction of the device, for the meter [N or N*m].
 
     Attributes:
         meter: The figures so far.
@@ -40,11 +42,13 @@ class SampledAxis:
         torque_limit: float | None,
         furthest: float,
         last_from: float = 0.0,
+        damping_per_time: float = 0.0,
+        friction: float = 0.0,
     ) -> None:
         self._controller = controller
         self._delay, self._furthest = delay, furthest
         self._counts_per_unit, self._torque_quantum, self._torque_limit = counts_per_unit, torque_quantum, torque_limit
-        self.meter = Meter(environment, last_from)
+        self.meter = Meter(environment, last_from, damping_per_time, friction)
         self.held = self._waiting = self._interaction = self._true_before = 0.0
         self.out = False
 

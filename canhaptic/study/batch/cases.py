@@ -20,6 +20,7 @@ from canhaptic.study.loop import Array, LoopCase
 from canhaptic.study.scenes import loop_case
 
 _RATE: Final = "bus.rate"
+_PLANT_DAMPING: Final = "simulation.plant.damping"
 
 
 def why_not(scene: Scene) -> str:
@@ -113,7 +114,17 @@ def _numbers(
     if _RATE in varied:
         period = np.rint(1e9 / varied[_RATE])
         numbers["loop.sample_time"] = period * 1e-9
+    numbers["damping_per_time"] = _device_damping(case, simulation, varied) / (period * 1e-9)
     return numbers | plant_numbers(simulation, period, varied)
+
+
+def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[str, Array]) -> Array | float:
+    """Returns what the meter takes for certain, as `loop_case` does."""
+    if "passivity.device_damping" in varied:
+        return varied["passivity.device_damping"]
+    if _PLANT_DAMPING in varied and case.loop.device_damping is None:
+        return varied[_PLANT_DAMPING] + (case.device_damping - simulation.plant.damping)
+    return case.device_damping
 
 
 def _case(case: LoopCase, numbers: dict[str, Any]) -> BatchCase:

@@ -24,6 +24,11 @@ METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "cycles": ("SYNCs that the figures are of: all, or those until it diverged", ("cycles",)),
     "interaction": ("true sum(h_i) at the end [J]", ("interaction",)),
     "least_interaction": ("least true sum(h_i) after any hold, eq. 3 [J]", ("least_interaction",)),
+    "least_covered": (
+        "least true sum(h_i) + (b / T) sum(dq^2) + f_c sum|dq| after any hold: with what damping b and Coulomb "
+        "friction f_c of the device dissipate at least; b as declared, else of the simulated plant [J]",
+        ("least_covered",),
+    ),
     "margin": ("least true sum(h_i) less booked sum(h_r) after any hold, eq. 4 [J]", ("margin",)),
     "believed_margin": ("the same as booked [J]", ("believed_margin",)),
     "believed_error": ("largest |believed - true| sum(h_i) after any hold [J]", ("believed_error",)),
@@ -80,15 +85,21 @@ ALL: Final = {**METRICS, **CONTINUOUS}
 class Meter:
     """Running sums and extremes of one axis; energies in [J]. Its attributes are what `METRICS` are made of."""
 
-    def __init__(self, environment: Environment, last_from: float = 0.0) -> None:
+    def __init__(
+        self, environment: Environment, last_from: float = 0.0, damping_per_time: float = 0.0, friction: float = 0.0
+    ) -> None:
         """Begins.
 
         Args:
             environment: That is rendered.
             last_from: SYNC with which the last part of the run begins (`canhaptic.study.figures.last_rows`).
+            damping_per_time: b / T of the device [N/m or N*m/rad].
+            friction: Coulomb friction of the device in motion [N or N*m].
         """
         self._environment, self._last_from = environment, last_from
         self._relaxes = environment.relaxes
+        self._damping_per_time, self._friction = damping_per_time, friction
+        self.true_position = self.lost = self.least_covered = 0.0
         self.interaction = self.least_interaction = self.margin = 0.0
         self.believed = self.dissipated = self.believed_margin = self.believed_error = self.surplus = 0.0
         self.torque = self.torque_peak = self.variation = 0.0
@@ -118,6 +129,10 @@ class Meter:
         self.highest, self.lowest = max(self.highest, true_position), min(self.lowest, true_position)
         self.interaction = interaction
         self.least_interaction = min(self.least_interaction, interaction)
+        moved = true_position - self.true_position if self.cycles > 1.0 else 0.0
+        self.true_position = true_position
+        self.lost += self._damping_per_time * (moved * moved) + self._friction * abs(moved)
+        self.least_covered = min(self.least_covered, interaction + self.lost)
         believed = self.believed = self.believed + balance.h_i
         dissipated = self.dissipated = self.dissipated + balance.h_r
         self.margin = min(self.margin, interaction - dissipated)

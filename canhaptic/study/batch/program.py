@@ -192,6 +192,7 @@ def _axis(lowering: Lowering, numbers: _Numbers, case: BatchCase) -> Any:
         torque_limit=numbers.get("torque_limit"),
         furthest=case.furthest,
         last_from=numbers.get("last_from"),
+        damping_per_time=numbers.get("damping_per_time"),
     )
 
 

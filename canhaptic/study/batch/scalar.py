@@ -95,6 +95,8 @@ def axis_of(case: LoopCase, cycles: int) -> SampledAxis:
         torque_limit=case.torque_limit,
         furthest=FURTHEST,
         last_from=float(last_rows(cycles, case.sample_time_ns * 1e-9).start),
+        damping_per_time=case.device_damping / (case.sample_time_ns * 1e-9),
+        friction=case.device_friction,
     )
 
 

@@ -6,7 +6,8 @@ damping b of the device a sampled wall H(z) is passive for every user if and onl
     b > T / 2 (1 - cos wT) Re{(1 - e^-jwT) H(e^jwT)}
 
 For a spring k without delay that is b > k T / 2. Abbott and Okamura (IEEE Trans. Robotics 21, 2005) add the encoder:
-the Coulomb friction of the device must cover half a count of the spring, k < 2 f_c / count.
+the Coulomb friction of the device must cover half a count of the spring, k < 2 f_c / count: for a wall without a damper
+and without delay, on a device that has such friction; nothing is said of any other.
 """
 
 import math
@@ -29,9 +30,15 @@ JUDGEMENTS: Final = {
     "passive": "true sum(h_i) >= 0",
     "margin": "margin of (4) >= 0",
     "settled": "true sum(h_i) at the end >= 0",
+    "covered": "true sum(h_i) + what the device dissipates >= 0",
 }
 """Name -> what passing means, in words."""
-_ENERGIES: Final = {"passive": "least_interaction", "margin": "margin", "settled": "interaction"}
+_ENERGIES: Final = {
+    "passive": "least_interaction",
+    "margin": "margin",
+    "settled": "interaction",
+    "covered": "least_covered",
+}
 _ANGLES: Final = 4096
 
 
@@ -49,13 +56,13 @@ def usual_judgement(field: Field) -> str:
     """Returns how an algorithm is judged unless the user says otherwise.
 
     The plain wall promises nothing of its port: with what the device dissipates it is stable or not, by the eigenvalues
-    of the loop; where that is not linear, what it gave out in the whole run says whether it goes on shaking. The others
-    are held to what they promise.
+    of the loop; where that is not linear, damping and dry friction of the device must cover at any moment what the port
+    gave out, which is what Abbott and Okamura ask. The others are held to what they promise.
     """
     if (field.controller or field.scene.axes[0].passivity.name) == "direct":
         if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
             return "stable"
-        return "settled" if field.has("interaction") else "passive"
+        return next((name for name in ("covered", "settled") if field.has(_ENERGIES[name])), "passive")
     return "passive" if field.has("least_interaction") else "margin"
 
 
@@ -143,8 +150,8 @@ def theory_at(field: Field, values: Mapping[str, float]) -> Theory:
     device, wall = simulation.plant.damping + viscous, float(getattr(environment, "damping", 0.0))
     colgate = colgate_stiffness(device, wall, scene.bus.sample_time, delay)
     counts = [hint.limit for hint in stability_hints(axis) if "quantisation" in hint.what]
-    friction = counts[0] if counts and counts[0] is not None and math.isfinite(counts[0]) else None
-    return Theory(colgate, friction)
+    friction = counts[0] if counts and counts[0] and math.isfinite(counts[0]) else None
+    return Theory(colgate, friction if delay == 0 and wall == 0.0 else None)
 
 
 def _scene_at(field: Field, values: Mapping[str, float]) -> Scene:

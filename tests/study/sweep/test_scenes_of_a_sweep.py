@@ -191,3 +191,17 @@ def test_medians_and_extremes_of_a_column_read_in_blocks_are_those_of_the_whole(
         assert middle is None or selected.median("margin") == pytest.approx(middle, rel=1e-15, abs=0.0)
         share = selected.share("margin", lambda part: part >= 0.0)
         assert share == pytest.approx(np.mean(values >= 0.0))
+
+
+def test_the_margin_of_guarded_is_short_by_no_more_than_the_counts_of_the_encoder_can_hide(tmp_path):
+    """Booked with true positions it is kept exactly: half a count of error costs that times the travel of the torque."""
+    scene = load_scene(DEMO, ["bus.rate=250", "environment.stiffness=450", "environment.position=0.05"])
+    metrics = ["margin", "believed_margin", "believed_error", "force_variation", "torque_peak"]
+    counts = "axes.0.counts_per_unit=1e5,1e6,1e8"
+    with run(scene, [counts, "bus.rpdo=synchronous,event"], tmp_path / "a.h5", cycles=500, metrics=metrics) as table:
+        figure = {metric: table.figure("handle", metric) for metric in metrics}
+        hidden = 0.5 / table.values("axes.0.counts_per_unit") * (figure["force_variation"] + figure["torque_peak"])
+    assert (figure["believed_error"] <= hidden).all()
+    assert (figure["margin"] >= -hidden).all()
+    assert (figure["believed_margin"] >= -1e-15).all()
+    assert figure["margin"].min() < 0.0
