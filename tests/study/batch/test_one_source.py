@@ -39,7 +39,7 @@ def test_every_environment_is_the_scalar_class_to_the_last_bit(world):
 
 
 @pytest.mark.parametrize("count", [1e-6, 1e-4])
-@pytest.mark.parametrize("hand_force", [0.0, 5.0])
+@pytest.mark.parametrize("hand_force", [pytest.param(0.0, marks=pytest.mark.slow), 5.0])
 def test_windows_over_the_encoder_are_the_scalar_class_to_the_last_bit(count, hand_force):
     for delay in (0, 1):
         case = scalar_case("spring_damper_wall", "guarded", delay=delay, encoder_count=count, hand_force=hand_force,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.scene.models import AxisSimulation, Typed
@@ -23,6 +23,7 @@ BINARY = ("add", "sub", "mul", "max", "min")
 ORDERS = ("lt", "le", "gt", "ge", "eq", "ne")
 
 
+@settings(max_examples=50)
 @given(st.data(), NUMBERS, NUMBERS, st.integers(1, 40))
 def test_a_simplified_expression_has_the_value_of_the_plain_one(data, x, y, size):
     """Operations drawn at random, on placeholders and on floats side by side."""

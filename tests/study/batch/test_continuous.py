@@ -1,0 +1,165 @@
+"""Continuous runs in arrays are those of DOP853 and of the exact machine of the simulation, whatever the scene."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from loops import PLANT, in_arrays, scalar_case
+from test_scenes import demo, many
+
+from canhaptic.haptics.environments import ENVIRONMENTS
+from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.study.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
+from canhaptic.study.batch.cases import loop_in_arrays
+from canhaptic.study.batch.continuous import ContinuousRuns, why_not_continuous
+from canhaptic.study.batch.marching import march
+from canhaptic.study.continuous_ode import integrate
+from canhaptic.study.figures import figures
+from canhaptic.study.loop import render
+from canhaptic.study.reference import continuous_reference
+from canhaptic.study.scenes import environment_of, loop_case, plant_parts
+from canhaptic.study.standard import standard_case
+from canhaptic.tables import load
+
+USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
+BASES: dict[str, dict[str, Any]] = {
+    "spring_damper_wall": {"stiffness": 1.0, "damping": 1.0, "side": "above"},
+    "two_sided_wall": {"stiffness": 1.0, "damping": 1.0, "lower": -1.0, "upper": 1.0},
+    "damper_wall": {"damping": 1.0},
+    "viscous_medium": {"damping": 1.0},
+    "free_space": {},
+}
+
+
+def drawn(world: str, scenes: int, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns numbers of the environment and of plant, hand and bus, of scenes at random."""
+    rng = np.random.default_rng(seed)
+    plant = {
+        "simulation.plant.mass": rng.uniform(0.05, 2.0, scenes),
+        "simulation.plant.damping": rng.uniform(0.0, 2.0, scenes),
+        "simulation.plant.initial_position": rng.uniform(-0.03, 0.03, scenes),
+        "simulation.plant.initial_velocity": rng.uniform(-0.5, 0.5, scenes),
+        "simulation.user.stiffness": 10.0 ** rng.uniform(1.0, 3.5, scenes),
+        "simulation.user.damping": rng.uniform(0.0, 8.0, scenes),
+        "simulation.user.push": rng.uniform(-3.0, 3.0, scenes),
+        "simulation.user.motion.frequency": rng.uniform(0.5, 6.0, scenes),
+        "bus.rate": rng.choice([100.0, 1000.0, 4000.0], scenes),
+    }
+    places = {
+        "position": rng.uniform(-0.02, 0.02, scenes),
+        "lower": rng.uniform(-0.02, 0.0, scenes),
+        "upper": rng.uniform(0.0, 0.02, scenes),
+        "stiffness": 10.0 ** rng.uniform(1.0, 5.0, scenes),
+        "damping": rng.uniform(0.5, 30.0, scenes),
+    }
+    model = load(ENVIRONMENTS, world, "environment").model_fields
+    return {f"environment.{name}": values for name, values in places.items() if name in model}, plant
+
+
+def of_one(numbers: dict[str, Any], prefix: str, row: int) -> dict[str, float]:
+    return {k.removeprefix(prefix): float(v[row]) for k, v in numbers.items() if k.startswith(prefix)}
+
+
+def check(world: str, scenes: int, cycles: int, seed: int, *, by_dop853: bool) -> None:
+    numbers, varied = drawn(world, scenes, seed)
+    kind: Any = load(ENVIRONMENTS, world, "environment")
+    case = standard_case(kind(**BASES[world]), "direct", 1000.0, USER, plant=PLANT)
+    batch = loop_in_arrays(case, PLANT, USER, numbers, varied)
+    runs = ContinuousRuns(batch, batch.numbers, scenes, cycles, with_force=True)
+    position, torque = runs.block(cycles - 1)
+    variation = runs.sums()["continuous"]
+    for i in range(scenes):
+        environment = kind(**{**BASES[world], **of_one(numbers, "environment.", i)})
+        plant = PlantParameters(**of_one(varied, "simulation.plant.", i))
+        hand = of_one(varied, "simulation.user.", i)
+        motion = SinusoidMotion(amplitude=0.03, frequency=hand.pop("motion.frequency"))
+        user, period = UserParameters(**hand, motion=motion), round(1e9 / float(varied["bus.rate"][i]))
+        if by_dop853:
+            times = np.arange(cycles) * period * 1e-9
+            found, _ = integrate(environment, Plant(plant, user, [], period), times)
+            np.testing.assert_allclose(position[:, i], found[1:], rtol=0.0, atol=1e-7 * np.ptp(found), err_msg=f"{i}")
+            continue
+        reference = continuous_reference(environment, plant, user, [], period, cycles)
+        atol = 1e-7 * reference.travel
+        np.testing.assert_allclose(position[:, i], reference.position[1:], rtol=0.0, atol=atol, err_msg=f"{i}")
+        largest = np.abs(reference.torque).max()
+        np.testing.assert_allclose(torque[:, i], reference.torque[1:], rtol=0.0, atol=1e-6 * largest, err_msg=f"{i}")
+        assert variation[i] == pytest.approx(reference.variation, rel=1e-6)
+
+
+@pytest.mark.parametrize("world", BASES)
+def test_continuous_runs_in_arrays_are_those_of_the_exact_machine(world):
+    check(world, 4, 120, 1, by_dop853=False)
+
+
+def test_continuous_walls_in_arrays_are_those_of_dop853():
+    check("two_sided_wall", 3, 120, 2, by_dop853=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", BASES)
+def test_many_continuous_runs_in_arrays_are_those_of_dop853_and_of_the_exact_machine(world):
+    check(world, 40, 500, 3, by_dop853=True)
+    check(world, 100, 500, 4, by_dop853=False)
+
+
+def test_a_graze_inside_of_one_hold_is_met():
+    """Thrown at a wall so that it touches and leaves between two SYNCs, where both ends lie outside."""
+    wall: Any = load(ENVIRONMENTS, "spring_damper_wall", "environment")(stiffness=1e5, damping=0.0)
+    plant = PlantParameters(mass=0.1, damping=0.0, initial_position=5e-3, initial_velocity=-1.0)
+    user = UserParameters(push=1e-9)
+    batch = loop_in_arrays(standard_case(wall, "direct", 50.0, user, plant=plant), plant, user, {})
+    position, _ = ContinuousRuns(batch, batch.numbers, 1, 3, with_force=False).block(2)
+    # in contact for half a period of the spring, then back with the speed it came with
+    left = 5e-3 + np.pi * np.sqrt(0.1 / 1e5)
+    np.testing.assert_allclose(position[:, 0], [0.02 - left, 0.04 - left], rtol=1e-7)
+
+
+@pytest.mark.parametrize("algorithm", ["direct", pytest.param("guarded", marks=pytest.mark.slow)])
+def test_every_metric_of_a_batch_is_that_of_one_scene_beside_its_reference(algorithm):
+    scene, varied = demo(algorithm), many(3)
+    found = run_batch(scene, varied, 700, engine="numpy", metrics=list(ALL))
+    for i in range(3):
+        one = run_scalar(scene_with(scene, {key: float(v[i]) for key, v in varied.items()}), 700, list(ALL))
+        for name in ALL:
+            assert found[name][i] == pytest.approx(one[name], rel=1e-6, abs=1e-10, nan_ok=True), (i, name)
+
+
+@pytest.mark.parametrize("algorithm", ["direct", pytest.param("guarded", marks=pytest.mark.slow)])
+def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
+    """A hand that leans on the wall: the axis comes to rest, so that stiffness and limit cycle are measured too."""
+    scene = demo(algorithm, "simulation.user={stiffness: 0, damping: 30, push: -5}", "environment.stiffness=500")
+    axis, cycles = scene.axes[0], 2000
+    plant, user, effects, seed = plant_parts(axis)
+    environment = environment_of(axis)
+    reference = continuous_reference(environment, plant, user, effects, scene.bus.sample_time_ns, cycles, seed)
+    expected = figures(environment, render(loop_case(axis, scene), cycles), reference, scene.bus.sample_time)
+    found = {name: float(v[0]) for name, v in run_batch(scene, {}, cycles, "numpy", list(ALL)).items()}
+    for kind in ("position_error", "force_error"):
+        for part in ("rms", "max"):
+            assert found[f"{kind}.{part}"] == pytest.approx(expected[kind][part], rel=1e-5), (kind, part)
+    assert found["force_variation.ratio"] == pytest.approx(expected["force_variation"]["ratio"], rel=1e-5)
+    assert found["limit_cycle"] == pytest.approx(expected["limit_cycle"], rel=1e-5, abs=1e-12)
+    assert found["stiffness_at_rest.value"] == pytest.approx(expected["stiffness_rendered"]["value"], rel=1e-5)
+    assert found["stiffness_at_rest.share"] == pytest.approx(expected["stiffness_rendered"]["share"], rel=1e-5)
+    names = ["exact", "device_damping", "hand_force", "hand_speed", "none"]
+    assert names[int(found["certificate"])] == expected["certificate"]
+    for branch in ("free", "start", "exact", "sticky", "fallback", "depleted", "exit"):
+        assert found[f"branches.{branch}"] == expected["branches"][branch], branch
+
+
+def test_without_a_closed_form_there_is_no_figure_and_the_others_stay():
+    case = in_arrays(scalar_case("detents", "direct"))
+    assert "closed form" in why_not_continuous(case)
+    found = march(case, 1, 50, "numpy", ["position_error.rms", "limit_cycle", "interaction"]).metrics
+    assert np.isnan(found["position_error.rms"]).all()
+    assert np.isnan(found["limit_cycle"]).all()
+    assert np.isfinite(found["interaction"]).all()
+    assert set(METRICS).isdisjoint(CONTINUOUS)
+
+
+def test_scenes_too_fast_for_a_reference_have_none_and_the_others_keep_theirs():
+    case = in_arrays(scalar_case("spring_damper_wall", "direct"), {"environment.damping": np.array([5.0, 1e7])})
+    found = march(case, 2, 50, "numpy", ["position_error.max"]).metrics["position_error.max"]
+    assert np.isfinite(found).tolist() == [True, False]
