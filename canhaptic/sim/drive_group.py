@@ -6,6 +6,7 @@ from typing import Protocol
 import can
 
 from canhaptic.sim.drive_node import SimulatedDrive
+from canhaptic.sim.process_data import Handler
 from canhaptic.sim.timers import NEVER
 
 
@@ -33,7 +34,7 @@ class DriveGroup:
         self._bus = bus
         self.drives = tuple(drives)
         self._asleep = list(self.drives)
-        self._hearers: dict[int, tuple[SimulatedDrive, ...]] = {}  # COB-ID -> those with a handler for it
+        self._hearers: dict[int, tuple[tuple[SimulatedDrive, Handler], ...]] = {}  # by COB-ID
         for drive in self.drives:
             drive.on_routes_changed = self._hearers.clear
 
@@ -41,19 +42,22 @@ class DriveGroup:
         """Handles every frame waiting on the bus and every timer due up to `now` [ns]."""
         while self._asleep:
             self._asleep.pop(0).wake(now)
-        receive, hearers = self._bus.recv, self._hearers
-        while (message := receive(0)) is not None:
-            drives = hearers.get(message.arbitration_id)
-            if drives is None:
-                drives = self._find_hearers(message.arbitration_id)
-            for drive in drives:
-                drive.take(message, now)
+        receive = self._bus.recv
+        while (message := receive(0.0)) is not None:
+            if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+                continue
+            hearers = self._hearers.get(message.arbitration_id)
+            if hearers is None:
+                hearers = self._find_hearers(message.arbitration_id)
+            for drive, handler in hearers:
+                drive.act(handler, message.data, now)
         for drive in self.drives:
             if now >= drive.timers.earliest:
                 drive.run_timers(now)
 
-    def _find_hearers(self, cob_id: int) -> tuple[SimulatedDrive, ...]:
-        hearers = self._hearers[cob_id] = tuple(drive for drive in self.drives if drive.hears(cob_id))
+    def _find_hearers(self, cob_id: int) -> tuple[tuple[SimulatedDrive, Handler], ...]:
+        handlers = [(drive, drive.handler(cob_id)) for drive in self.drives]
+        hearers = self._hearers[cob_id] = tuple((drive, handler) for drive, handler in handlers if handler is not None)
         return hearers
 
     def next_due(self) -> int:

@@ -64,7 +64,7 @@ class Machine:
         self.state = initial_state(self.scene)
         self._moved = self.state.copy()
         self.totals.fill(0.0)
-        self._sums, self._carries = self.totals.copy(), self.totals.copy()
+        self._sums, self._carries = self.totals.tolist(), self.totals.tolist()
         counts = self._counts
         counts[MODE], counts[MISSING], counts[LIMIT] = self._first, NONE, 0
         self.run(0)  # a body that starts beyond a stop starts with the stop's energy
@@ -114,20 +114,21 @@ class Machine:
         totals: Array = self._books[0].totals
         return totals
 
-    def works(self) -> Array:
+    def works(self) -> list[float]:
         """Returns the work booked since the start, in the order of `scene.works` [J]."""
-        works: Array = self._sums + (self._carries + self._books[0].totals)
-        return works
+        totals = self._books[0].totals.tolist()  # floats: an operation on so short an array costs ten on them
+        return [s + (c + t) for s, c, t in zip(self._sums, self._carries, totals)]  # noqa: B905 - one for each work
 
     def tidy(self) -> None:
         """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.
 
         Folds the totals into compensated sums and brings the hand's oscillators back to unit amplitude.
         """
-        sums = self._sums + self.totals
-        part = sums - self._sums
-        self._carries += (self._sums - (sums - part)) + (self.totals - part)
-        self._sums = sums
+        before, totals = np.array(self._sums), self.totals
+        sums = before + totals
+        part = sums - before
+        carries = np.array(self._carries) + ((before - (sums - part)) + (totals - part))
+        self._sums, self._carries = sums.tolist(), carries.tolist()
         self.totals.fill(0.0)
         for sine, cosine in self._oscillators:
             norm = math.hypot(self.state[sine], self.state[cosine])

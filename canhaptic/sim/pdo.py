@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Final
 
 from canhaptic.object_dictionary import (
@@ -20,6 +21,8 @@ _PDOS: Final = 512
 _EXTENDED_FRAME: Final = 1 << 29
 _LARGEST_SYNCHRONOUS: Final = 240  # transmission types 0..240 follow the SYNC, 254 and 255 events
 _MAX_BITS: Final = 64
+_ANY: Final = 1 << 63  # no integer of a PDO is beyond it
+_value_of: Final = attrgetter("value")
 _RESTRICTED: Final = (  # CAN identifiers that no PDO may use (CiA 301, table 28)
     range(0x080),
     range(0x101, 0x181),
@@ -91,9 +94,8 @@ class Pdo:
         self.event_time = _NS_PER_MS * (self._event_timer.number if self._event_timer else 0)
         self.inhibit_time = _NS_PER_INHIBIT_UNIT * (self._inhibit.number if self._inhibit else 0)
         # Too large a torque is for the drive's limiter, which shows it; any other value out of range is ignored.
-        self._targets = tuple(
-            (e, float("-inf"), float("inf")) if e.index == TARGET_TORQUE else (e, e.low, e.high) for e in self.entries
-        )
+        self._ranges = [(-_ANY, _ANY) if e.index == TARGET_TORQUE else (e.low, e.high) for e in self.entries]
+        self._takes_all = not any(map(_can_be_beyond, self.entries, self._ranges))
         self._hooks = tuple(dict.fromkeys(e.changed for e in self.entries if e.changed is not None))
         self.reset()
 
@@ -107,13 +109,18 @@ class Pdo:
 
     def pack(self) -> bytes:
         """Returns the frame of a TPDO with the values of now."""
-        return self._pack(*[entry.value for entry in self.entries])
+        return self._pack(*map(_value_of, self.entries))
 
     def load(self, content: bytes | bytearray) -> None:
         """Takes over the values of an RPDO and lets the drive act on them."""
-        for (entry, low, high), value in zip(self._targets, self._unpack(content)):  # noqa: B905 - one codec made both
-            if low <= value <= high:
+        values = self._unpack(content)
+        if self._takes_all:
+            for entry, value in zip(self.entries, values):  # noqa: B905 - one codec made both
                 entry.value = value
+        else:
+            for entry, value, (low, high) in zip(self.entries, values, self._ranges, strict=True):
+                if low <= value <= high:
+                    entry.value = value
         for hook in self._hooks:
             hook()
 
@@ -197,6 +204,15 @@ def find_pdos(store: ObjectStore, is_transmit: bool, on_change: Callable[[], Non
         for number in range(_PDOS)
         if store.find(communication + number, 1) is not None and store.find(mapping + number, 0) is not None
     )
+
+
+def _can_be_beyond(entry: Entry, allowed: tuple[float, float]) -> bool:
+    """Returns whether a frame can carry a value of this object that is not allowed; a real one may be no number."""
+    if entry.code in "fd":
+        return True
+    whole = Entry(entry.index, entry.subindex, entry.data_type)
+    low, high = allowed
+    return whole.low < low or whole.high > high
 
 
 def _require(entry: Entry | None) -> Entry:

@@ -127,8 +127,10 @@ class Plant:
         self._splitting = Splitting(self._machine, self.accuracy.substeps) if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
+        self._is_linear = self._hold == self._linear_hold
         accounts = list(self.scene.works.values())
         self._accounts = np.array([[a == account for a in accounts] for account in _ACCOUNTS], dtype=float)
+        self._pairs = _pairs(accounts)
         kept = [name for command in self.scene.commands for name in command.state_names]
         kept += [name for effort in self.scene.efforts for name in effort.state_names]
         self.state_names = (*self.scene.names, *kept)
@@ -206,7 +208,7 @@ class Plant:
     @property
     def is_linear(self) -> bool:
         """True when nothing but a held torque acts on it: no guards, efforts, schedule or commands."""
-        return self._hold == self._linear_hold
+        return self._is_linear
 
     def whole_flow(self) -> Array:
         """Returns the flow of the first mode over one sample time, shape (n, n)."""
@@ -242,7 +244,10 @@ class Plant:
         if now == self._next_period:
             self._tick += TICKS
             self._next_period = now + self.sample_time_ns
-            self._hold(TICKS, torque)
+            if self._is_linear:
+                self.position = self._machine.period(torque)
+            else:
+                self._hold(TICKS, torque)
             if not self._tick & (_TIDY - 1):
                 self._machine.tidy()
         elif self._epoch is not None:
@@ -294,7 +299,13 @@ class Plant:
 
     def energy(self) -> PlantEnergy:
         """Returns the true energies since the start [J]."""
-        motor, user, dissipated = self._accounts.dot(self._machine.works()).tolist()
+        works = self._machine.works()
+        if self._pairs is not None:
+            works.append(0.0)
+            (a, b), (c, d), (e, f) = self._pairs
+            motor, user, dissipated = works[a] + works[b], works[c] + works[d], works[e] + works[f]
+        else:
+            motor, user, dissipated = self._accounts.dot(works).tolist()
         if self._splitting:
             work = self._splitting.work
             motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
@@ -302,7 +313,7 @@ class Plant:
 
     def work_by_part(self) -> dict[str, float]:
         """Returns the work of each part since the start [J]; losses positive, as in `PlantEnergy.dissipated`."""
-        works = dict(zip(self.scene.works, self._machine.works().tolist(), strict=True))
+        works = dict(zip(self.scene.works, self._machine.works(), strict=True))
         if self._splitting:
             works.update({f"efforts_{account}": work for account, work in self._splitting.work.items()})
         return works
@@ -338,6 +349,18 @@ class Plant:
         whole, inside = divmod(tick, TICKS)
         self._next_period = -1 if inside else epoch + (whole + 1) * period
         return ticks
+
+
+def _pairs(accounts: Sequence[str]) -> list[tuple[int, ...]] | None:
+    """Returns the places of the works of each account, with those of a zero behind the last work where it has fewer.
+
+    None where one has more than two works: only a sum of two is the same in whichever order it is taken.
+    """
+    zero = len(accounts)
+    places = [[place for place, a in enumerate(accounts) if a == account] for account in _ACCOUNTS]
+    if any(len(of) > 2 for of in places):
+        return None
+    return [(*of, *[zero] * (2 - len(of))) for of in places]
 
 
 def _compiled_machine() -> type[Machine]:

@@ -126,7 +126,7 @@ class ProcessData:
             self._act_on_synchronous()
             servo.show_torque()
         for pdo in self._sync_tpdos:
-            if pdo.counts_sync():
+            if pdo.transmission_type == 1 or pdo.counts_sync():  # 1: at every SYNC
                 self._send(pdo.cob_id, pdo.pack())
         self._act_on_synchronous()
 

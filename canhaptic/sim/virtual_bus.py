@@ -11,7 +11,8 @@ from typing import Any, Final, cast
 import can
 from can.interfaces.virtual import VirtualBus, channels_lock
 
-_blank: Final = can.Message.__new__
+_Message: Final = can.Message
+_blank: Final = _Message.__new__
 
 
 class LeanVirtualBus(VirtualBus):
@@ -26,7 +27,7 @@ class LeanVirtualBus(VirtualBus):
         queue: SimpleQueue[can.Message] = SimpleQueue()
         with channels_lock:
             self.channel[self.channel.index(self.queue)] = self.queue = cast(Any, queue)
-        self._is_empty, self._take = queue.empty, queue.get
+        self._is_empty, self._take, self._take_waiting = queue.empty, queue.get, queue.get_nowait
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Puts a copy of the frame into the queue of every other connection.
@@ -39,7 +40,7 @@ class LeanVirtualBus(VirtualBus):
         own = self.queue
         for queue in self.channel:
             if queue is not own:
-                copy = _blank(can.Message)
+                copy = _blank(_Message)
                 copy.timestamp = msg.timestamp
                 copy.arbitration_id = msg.arbitration_id
                 copy.is_extended_id = msg.is_extended_id
@@ -62,9 +63,9 @@ class LeanVirtualBus(VirtualBus):
         """
         if not self._open or self._filters is not None:
             return super().recv(timeout)
-        if timeout == 0.0 and self._is_empty():
-            return None
         try:
+            if timeout == 0.0:
+                return None if self._is_empty() else self._take_waiting()
             return self._take(True, timeout)
         except Empty:
             return None

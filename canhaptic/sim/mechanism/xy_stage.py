@@ -139,7 +139,7 @@ class XYMotion:
 
     def energy(self, axis: int) -> PlantEnergy:
         """Returns the true energies of one direction since the start [J]; its mass is its own."""
-        works = self._machine.works().tolist()
+        works = self._machine.works()
         motor, user, dissipated = (sum(works[i] for i in places) for places in self._works[axis])
         return PlantEnergy(motor, user, dissipated, 0.5 * self._masses[axis] * self.velocities[axis] ** 2)
 
