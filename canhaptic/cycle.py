@@ -188,7 +188,9 @@ class TruthJudge:
         self.interaction[place] = true
         if true < self.least[place]:
             self.least[place] = true
-        error = abs(believed - true)
+        error = believed - true
+        if error < 0.0:
+            error = -error
         if error > self.believed_error[place]:
             self.believed_error[place] = error
 

@@ -106,25 +106,25 @@ class VirtualClock:
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
         """Returns the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
-        is_due = True
         while True:
-            if is_due:
-                now = self._now
-                for far_side in self._far_sides:
-                    far_side.process(now)
+            now = self._now
+            for far_side in self._far_sides:
+                far_side.process(now)
             message = bus.recv(0.0)
-            if message is not None or self._now >= deadline:
+            if message is not None or now >= deadline:
                 return message
             self._now, is_due = self._next_event(deadline)
+            if not is_due:
+                return None
 
     def _next_event(self, deadline: int) -> tuple[int, bool]:
         """Returns the next instant at which something happens, and whether anything is due then.
 
         A timer that is overdue cannot hold time up.
         """
-        earliest, is_due = deadline, False
+        now, earliest, is_due = self._now, deadline, False
         for far_side in self._far_sides:
             due = far_side.next_due()
-            if self._now < due <= earliest:
+            if now < due <= earliest:
                 earliest, is_due = due, True
         return earliest, is_due

@@ -65,8 +65,7 @@ class Exchange:
         """
         clock = self.clock
         failure: LinkError | None = None
-        self._wait()
-        self.woken = clock.now()
+        self.woken = self._wait()
         for link, window, group in self._buses:
             window.is_open = True
             window.pending = len(group)
@@ -91,20 +90,27 @@ class Exchange:
         if failure is not None:
             raise failure
 
-    def _wait(self) -> None:
-        """Handles frames until the next deadline; one that is overslept by half a period is skipped for the next."""
+    def _wait(self) -> int:
+        """Handles frames until the next deadline; one that is overslept by half a period is skipped for the next.
+
+        Returns:
+            The time at its end [ns].
+        """
         links, period, now = self.links, self._period, self.clock.now
         links[0].pump(self._next)
-        while (lateness := now() - self._next) > period // 2:
+        while (lateness := (woken := now()) - self._next) > period // 2:
             skipped = (lateness + period // 2) // period
             self.skipped += skipped
             self._next += skipped * period
             links[0].pump(self._next)
-        for link in links[1:]:
-            link.drain()
+        if len(links) > 1:
+            for link in links[1:]:
+                link.drain()
+            woken = now()
         self.periods = (self._next - self.deadline) // period or 1
         self.deadline = self._next
         self._next += period
+        return woken
 
     def write_zero(self) -> None:
         """Sends every drive its controlword with zero torque.

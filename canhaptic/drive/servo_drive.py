@@ -199,7 +199,8 @@ class ServoDrive:
             self._unheeded = 0
         else:
             self._unheeded += 1
-        self._spread = max(abs(reported - believed), abs(reported - self._held_before))
+        if self._measures:
+            self._spread = max(abs(reported - believed), abs(reported - self._held_before))
         self._held_before = reported
         return reported
 

@@ -188,8 +188,8 @@ class Ledger:
 
     def add(self, balance: EnergyBalance, cycle: int) -> None:
         """Adds the account of the hold that ended at SYNC `cycle`."""
-        h_i, h_r, surplus, certificate = balance.h_i, balance.h_r, balance.h_dis, balance.certificate
-        self._branches[balance.branch] += 1
+        _, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance
+        self._branches[branch] += 1
         self._last = balance
         if surplus > self._surplus_max:
             self._surplus_max = surplus
@@ -197,10 +197,9 @@ class Ledger:
             self._certificate = certificate
         if h_i or h_r:
             self._add_flows(h_i, h_r, cycle)
-        if balance.h_pas or balance.leak or balance.deficit or balance.gen:
+        if h_pas or leak or deficit or gen:
             self._add_corrections(balance)
-        if balance.branch not in _OUT_OF_CONTACT:
-            rendered = balance.damping_rendered
+        if branch not in _OUT_OF_CONTACT:
             if rendered < self._damping_least:
                 self._damping_least = rendered
             if rendered > self._damping_most:

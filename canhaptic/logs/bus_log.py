@@ -111,9 +111,8 @@ class BusLogWriter:
         push, insist = self._push, self._insist
 
         def take(timestamp_ns: int, can_id: int, data: bytes, is_rx: bool) -> None:
-            frame = (timestamp_ns, can_id, len(data), is_rx, bus, data)
-            if not push(frame):
-                insist(frame)
+            if not push((timestamp_ns, can_id, len(data), is_rx, bus, data)):
+                insist((timestamp_ns, can_id, len(data), is_rx, bus, data))
 
         return take
 

@@ -98,19 +98,21 @@ class EnergyLogWriter:
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
-        row: tuple[float, ...] = (self._unreported, sync_index, *timing)
-        for port, sample in enumerate(samples):
-            row += sample + balances[port]
+        row: list[float] = [self._unreported, sync_index, *timing]
+        for sample, balance in zip(samples, balances, strict=True):
+            row += sample
+            row += balance
         if truths is not None:
             for position, energy in truths:
-                row += (position, *energy)
+                row.append(position)
+                row += energy
         if self._push(row):
             self._unreported = 0
         elif not (self._free and self._push_patiently(row)):
             self._unreported += 1
             self.dropped += 1
 
-    def _push_patiently(self, row: tuple[float, ...]) -> bool:
+    def _push_patiently(self, row: Sequence[float]) -> bool:
         """Waits for room; returns False when there will be none."""
         pause = threading.Event()
         while not self._push(row):

@@ -101,9 +101,8 @@ class Ring:
         self._tail_cell = cell + 1
         self._start = start
         self.capacity = shape.capacity
-        self._packer = struct.Struct(shape.record)
-        self._pack_into = self._packer.pack_into
-        self._size = self._packer.size
+        packer = struct.Struct(shape.record)
+        self._pack, self._size = packer.pack, packer.size
         self._next = cells[self._head_cell]
         self._limit = cells[self._tail_cell] + self.capacity
 
@@ -115,7 +114,8 @@ class Ring:
             self._limit = self._cells[self._tail_cell] + self.capacity
             if number >= self._limit:
                 return False
-        self._pack_into(self._memory, self._start + number % self.capacity * self._size, *values)
+        start = self._start + number % self.capacity * self._size
+        self._memory[start : start + self._size] = self._pack(*values)
         self._next = self._cells[self._head_cell] = number + 1
         return True
 
