@@ -1,11 +1,14 @@
 """`canhaptic design CONFIG`: the stiffest wall, and its largest damping, that `guarded` renders on a rig."""
 
 import argparse
+import sys
 
 from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.output import write_json
+from canhaptic.cli.scene_progress import SceneProgress
 from canhaptic.study.design.report import design_report, snippet
 from canhaptic.study.design.wall import MARGIN, TOLERANCE, design_wall
+from canhaptic.study.sweep.sweep import Progress
 from canhaptic.view.energy_table import make_console
 
 
@@ -29,7 +32,14 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene that cannot be designed for.
         CheckFailedError: No wall at all is rendered.
     """
-    found = design_wall(scene_of(arguments), arguments.margin, arguments.tolerance, arguments.engine)
+    scene = scene_of(arguments)
+    with SceneProgress("walls") as bar:
+
+        def show(tried: int, most: int) -> None:
+            if sys.stderr.isatty():
+                bar(Progress(tried, most, 0))
+
+        found = design_wall(scene, arguments.margin, arguments.tolerance, arguments.engine, show)
     if arguments.json:
         write_json({**found.result, "yaml": snippet(found.result)})
     else:

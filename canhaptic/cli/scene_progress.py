@@ -13,9 +13,14 @@ _FIRST: Final = 1_000_000_000  # [ns]
 
 
 class SceneProgress:
-    """Told how far a sweep is; shows it once it takes longer than a second."""
+    """Told how far a sweep is; shows it once it takes longer than a second.
 
-    def __init__(self) -> None:
+    Args:
+        what: Is counted, in one word.
+    """
+
+    def __init__(self, what: str = "scenes") -> None:
+        self._what = what
         self._clock = WallClock()
         self._begin = self._clock.now()
         self._bar: Progress | None = None
@@ -27,7 +32,7 @@ class SceneProgress:
             return
         if self._bar is None:
             columns = (
-                TextColumn("  scenes"),
+                TextColumn(f"  {self._what}"),
                 BarColumn(),
                 MofNCompleteColumn(),
                 TextColumn("{task.fields[rate]} /s"),

@@ -50,7 +50,8 @@ def _price(result: dict[str, Any]) -> list[Text]:
         f" certified {name}: up to {si(limit, _UNITS[result['unit']][0], 3)}"
         for name, limit in result["certified"].items()
     ]
-    covered = ", covered by what the device dissipates" if result["loop"]["device_damping"] else ""
+    rest = si(max(0.0, -result["least_judged"]), "J", 3)
+    covered = f", {rest} with what the device dissipates at least" if result["loop"]["device_damping"] else ""
     lines.append(
         f" energy given out beyond what came in: {si(max(0.0, -result['least_interaction']), 'J', 3)}{covered}"
     )

@@ -31,6 +31,9 @@ _SHARES: Final = (1.0, 0.6, 0.3)
 """Of the stiffest wall: the stiffnesses whose largest damping is shown, so that one can be traded for the other."""
 _BELOW: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Of a stiffness: where a damping has to pass, too."""
+_GRID: Final = 10
+"""Stiffnesses and dampings at which walls below the answer are tried."""
+_MOST_WALLS: Final = _ROUNDS * _PLACES * (1 + len(_SHARES) * len(_BELOW)) + _GRID * _GRID + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +51,7 @@ def design_wall(
     margin: float = MARGIN,
     tolerance: float = TOLERANCE,
     engine: Engine = "auto",
-    progress: Callable[[int], None] = lambda _: None,
+    progress: Callable[[int, int], None] = lambda _tried, _most: None,
 ) -> Design:
     """Returns the stiffest wall for the rig of a scene, and the largest damping at that stiffness.
 
@@ -57,7 +60,7 @@ def design_wall(
         margin: Part by which stiffness and damping could both be larger and still pass.
         tolerance: How far a rendering may be from what is asked, as a part of it.
         engine: Of the trials, as for a sweep.
-        progress: Told the number of walls tried.
+        progress: Told the number of walls tried, and how many there can be at most.
 
     Raises:
         InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
@@ -82,7 +85,7 @@ def design_wall(
 class _Search:
     """Bisection with a factor on everything that is tried."""
 
-    def __init__(self, trial: Trial, factor: float, progress: Callable[[int], None]) -> None:
+    def __init__(self, trial: Trial, factor: float, progress: Callable[[int, int], None]) -> None:
         self._trial, self._factor, self._progress = trial, factor, progress
 
     def largest_stiffness(self) -> float:
@@ -127,7 +130,7 @@ class _Search:
 
     def failing_below(self, stiffness: float, damping: float) -> int:
         """Returns how many of the walls tried below a wall do not pass: 0 for a wall without hidden weakness."""
-        parts = np.linspace(0.1, 1.0, 10)
+        parts = np.linspace(1.0 / _GRID, 1.0, _GRID)
         dampings = parts if damping else np.zeros(1)
         grid = np.array([(k, d) for k in parts for d in dampings])
         return int((~self._verdict(grid[:, 0] * stiffness, grid[:, 1] * damping).passed).sum())
@@ -142,7 +145,7 @@ class _Search:
 
     def _verdict(self, stiffness: Array, damping: Array) -> Verdict:
         found = self._trial.verdict(self._factor * stiffness, self._factor * damping)
-        self._progress(self._trial.walls)
+        self._progress(self._trial.walls, _MOST_WALLS)
         return found
 
 
@@ -178,6 +181,7 @@ def _account(trial: Trial, stiffness: float, damping: float) -> dict[str, Any]:
         "stiffness_rendered": float(verdict.stiffness_share[0]),
         "damping_rendered": float(verdict.damping_share[0]) if damping else None,
         "least_interaction": float(verdict.least_interaction[0]),
+        "least_judged": float(verdict.least_judged[0]),
         "certificate": run.get("certificate"),
         "certified": {
             hint.what.removeprefix("stiffness, certified").strip() or "largest": hint.limit for hint in hints
