@@ -16,7 +16,7 @@ from tools.bench.report import Row, publish
 REPOSITORY = Path(__file__).resolve().parents[2]
 SIZES = {10_000: (50, 100), 100_000: (500, 100), 1_000_000: (500, 1000)}
 """Scenes -> values of stiffness and damping; each under two algorithms."""
-CYCLES = 200
+CYCLES = 50
 FLAT = 1.1
 COMMAND = (
     "from canhaptic.cli.main import main; import sys; sys.exit(main(sys.argv[1:]))",
