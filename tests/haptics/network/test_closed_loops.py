@@ -68,7 +68,7 @@ def explicit_euler(rate, duration):
     return float(np.abs(plant.q).max())
 
 
-def run_example(rate, delay, duration=0.6, hand_force=0.0):
+def run_example(rate, delay, duration=0.4, hand_force=0.0):
     """Returns rms error [m], least margin of (4) [J], least true energy [J], largest residual over the largest term."""
     controller = group(EXAMPLE, sample_time=1.0 / rate, delay=delay, hand_force=hand_force)
     plant = Table(1.0 / rate, figure_of_eight, longest=2e-4)
@@ -193,7 +193,7 @@ def test_no_user_within_the_declared_force_takes_energy_out(delay, environment, 
         rng = random.Random(f"{environment}{name}{delay}")
         controller = group(ENVIRONMENTS[environment], delay=delay, hand_force=hand_force)
         plant = Table(1e-3, declared(hand_force, user(rng)), position=(0.013, -0.002), longest=1e-3)
-        rendered(controller, plant, 200, delay)
+        rendered(controller, plant, 100, delay)
         assert plant.least >= -1e-6, name
 
 
@@ -206,6 +206,8 @@ def test_a_hand_stronger_than_declared_is_booked_as_a_deficit():
         booked = []
         rendered(controller, plant, 200, 1, lambda balance, _plant, into=booked: into.append(balance.account.deficit))
         worst, deficit = min(worst, plant.least), max(deficit, *booked)
+        if worst < -1e-5 and deficit > 1e-5:
+            break
     assert worst < -1e-5
     assert deficit > 1e-5
 
@@ -225,7 +227,7 @@ def test_the_same_table_through_a_transmission_keeps_its_energy():
 
     strongest = []
     plant = Table(1e-3, declared(0.0, hand), masses=(1e-3, 1e-3), friction=1e-4, longest=2.5e-4)
-    rendered(controller, plant, 800, 1, lambda balance, _plant: strongest.append(balance.account.torque))
+    rendered(controller, plant, 500, 1, lambda balance, _plant: strongest.append(balance.account.torque))
     assert max(strongest) > 0.1
     assert plant.least >= -1e-6
 
@@ -284,7 +286,7 @@ def test_step_scaling_closes_its_account_and_follows_less_closely(delay):
         figures["residual"] = max(figures["residual"], abs(residual(account, figures["h_s"])) / largest)
         figures["h_s"] = account.h_s
 
-    rendered(controller, plant, 600, delay, note)
+    rendered(controller, plant, 400, delay, note)
     error = np.array(places) - continuous(np.arange(len(places)) * 1e-3)
     assert figures["residual"] <= 1e-12
     assert float(np.sqrt((error**2).sum(axis=1).mean())) <= 1e-3
