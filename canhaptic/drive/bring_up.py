@@ -51,14 +51,22 @@ class BringUp:
         self._sdo = drive.sdo
         self._clock = drive.link.clock
 
+    def call(self) -> None:
+        """Takes the drive from wherever it is to pre-operational and lets it send heartbeats; `configure` follows.
+
+        Raises:
+            StartError: It is not there, or a step was refused.
+        """
+        self._presence()
+        self._ask_for_heartbeats()
+
     def configure(self) -> None:
-        """Takes the drive from wherever it is to pre-operational, identified, limited, mapped, in mode 10, disabled.
+        """Takes the drive, once called, to identified, limited, mapped, in mode 10, disabled; its heartbeat first.
 
         Raises:
             StartError: A step was refused or not confirmed.
         """
-        self._presence()
-        self._heartbeat()
+        self._await_heartbeat()
         self._identity()
         self._drive_modes()
         self._drive_state()
@@ -137,12 +145,17 @@ class BringUp:
         except SdoError:
             return
 
-    def _heartbeat(self) -> None:
+    def _heartbeat_period(self) -> int:
+        """Returns what is written to 0x1017 [ms]."""
+        return max(1, min(_LARGEST_U16, round(self._drive.bus.heartbeat_period * 1e3)))
+
+    def _ask_for_heartbeats(self) -> None:
+        self._drive.nmt_state = None
+        self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, self._heartbeat_period())
+
+    def _await_heartbeat(self) -> None:
         drive = self._drive
-        period = max(1, min(_LARGEST_U16, round(drive.bus.heartbeat_period * 1e3)))
-        drive.nmt_state = None
-        self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, period)
-        timeout = round(drive.axis.step_timeout * 1e9) + period * 1_000_000
+        timeout = round(drive.axis.step_timeout * 1e9) + self._heartbeat_period() * 1_000_000
         with self.step("heartbeat"):
             confirmed = drive.link.wait_for(lambda: drive.nmt_state == NmtState.PRE_OPERATIONAL, timeout)
         if not confirmed:

@@ -35,6 +35,8 @@ def start(exchange: Exchange) -> None:
         drive.answers = False
     bring_ups = [BringUp(drive) for drive in exchange.drives]
     for bring_up in bring_ups:
+        bring_up.call()  # all of them first: their heartbeats come while the first is awaited
+    for bring_up in bring_ups:
         bring_up.configure()
     exchange.begin()
     _enter_operational(exchange, bring_ups)
