@@ -86,6 +86,12 @@ def test_an_axis_may_know_more_of_its_own_loop_than_the_group() -> None:
     assert [axis.group for axis in scene.axes] == ["stage", "stage"]
 
 
+def test_a_limit_that_cuts_one_axis_asks_for_axes_certified_apart() -> None:
+    cut = "axes.y.torque_rate_limit=100 N/s"
+    assert any("cuts one axis alone" in fault for fault in faults(STAGE, cut))
+    load_scene(STAGE, [cut, "groups.0.passivity.lost_frames=1"])
+
+
 def test_the_identity_counts_the_axes_of_its_group() -> None:
     scene = load_scene(HANDLES)
     assert scene.groups[0].kinematics.name == "identity"

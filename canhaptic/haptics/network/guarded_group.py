@@ -33,7 +33,7 @@ class GuardedGroupParameters(Parameters):
     """What the certificates rest on. Mass and damping of the devices are properties of each axis's loop."""
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
-    """Largest force with which the hand pulls the motor axes along their torques (`bound`); None: not used."""
+    """Largest force with which the hand pulls each motor axis, Coriolis forces included (`bound`); None: not used."""
     hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
     """Largest speed of every motor axis. None: the certificate is not used."""
     credit: Annotated[float, quantity("J", ge=0.0)] = 0.0
