@@ -6,10 +6,13 @@ makes of it is held against them in the slow tests.
 
 import math
 import random
+from pathlib import Path
 
+import numpy as np
 import pytest
 from networks import EXAMPLE, group
 
+from canhaptic.cycle import run
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.haptics.kinematics.five_bar import FiveBar
 from canhaptic.haptics.kinematics.identity import Identity
@@ -29,11 +32,14 @@ from canhaptic.haptics.network.plane import Plane
 from canhaptic.haptics.network.sphere import Sphere
 from canhaptic.haptics.network.tube import Tube
 from canhaptic.haptics.network.virtual_mass import MassOnSpring
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
 
 pytest.importorskip("numba")
 
 from canhaptic.haptics.network import compiled_group
 
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 TOLERANCE = 1e-12  # of the largest value of each figure in the run
 STAGE = Identity(axes=2)
 FIVE_BAR = FiveBar(
@@ -162,6 +168,27 @@ def test_every_environment_of_the_table_is_among_the_cases():
 @pytest.mark.parametrize("name", CASES)
 def test_the_compiled_step_is_the_step_of_the_classes(name):
     assert largest_difference(name, 1, 3000) <= TOLERANCE
+
+
+def closed_loop(name, compiled, cycles):
+    """Figures of a shipped scene over the whole CAN path, each run on a plant of its own."""
+    scene = load_scene(CONFIGS / f"{name}.yaml", ["groups.0.passivity.compiled=true"] if compiled else [])
+    found = []
+    with build(scene, "free") as experiment:
+        (member,) = experiment.cycle.groups
+        assert isinstance(member.controller, compiled_group.CompiledGroup) == compiled
+        run(experiment.cycle, cycles=cycles, progress=lambda _cycle: found.append(figures(member.balance)))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", ["xy_box", "five_bar_sphere", "two_handles"])
+def test_a_compiled_scene_closes_its_loop_as_the_interpreted_one(name):
+    one, other = (np.array(closed_loop(name, compiled, 1500)) for compiled in (False, True))
+    largest, apart = np.abs(one).max(axis=0), np.abs(one - other).max(axis=0)
+    assert largest[0] > 0.1
+    assert (apart <= TOLERANCE * largest).all()
 
 
 @pytest.mark.slow
