@@ -23,7 +23,7 @@ PAGE: Final = ROOT / "docs" / "gallery.md"
 IMAGES: Final = ROOT / "docs" / "images" / "gallery"
 LARGEST: Final = 150_000
 """Bytes of one picture."""
-_COLOURS: Final = 64
+_COLOURS: Final = (256, 128, 64)
 _COMMAND: Final = (sys.executable, "-c", "import sys; from canhaptic.cli.main import main; sys.exit(main())")
 _INTRODUCTION: Final = """\
 # Gallery
@@ -159,16 +159,18 @@ def prepare(folder: Path) -> None:
 
 
 def reduce(picture: Path, into: Path) -> None:
-    """Writes a picture with a palette of few colours.
+    """Writes a picture with a palette of as many colours as keep it small.
 
     Raises:
-        InputError: It is still too large.
+        InputError: It is too large with the fewest.
     """
-    colours = Image.open(picture).convert("RGB")
-    reduced = colours.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
-    reduced.save(into, optimize=True)
-    if into.stat().st_size > LARGEST:
-        raise InputError(f"{into.name}: {into.stat().st_size} bytes, expected <= {LARGEST}; draw less, or shorten it")
+    image = Image.open(picture).convert("RGB")
+    for colours in _COLOURS:
+        reduced = image.quantize(colours, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+        reduced.save(into, optimize=True)
+        if into.stat().st_size <= LARGEST:
+            return
+    raise InputError(f"{into.name}: {into.stat().st_size} bytes, expected <= {LARGEST}; draw less, or shorten it")
 
 
 def page() -> str:
