@@ -31,6 +31,8 @@ _ANGLE: Final = 0.5
 """Largest sum of the rates of a scene times its step [rad]."""
 _TERMS: Final = 14  # of the series: 0.5^14 / 14! is below 1e-15
 _NEWTON: Final = 8
+_CLOSE: Final = 1e-12
+"""Part of a piece within which a Newton step ends the search: the step after it would be below rounding."""
 _MOST_STEPS: Final = 4096
 """Steps per hold beyond which a scene has no reference."""
 _MOST_PIECES: Final = 64
@@ -299,10 +301,12 @@ class _Group:
         for of_mode, rate in enumerate(self._linear.rates):
             some = mode == of_mode
             rates[some] = rate[rows[some]]
-        terms = [state]
-        for order in range(1, _TERMS):
-            terms.append(np.einsum("nij,jn->in", rates, terms[-1]) / order)
-        return np.array(terms)
+        term = np.ascontiguousarray(state.T)
+        terms = [term]
+        for order in range(1, _TERMS):  # a sum along the last axis: the same whatever scenes are beside
+            term = (rates * term[:, None, :]).sum(axis=2) / order
+            terms.append(term)
+        return np.ascontiguousarray(np.array(terms).transpose(0, 2, 1))
 
 
 def _horner(series: Array, at: Array) -> Array:
@@ -325,11 +329,16 @@ def _root(rising: Array, constant: Array, until: Array, end: Array) -> Array:
     """
     low, high = np.zeros_like(until), until.copy()
     at = until * constant / (constant - end)
-    slopes = rising * np.arange(1, len(rising) + 1)[:, None]
+    slopes, found = rising * np.arange(1, len(rising) + 1)[:, None], np.zeros(len(at), dtype=bool)
     for _ in range(_NEWTON):
         value = _horner(rising[:, None], at)[0] * at + constant
         beyond = (value > 0.0) == (end > 0.0)
         low, high = np.where(beyond, low, at), np.where(beyond, at, high)
         newton = at - value / _horner(slopes[:, None], at)[0]
-        at = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        better = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        near = np.abs(better - at) <= _CLOSE * until
+        at = np.where(found, at, better)  # what is found stays, so that no scene depends on those beside it
+        found |= near
+        if found.all():
+            break
     return at

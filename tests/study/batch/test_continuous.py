@@ -149,6 +149,18 @@ def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
         assert found[f"branches.{branch}"] == expected["branches"][branch], branch
 
 
+def test_a_continuous_run_does_not_depend_on_those_beside_it():
+    numbers, varied = drawn("two_sided_wall", 60, 9)
+    kind: Any = load(ENVIRONMENTS, "two_sided_wall", "environment")
+    case = standard_case(kind(**BASES["two_sided_wall"]), "direct", 1000.0, USER, plant=PLANT)
+    found = []
+    for rows in (np.arange(60), np.arange(0, 60, 7)):
+        some = ({key: values[rows] for key, values in part.items()} for part in (numbers, varied))
+        batch = loop_in_arrays(case, PLANT, USER, *some)
+        found.append(ContinuousRuns(batch, batch.numbers, len(rows), 100, with_force=True).block(99)[0])
+    np.testing.assert_array_equal(found[0][:, ::7], found[1])
+
+
 def test_without_a_closed_form_there_is_no_figure_and_the_others_stay():
     case = in_arrays(scalar_case("detents", "direct"))
     assert "closed form" in why_not_continuous(case)
