@@ -25,7 +25,7 @@ LONG = [
     "--cycles", "100", "--chunk", "1", "--engine", "numpy",
 ]  # fmt: skip
 CHUNKS = 30
-ONE = {"cycles": 20, "metrics": ["travel"]}
+ONE = {"cycles": 20, "metrics": ["travel"], "controllers": ["direct"]}
 
 
 def begin(path, *options):
@@ -72,9 +72,7 @@ def test_after_kill_9_every_finished_chunk_is_there_and_the_rest_is_run(tmp_path
         kept = killed["figures/handle/travel"][:][rows]
         assert (killed["status"][:][rows] == 1).all()
     wait_until(lambda: not group_lives(process.pid))  # no worker outlives it
-    again = begin(path, "--resume", "--workers", workers)
-    again.communicate()
-    assert again.returncode == 0
+    assert main([*LONG, "--out", str(path), "--resume"]) == 0
     assert path.read_bytes() == whole
     with SweepTable(path) as table:
         assert table.figure("handle", "travel")[rows].tobytes() == kept.tobytes()

@@ -15,12 +15,12 @@ from canhaptic.study.sweep.workers import Pool, dask_executor
 
 OPTIONS = {
     "cycles": 40,
-    "chunk": 8,
-    "controllers": ["direct", "internal_dissipation"],
+    "chunk": 4,
+    "controllers": ["direct"],
     "engine": "numpy",
     "metrics": ["travel", "margin", "spectral_radius"],
 }
-SCENES = 64
+SCENES = 32
 
 
 @pytest.fixture(scope="module")
