@@ -1,6 +1,7 @@
 """The equation of a network compiled by numba; needs the extra `fast`. The source is that of `tables` and `step`.
 
-Compiling takes some seconds, once in a process. Only the equation is compiled: the account around it stays as it is.
+Compiling takes some seconds, once in a process. Only the equation is compiled, as `step_scaling` uses it and groups of
+which something is a function of one's own; of other groups the whole step is (`compiled_group`).
 """
 
 from collections.abc import Callable
