@@ -14,14 +14,14 @@ from time import perf_counter
 from tools.bench.report import Row, publish
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-SIZES = {10_000: (50, 100), 100_000: (500, 100), 1_000_000: (500, 1000)}
-"""Scenes -> values of stiffness and damping; each under two algorithms."""
-CYCLES = 50
+SIZES = {10_000: (100, 100), 100_000: (1000, 100), 1_000_000: (1000, 1000)}
+"""Scenes -> values of stiffness and damping."""
+CYCLES = 100
 FLAT = 1.1
 COMMAND = (
     "from canhaptic.cli.main import main; import sys; sys.exit(main(sys.argv[1:]))",
     "sweep", str(REPOSITORY / "configs" / "demo.yaml"), "--set", "environment.position=0.05 m",
-    "--controllers", "direct,guarded", "--cycles", str(CYCLES), "--chunk", "5000", "--engine", "numpy", "--json",
+    "--controllers", "direct", "--cycles", str(CYCLES), "--chunk", "5000", "--engine", "numpy", "--json",
 )  # fmt: skip
 
 
@@ -54,7 +54,7 @@ def main() -> None:
             out = Path(folder) / "sweep.h5"
             seconds, peaks[scenes] = run(stiffnesses, dampings, out)
             size = out.stat().st_size / 1e6
-        name = f"{scenes} scenes x {CYCLES} cycles, direct and guarded, one process"
+        name = f"{scenes} scenes x {CYCLES} cycles, direct, NumPy, one process"
         rows += [Row(f"{name}: time", seconds, "s", note=note), Row(f"{name}: peak memory", peaks[scenes], "MB"),
                  Row(f"{name}: file", size, "MB")]  # fmt: skip
         print(f"{name}: {seconds:.0f} s, {peaks[scenes]:.0f} MB", flush=True)

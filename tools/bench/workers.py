@@ -51,10 +51,18 @@ def main() -> None:
     for pool in pools.values():
         pool.close()
     ratio = times[1] / times[2]
-    note = "" if load < 0.5 else f"not an idle machine: load {load:.1f} before the first sweep"
+    is_idle = load < 0.5
+    note = "" if is_idle else f"not judged, no idle machine: load {load:.1f} before the first sweep"
     cycles = SCENES * CYCLES
     rows = [
-        Row("two workers over one", ratio, "", target=f">= {TARGET:g}", met=ratio >= TARGET, note=note),
+        Row(
+            "two workers over one",
+            ratio,
+            "",
+            target=f">= {TARGET:g}",
+            met=ratio >= TARGET if is_idle else None,
+            note=note,
+        ),
         Row("one worker", cycles / times[1] * 1e-6, "M cycles/s"),
         Row("two workers", cycles / times[2] * 1e-6, "M cycles/s"),
     ]
