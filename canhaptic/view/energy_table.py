@@ -135,8 +135,13 @@ def _margin_place(port: Result) -> str:
 
 
 def _passive(port: Result) -> Text:
+    """Returns yes, NO, or that only the energy in doubt, booked at its worst, lies between them."""
     least = port["least_interaction"]
-    return Text("yes   ", style="bold green") if least >= -PASSIVE_TOLERANCE else Text("NO   ", style="bold red")
+    if least >= -PASSIVE_TOLERANCE:
+        return Text("yes   ", style="bold green")
+    if least + port.get("unsure", 0.0) >= -PASSIVE_TOLERANCE:
+        return Text("in doubt   ", style="bold yellow")
+    return Text("NO   ", style="bold red")
 
 
 def _damping(port: Result) -> str:
