@@ -45,7 +45,7 @@ class TorqueLimiter:
         ParameterError: A limit is not positive, and so would limit nothing or allow nothing.
     """
 
-    __slots__ = ("_has_more", "_limit", "_power", "_step", "high", "last", "low", "saturated_cycles", "saturation")
+    __slots__ = ("_limit", "_power", "_step", "high", "last", "low", "saturated_cycles", "saturation")
 
     def __init__(
         self,
@@ -64,7 +64,6 @@ class TorqueLimiter:
                 )
         self._limit = torque_limit
         self._step = rate * sample_time
-        self._has_more = self._step < math.inf or self._power < math.inf  # limits than that of the magnitude
         self.reset()
 
     def reset(self) -> None:
@@ -89,33 +88,29 @@ class TorqueLimiter:
                 f"the controller gave a torque of {torque} at a velocity of {velocity}, "
                 "expected a finite number for each; zero was sent"
             )
-        low, high = -self._limit, self._limit
-        saturation = 0 if low <= torque <= high else 1
-        if self._has_more:
-            least, most, narrow = self._by_rate_and_power(torque, velocity)
-            low, high = max(low, least), min(high, most)
-            saturation |= narrow
-        self.low, self.high = low, high
+        limit, last = self._limit, self.last
+        lowest, highest = -self._step, self._step
+        if last > 0.0:
+            highest += last
+        else:
+            lowest += last
+        least, most = -math.inf, math.inf  # by power
+        if velocity > 0.0:
+            most = self._power / velocity
+        elif velocity < 0.0:
+            least = self._power / velocity
+        saturation = 0
+        if not -limit <= torque <= limit:
+            saturation = 1
+        if not lowest <= torque <= highest:
+            saturation |= 2
+        if not least <= torque <= most:
+            saturation |= 4
+        self.low = low = max(-limit, lowest, least)
+        self.high = high = min(limit, highest, most)
         if saturation:
             torque = max(low, min(high, torque))
             self.saturated_cycles += 1
         self.saturation = saturation
         self.last = torque
         return torque
-
-    def _by_rate_and_power(self, torque: float, velocity: float) -> tuple[float, float, int]:
-        """Returns the least and the largest torque that rate and power allow, and which of them cut."""
-        lowest, highest = -self._step, self._step
-        if self.last > 0.0:
-            highest += self.last
-        else:
-            lowest += self.last
-        saturation = 0 if lowest <= torque <= highest else 2
-        least, most = -math.inf, math.inf  # by power
-        if velocity > 0.0:
-            most = self._power / velocity
-        elif velocity < 0.0:
-            least = self._power / velocity
-        if not least <= torque <= most:
-            saturation |= 4
-        return max(lowest, least), min(highest, most), saturation
