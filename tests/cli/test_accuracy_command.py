@@ -22,6 +22,7 @@ SHORT = ["--duration", "0.06 s", "--budget", "0"]
 
 
 def test_json_is_one_object_and_page_picture_and_tables_are_written(capsys, tmp_path):
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     files = {kind: tmp_path / f"a.{kind}" for kind in ("png", "html", "markdown")}
     words = [word for kind, path in files.items() for word in (f"--{kind}", str(path))]
     assert (

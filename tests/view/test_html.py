@@ -67,8 +67,8 @@ def test_two_runs_are_drawn_over_each_other(tmp_path: Path) -> None:
 
 APART = """
 import sys
-from tools.inspect_energy import main
-assert main() == 0
+from canhaptic.cli.main import main
+assert main(["inspect", *sys.argv[1:]]) == 0
 peak = next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM"))
 print(int(peak) / 1000.0, file=sys.stderr)
 """
