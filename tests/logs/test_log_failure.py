@@ -27,7 +27,7 @@ def test_a_run_stops_or_goes_on_when_its_disk_is_full_with_one_message(
     mode: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     seconds = 18 if mode == "continue" else 60  # the writer may lag behind a fast cycle by a ring of rows
-        words = ["run", DEMO, "--duration", str(seconds), "--pace", "free", "--set", f"log.on_failure={mode}", "--json"]
+    words = ["run", DEMO, "--duration", str(seconds), "--pace", "free", "--set", f"log.on_failure={mode}", "--json"]
     assert main([*words, "--bus-log", str(tmp_path / "run.log")]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("log stopped") == 1
