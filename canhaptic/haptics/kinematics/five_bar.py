@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
@@ -22,6 +22,9 @@ class FiveBar(Parameters):
     |p - A| = const and |p - B| = const gives p' from q1' and q2'. It is lost where the distal links are in line (the
     handle cannot be held), and one motor loses its grip where its two links are in line (the edge of the workspace).
     """
+
+    axes: ClassVar[int] = 2
+    dimensions: ClassVar[int] = 2
 
     base: Annotated[float, quantity("m", ge=0.0)]
     """Distance between the motors."""
@@ -45,16 +48,6 @@ class FiveBar(Parameters):
         if self.base >= reach:
             raise ValueError(f"base: got {self.base:g} m, expected < {reach:g} m, the length of all links together")
         return self
-
-    @property
-    def axes(self) -> int:
-        """Motor axes."""
-        return 2
-
-    @property
-    def dimensions(self) -> int:
-        """Of task space."""
-        return 2
 
     def pose(self, positions: Sequence[float]) -> Pose:
         """Returns the place of the handle; see `Kinematics`."""

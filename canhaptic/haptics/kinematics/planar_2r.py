@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
@@ -15,6 +15,9 @@ _NOWHERE = Pose((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), Limit.SINGULAR.value)
 
 class Planar2R(Parameters):
     """x = base + l1 (cos a, sin a) + l2 (cos b, sin b), a = q1, b the direction of the second link."""
+
+    axes: ClassVar[int] = 2
+    dimensions: ClassVar[int] = 2
 
     first: Annotated[float, quantity("m", gt=0.0)]
     """Length l1 of the first link."""
@@ -35,16 +38,6 @@ class Planar2R(Parameters):
     def _box(self) -> "Planar2R":
         check_box(self.workspace_lower, self.workspace_upper, 2)
         return self
-
-    @property
-    def axes(self) -> int:
-        """Motor axes."""
-        return 2
-
-    @property
-    def dimensions(self) -> int:
-        """Of task space."""
-        return 2
 
     def pose(self, positions: Sequence[float]) -> Pose:
         """Returns the place of the handle; see `Kinematics`."""
