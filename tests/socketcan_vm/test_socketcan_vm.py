@@ -15,7 +15,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 BOOT_TIMEOUT = 700.0  # [s] a minute on an idle machine
 CYCLES = 3000
-MOST_SKIPPED = 10  # usually none; the guest's own kernel may hold its only processor for some milliseconds
 STOP_CYCLES = 20  # bus.stop_cycles of the scene: missed SYNCs after which the torque is zero
 Results = dict[str, dict[str, Any]]
 
@@ -40,14 +39,13 @@ def guest() -> Results:
 
 
 @pytest.mark.parametrize("bus", ["vcan", "kvaser"])
-def test_a_whole_run_of_two_processes_loses_no_frame_and_hardly_skips_a_sync(guest: Results, bus: str) -> None:
+def test_a_whole_run_of_two_processes_loses_no_frame_and_skips_no_sync(guest: Results, bus: str) -> None:
     run = guest[bus]
     assert run.get("failed") is None
     assert run["ends"] == [0, 143], run["error"]  # completed; the drive ended by SIGTERM
     account, link = run["account"], run["account"]["link"]
     assert account["cycles"] == CYCLES
-    assert (link["missed_tpdos"], link["late"], link["error_frames"]) == (0, 0, 0)
-    assert link["skipped_syncs"] <= MOST_SKIPPED
+    assert (link["skipped_syncs"], link["missed_tpdos"], link["late"], link["error_frames"]) == (0, 0, 0, 0)
     assert run["syncs"] == run["tpdos"] >= CYCLES
     assert run["most_torque"] > 500  # it was a contact
     assert run["last_torque"] == [0]
