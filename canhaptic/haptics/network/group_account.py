@@ -7,6 +7,7 @@ from canhaptic.haptics.network import bound
 from canhaptic.haptics.network.apart import AxesApart
 from canhaptic.haptics.network.bound import Axes
 from canhaptic.haptics.network.commands import GroupCommands, Values
+from canhaptic.haptics.passivity.settlement import settle
 
 
 class GroupAccount:
@@ -100,27 +101,10 @@ class GroupAccount:
             ceiling: What the network stores at its state [J]; more is not kept.
         """
         h_s, surplus = self.h_s + h_i - h_pas, self.h_dis - h_pas
-        h_r = deficit = leak = paid = slack = 0.0
+        slack = 0.0
         if lost > 0.0 or h_s > ceiling:
             slack = min(self._free(h_s - surplus + self._credit), h_s)
-        if lost > 0.0 and slack > 0.0:
-            h_r = lost if lost < slack else slack
-            h_s -= h_r
-            slack -= h_r
-        if h_s < 0.0:
-            deficit, h_s = -h_s, 0.0
-            surplus += deficit
-        elif h_s > ceiling:
-            paying = surplus if surplus > 0.0 else 0.0
-            above, allowed = h_s - ceiling, paying + slack if slack > 0.0 else paying
-            if above <= allowed:
-                leak, h_s = above, ceiling
-            else:
-                leak = allowed
-                h_s -= leak
-            paid = leak if leak < paying else paying
-            surplus -= paid
-        self.h_s, self.h_dis = h_s, surplus
+        self.h_s, self.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, lost, ceiling, slack)
         self._kept_back += h_r + leak - paid
         return h_r, deficit, leak, paid
 

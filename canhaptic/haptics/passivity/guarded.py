@@ -29,6 +29,7 @@ from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.haptics.passivity.certificates import reach
 from canhaptic.haptics.passivity.in_flight import CommandsInFlight
 from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.haptics.passivity.settlement import settle
 from canhaptic.haptics.passivity.torque_bound import Declared, TorqueBound
 from canhaptic.haptics.port import interaction_energy
 from canhaptic.haptics.recovery import Alpha, damping_cap, modulated_damping
@@ -237,29 +238,12 @@ class Guarded:
             ceiling: What the environment stores at its true state [J]; more is not kept.
         """
         h_s, surplus = self._h_s + h_i - h_pas, self._h_dis - h_pas
-        h_r = deficit = leak = paid = slack = 0.0
+        slack = 0.0
         if damped > 0.0 or h_s > ceiling:  # otherwise nothing is dissipated or leaked, and the slack is not needed
             slack = self._bound.free(h_s - surplus + self._credit, self._under_way)
             if slack > h_s:
                 slack = h_s
-        if damped > 0.0 and slack > 0.0:
-            h_r = damped if damped < slack else slack
-            h_s -= h_r
-            slack -= h_r
-        if h_s < 0.0:
-            deficit, h_s = -h_s, 0.0
-            surplus += deficit
-        elif h_s > ceiling:
-            paying = surplus if surplus > 0.0 else 0.0
-            above, allowed = h_s - ceiling, paying + slack if slack > 0.0 else paying
-            if above <= allowed:
-                leak, h_s = above, ceiling
-            else:
-                leak = allowed
-                h_s -= leak
-            paid = leak if leak < paying else paying
-            surplus -= paid
-        self._h_s, self._h_dis = h_s, surplus
+        self._h_s, self._h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, damped, ceiling, slack)
         self._kept_back += h_r + leak - paid
         return h_r, deficit, leak, paid
 
