@@ -5,7 +5,7 @@ A scene that does not name an entry never imports its module.
 
 import difflib
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from canhaptic.errors import ParameterError
@@ -23,8 +23,13 @@ def load(table: Mapping[str, str], name: str, kind: str) -> Any:
         ParameterError: The name is not in the table; the nearest name is offered.
     """
     if name not in table:
-        near = difflib.get_close_matches(name, table, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ParameterError(f"unknown {kind} {name!r}, expected one of: {', '.join(sorted(table))}{hint}")
+        known = ", ".join(sorted(table))
+        raise ParameterError(f"unknown {kind} {name!r}, expected one of: {known}{nearest(name, table)}")
     module, _, attribute = table[name].partition(":")
     return getattr(importlib.import_module(module), attribute)
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """Returns `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is near."""
+    near = difflib.get_close_matches(name, list(names), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""

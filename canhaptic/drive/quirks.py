@@ -3,13 +3,13 @@
 Each has a twin in the simulated drive (`canhaptic.scene.twins`), with which a whole start is tested.
 """
 
-import difflib
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Annotated, Any, Final
 
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters, quantity
+from canhaptic.tables import nearest
 
 
 class Quirks(Parameters):
@@ -83,9 +83,8 @@ def quirks_of(names: Sequence[str]) -> Quirks:
     origins: dict[str, str] = {}
     for name in names:
         if name not in QUIRKS:
-            near = difflib.get_close_matches(name, QUIRKS, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise ParameterError(f"quirks: got {name!r}, expected any of: {', '.join(sorted(QUIRKS))}{hint}")
+            known = f"{', '.join(sorted(QUIRKS))}{nearest(name, QUIRKS)}"
+            raise ParameterError(f"quirks: got {name!r}, expected any of: {known}")
         for key, value in QUIRKS[name].items():
             if changes.get(key, value) != value:
                 raise ParameterError(f"quirks: {origins[key]!r} and {name!r} contradict each other; keep one")

@@ -9,7 +9,8 @@ from canhaptic.drive.parameters import BusParameters
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults
-from canhaptic.scene.section import nearest, read_mapping, read_section, shown
+from canhaptic.scene.section import read_mapping, read_section, shown
+from canhaptic.tables import nearest
 
 BusName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^\S+$")]
 BUS_KEY: Final = "bus"

@@ -19,15 +19,8 @@ from canhaptic.parameters import Motion, Parameters
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.models import AxisScene, GroupMembership, GroupScene, Typed
-from canhaptic.scene.section import (
-    nearest,
-    read_list,
-    read_mapping,
-    read_section,
-    read_type,
-    refuse_unknown_keys,
-    shown,
-)
+from canhaptic.scene.section import read_list, read_mapping, read_section, read_type, refuse_unknown_keys, shown
+from canhaptic.tables import nearest
 
 UnitT = TypeVar("UnitT", Motion, Motion | None)
 

@@ -5,7 +5,6 @@ therefore read from the source of the backend, which needs neither its driver no
 """
 
 import ast
-import difflib
 import importlib.util
 import logging
 from collections.abc import Iterator, Mapping
@@ -18,6 +17,7 @@ from can.interfaces import BACKENDS
 
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import CanHapticError, InputError, LinkError
+from canhaptic.tables import nearest
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")
 """Arguments of `can.Bus` that are keys of `bus` themselves."""
@@ -110,19 +110,16 @@ def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
 def interface_faults(bus: BusParameters) -> list[tuple[str, str]]:
     """Returns (key of `bus`, what is wrong) for an interface or option that python-can would not take or would drop."""
     if bus.interface not in BACKENDS:
-        near = difflib.get_close_matches(bus.interface, BACKENDS, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        return [("interface", f"got {bus.interface!r}, expected one of: {', '.join(known_interfaces())}{hint}")]
+        known = ", ".join(known_interfaces())
+        return [("interface", f"got {bus.interface!r}, expected one of: {known}{nearest(bus.interface, BACKENDS)}")]
     accepted = accepted_options(bus.interface)
     faults = []
     for key in bus.options:
         if key in _OF_THE_SCENE:
             faults.append(("options", f"{key} is a key of bus itself; give it there"))
         elif accepted is not None and key not in accepted:
-            near = difflib.get_close_matches(key, accepted, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            listed = ", ".join(sorted(accepted)) or "none"
-            faults.append(("options", f"{bus.interface} takes no option {key!r}, expected any of: {listed}{hint}"))
+            listed = f"{', '.join(sorted(accepted)) or 'none'}{nearest(key, accepted)}"
+            faults.append(("options", f"{bus.interface} takes no option {key!r}, expected any of: {listed}"))
     return faults
 
 

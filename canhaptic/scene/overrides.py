@@ -3,13 +3,13 @@
 The path is keys and list indices joined by dots (a key that contains a dot is quoted); the value is YAML.
 """
 
-import difflib
 import re
 from collections.abc import Sequence
 from typing import Any, Final
 
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
 from canhaptic.scene.faults import Faults, Mark
+from canhaptic.tables import nearest
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
 _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
@@ -62,7 +62,6 @@ def _index(entries: MarkedList, part: str, here: Mark, faults: Faults) -> int | 
         return int(part)
     if part in names:
         return names.index(part)
-    near = difflib.get_close_matches(part, [name for name in names if name], n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    hint = nearest(part, filter(None, names))
     faults.add(here, f"got index {part!r}, expected 0 to {len(entries) - 1} or a name{hint}")
     return None

@@ -1,6 +1,5 @@
 """One section of a scene against one parameter model: pydantic's errors become faults with line, unit and range."""
 
-import difflib
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, TypeVar
@@ -13,7 +12,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.parameters import Motion, Parameters, Unit, axis_motion
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
-from canhaptic.tables import load
+from canhaptic.tables import load, nearest
 
 P = TypeVar("P", bound=Parameters)
 
@@ -112,12 +111,6 @@ def shown(value: object) -> str:
         return "a list"
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def nearest(name: str, names: Iterable[str]) -> str:
-    """Returns `; did you mean 'stiffness'?`, or nothing when no name is near."""
-    near = difflib.get_close_matches(name, list(names), n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def _unknown_key(key: str, names: Iterable[str]) -> str:
