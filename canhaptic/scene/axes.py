@@ -95,7 +95,7 @@ def _loop_in_group(section: MarkedMapping, group: GroupEntry, faults: Faults) ->
             own.keys_at[key],
             f"group {group.name!r} renders on this axis; give it in the group, and here only {', '.join(LOOP_KEYS)}",
         )
-    return own if loop is None else laid_over(own, loop)
+    return own if loop is None else own.over(loop)
 
 
 def _refuse_own_plant(shared: MarkedMapping, name: str, faults: Faults) -> None:
@@ -127,17 +127,9 @@ def overlay(
         if result is None or section.get(selector, result.get(selector)) != result.get(selector):
             result = section
         else:
-            result = laid_over(section, result)
+            result = section.over(result)
     if result is None and len(faults) == before:
         faults.add(shared.value_at(name), f"missing; give it here or in the axis, with {selector}")
-    return result
-
-
-def laid_over(upper: MarkedMapping, lower: MarkedMapping) -> MarkedMapping:
-    """Returns the entries of both; the upper's win, and its place stands for the whole."""
-    result = upper.copy()
-    for key in lower.keys() - upper.keys():
-        result.put(key, lower[key], lower.keys_at[key], lower.values_at[key])
     return result
 
 
@@ -175,7 +167,7 @@ def _loop(
     motion: Motion | None,
 ) -> LoopProperties | None:
     """Returns what the scene says of the loop around the controller; what it does not say stays unknown."""
-    loop = section.without(*(key for key in section if key not in LOOP_KEYS))
+    loop = section.only(LOOP_KEYS)
     at = section.mark
     derived: dict[str, Any] = {"sample_time": bus.sample_time_ns * 1e-9 if bus else 1e-3}
     if bus is not None:
@@ -196,7 +188,7 @@ def _simulation_of(shared: MarkedMapping, name: str, faults: Faults) -> MarkedMa
     section = shared.get("simulation")
     if not isinstance(section, MarkedMapping):
         return None  # absent, or a fault noted by the reader of the whole scene
-    parts = section.without(*(key for key in section if key not in SIMULATION_PARTS))
+    parts = section.only(SIMULATION_PARTS)
     axes = section.get("axes")
     own = axes.get(name) if isinstance(axes, MarkedMapping) else None
     if own is not None:
@@ -210,7 +202,7 @@ def _parts_laid_over(own: MarkedMapping, shared: MarkedMapping) -> MarkedMapping
     for key, value in own.items():
         below = shared.get(key)
         if isinstance(value, MarkedMapping) and isinstance(below, MarkedMapping):
-            value = laid_over(value, below)
+            value = value.over(below)
         result.put(key, value, own.keys_at[key], own.values_at[key])
     return result
 

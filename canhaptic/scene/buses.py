@@ -79,17 +79,13 @@ def read_buses(sections: MarkedMapping, faults: Faults) -> BusSections | None:
     entries = [read_mapping(entry, at, faults, "name, interface, channel, ...") for entry, at in value.items_at()]
     head, *tail = entries
     first = None if head is None else read_section(BusParameters, head.without("name"), faults, also=("name",))
-    title = None if head is None else read_section(BusTitle, _only_name(head), faults)
+    title = None if head is None else read_section(BusTitle, head.only(BusTitle.model_fields), faults)
     further = [_read_further(entry, faults) for entry in tail if entry is not None]
     if len(faults) > before or first is None or title is None:
         return None
     buses = BusSections(title.name, first, tuple(bus for bus in further if bus is not None))
     _check_distinct(buses, value, faults)
     return buses if len(faults) == before else None
-
-
-def _only_name(entry: MarkedMapping) -> MarkedMapping:
-    return entry.without(*(key for key in entry if key != "name"))
 
 
 def _read_further(entry: MarkedMapping, faults: Faults) -> FurtherBus | None:

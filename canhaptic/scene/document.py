@@ -5,7 +5,7 @@ Keys are kept as the text that was written, so that `0x6076` stays the name of a
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import yaml
@@ -57,6 +57,18 @@ class MarkedMapping(dict[str, Any]):
         twin = self.copy()
         for name in names:
             twin.pop(name, None)
+        return twin
+
+    def only(self, names: Container[str]) -> "MarkedMapping":
+        """Returns a copy with no other entries than these."""
+        return self.without(*(key for key in self if key not in names))
+
+    def over(self, lower: "MarkedMapping") -> "MarkedMapping":
+        """Returns the entries of both; where both have a key this one's wins, and its place stands for the whole."""
+        twin = self.copy()
+        for key, value in lower.items():
+            if key not in self:
+                twin.put(key, value, lower.keys_at[key], lower.values_at[key])
         return twin
 
 
@@ -179,8 +191,7 @@ class _Builder:
             else:
                 self._entry(result, str(key_node.value), key_node, value_node)
         for other in merged:  # entries written out win over merged ones, earlier ones over later
-            for key in other.keys() - result.keys():
-                result.put(key, other[key], other.keys_at[key], other.values_at[key])
+            result = result.over(other)
         return result
 
     def _entry(self, result: MarkedMapping, key: str, key_node: yaml.Node, value_node: yaml.Node) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.scene.faults import Faults, Mark
+from canhaptic.scene.faults import Faults
 from canhaptic.shipped import shipped
 
 SHIPPED: Final = shipped("eds")
@@ -20,7 +20,7 @@ def find_dictionary(section: MarkedMapping, faults: Faults) -> MarkedMapping:
     if not isinstance(text, str):
         return section  # missing or of another type: noted by the model
     at = section.value_at("eds")
-    folders = _folders(at)
+    folders = (at.folder, SHIPPED)
     for folder in folders:
         if _is_file(folder / text):
             found = section.copy()
@@ -29,11 +29,6 @@ def find_dictionary(section: MarkedMapping, faults: Faults) -> MarkedMapping:
     looked = "" if Path(text).is_absolute() else f" in {' or '.join(str(folder) for folder in folders)}"
     faults.add(at, f"got {text!r}, no such file{looked}; give the path of the drive's EDS or DCF")
     return section
-
-
-def _folders(at: Mark) -> list[Path]:
-    beside = Path(at.source).parent if at.line else Path()
-    return [beside, SHIPPED]
 
 
 def _is_file(path: Path) -> bool:

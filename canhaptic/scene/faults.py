@@ -1,5 +1,6 @@
 """Faults of a scene: where each one is, and the list that is raised at once."""
 
+from pathlib import Path
 from typing import NamedTuple
 
 from canhaptic.errors import SceneError
@@ -17,6 +18,11 @@ class Mark(NamedTuple):
     def where(self) -> str:
         """Returns `file:line:column`, or the source alone when it has no lines."""
         return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
+
+    @property
+    def folder(self) -> Path:
+        """Where a relative path that stands here starts from: the folder of the file, or the current one."""
+        return Path(self.source).parent if self.line else Path()
 
     def below(self, *parts: str) -> "Mark":
         """Returns the same place for an entry below it that the source does not hold."""
@@ -41,7 +47,11 @@ class Faults:
         )
         self._lines.setdefault(line, (mark.line, mark.column))
 
+    def error(self, kind: type[SceneError] = SceneError) -> SceneError:
+        """Returns the error with every fault noted so far, in the order of the file; overrides come first."""
+        return kind(sorted(self._lines, key=lambda line: self._lines[line]))
+
     def raise_if_any(self, kind: type[SceneError] = SceneError) -> None:
-        """Raises SceneError with every fault noted so far, in the order of the file; overrides come first."""
+        """Raises the error if there is any fault."""
         if self._lines:
-            raise kind(sorted(self._lines, key=lambda line: self._lines[line]))
+            raise self.error(kind)

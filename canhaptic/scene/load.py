@@ -97,17 +97,15 @@ def _read(document: Any, source: str, text: str, overrides: Sequence[str], fault
     top = Mark(source, 1, 1, ()) if text else Mark(source, 0, 0, ())
     if document is None:
         faults.add(top, f"empty, expected a mapping with {', '.join(SECTIONS)}")
-        faults.raise_if_any()
+        raise faults.error()
     sections = read_mapping(document, top, faults, ", ".join(SECTIONS))
     if sections is None:
-        faults.raise_if_any()
-        raise SceneError([f"{source}: no mapping"])
+        raise faults.error()
     apply_overrides(sections, overrides, faults)
     refuse_unknown_keys(sections, SECTIONS, faults)
     scene = _sections(sections, source, text, tuple(overrides), faults)
-    faults.raise_if_any()
-    if scene is None:
-        raise SceneError([f"{source}: incomplete"])
+    if scene is None or len(faults):
+        raise faults.error()
     cross_check(scene, sections, faults)
     faults.raise_if_any(SceneConflictError)
     return scene
@@ -116,7 +114,7 @@ def _read(document: Any, source: str, text: str, overrides: Sequence[str], fault
 def _sections(
     sections: MarkedMapping, source: str, text: str, overrides: tuple[str, ...], faults: Faults
 ) -> Scene | None:
-    run = read_section(RunParameters, _only(sections, RunParameters), faults)
+    run = read_section(RunParameters, sections.only(RunParameters.model_fields), faults)
     log_section = _section(sections, "log", faults)
     log = read_section(LogParameters, log_section, faults) if log_section is not None else LogParameters()
     simulation = _simulation(sections, faults)
@@ -138,11 +136,6 @@ def _sections(
         source, text, overrides, buses.first, axes, log, run, simulation, bus_effects, buses.name, buses.further,
         tolerance, groups=groups, mechanisms=tuple(replace(of, substeps=solved.substeps) for of in mechanisms),
     )  # fmt: skip
-
-
-def _only(sections: MarkedMapping, model: type[RunParameters]) -> MarkedMapping:
-    """Returns the entries at the top level that a model owns."""
-    return sections.without(*(key for key in sections if key not in model.model_fields))
 
 
 def _section(sections: MarkedMapping, name: str, faults: Faults) -> MarkedMapping | None:
@@ -237,19 +230,18 @@ def _axes(
             axes.append(axis and replace(axis, bus=used[-1]))
     if buses is not None and entries:
         check_every_bus_has_an_axis(buses.names, used, sections, faults)
-    _check_axis_names(sections, entries, faults)
+    _check_parts_of_axes(sections, faults)
     return tuple(axis for axis in axes if axis is not None)
 
 
-def _check_axis_names(sections: MarkedMapping, entries: MarkedList, faults: Faults) -> None:
+def _check_parts_of_axes(sections: MarkedMapping, faults: Faults) -> None:
     """Notes every key of `simulation.axes` that names no axis, and every unknown part below it."""
     simulation = sections.get("simulation")
     if not isinstance(simulation, MarkedMapping) or simulation.get("axes") is None:
         return
     own = read_mapping(simulation["axes"], simulation.value_at("axes"), faults, "an axis name to its parts")
     if own is not None:
-        names = [str(entry.get("name")) for entry in entries if isinstance(entry, MarkedMapping)]
-        refuse_unknown_keys(own, names, faults)
+        refuse_unknown_keys(own, _axis_names(sections), faults)
         for parts in own.values():
             if isinstance(parts, MarkedMapping):
                 refuse_unknown_keys(parts, SIMULATION_PARTS, faults)

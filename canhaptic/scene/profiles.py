@@ -44,10 +44,7 @@ def with_profile(section: MarkedMapping, faults: Faults) -> MarkedMapping:
         names = ", ".join(profile_names())
         faults.add(at, f"got {name!r}, expected one of: {names}; or the path of a profile of your own (.yaml)")
         return own
-    for key, value, key_at, value_at in _entries(_read(path, faults)):
-        if key not in own:
-            own.put(key, value, key_at, value_at)
-    return own
+    return own.over(_read(path, faults))
 
 
 def profile_values(name: str) -> dict[str, Any]:
@@ -74,8 +71,7 @@ def profile_of_vendor(vendor_id: int | None) -> str | None:
 def _path(name: str, at: Mark) -> Path | None:
     if not name.endswith((".yaml", ".yml")):
         return PROFILES / f"{name}.yaml" if name in profile_names() else None
-    beside = Path(at.source).parent if at.line else Path()
-    path = beside / name
+    path = at.folder / name
     return path if path.is_file() else None
 
 
@@ -84,16 +80,13 @@ def _read(path: Path, faults: Faults) -> MarkedMapping:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        faults.add(Mark(str(path), 0, 0, ()), f"cannot be read ({error}); give a profile in YAML, as UTF-8")
-        return MarkedMapping(Mark(str(path), 0, 0, ()))
+        whole = Mark(str(path), 0, 0, ())
+        faults.add(whole, f"cannot be read ({error}); give a profile in YAML, as UTF-8")
+        return MarkedMapping(whole)
     top = Mark(str(path), 1, 1, ())
     value = parse_yaml(text, str(path), faults)
     profile = MarkedMapping(top) if value is None else read_mapping(value, top, faults, "keys of an axis")
     if profile is None:
         return MarkedMapping(top)
     refuse_unknown_keys(profile, PROFILE_KEYS, faults)
-    return profile.without(*(key for key in profile if key not in PROFILE_KEYS))
-
-
-def _entries(profile: MarkedMapping) -> list[tuple[str, Any, Mark, Mark]]:
-    return [(key, value, profile.keys_at[key], profile.values_at[key]) for key, value in profile.items()]
+    return profile.only(PROFILE_KEYS)
