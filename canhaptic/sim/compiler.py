@@ -1,6 +1,6 @@
 """Scene -> data of one mode: flows, work forms and guards. No scene-specific code is made or run."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -100,11 +100,3 @@ def initial_state(scene: Scene) -> Array:
 def first_key(scene: Scene) -> tuple[str, ...]:
     """Returns the mode in which every part starts."""
     return tuple(part.modes[0] for part in scene.parts)
-
-
-def mode_count(modes: Sequence[Sequence[str]]) -> int:
-    """Returns how many combinations of modes there are."""
-    count = 1
-    for choices in modes:
-        count *= len(choices)
-    return count

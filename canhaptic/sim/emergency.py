@@ -56,10 +56,6 @@ class Emergency:
         self._update_register()
         self._clear_history()
 
-    def is_present(self, code: int) -> bool:
-        """Returns whether an error is present."""
-        return code in self._present
-
     def announce(self, code: int) -> None:
         """Enters an error and sends its EMCY, unless it is present already."""
         if code in self._present:

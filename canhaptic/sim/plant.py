@@ -311,13 +311,6 @@ class Plant:
             motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
         return _tuple(PlantEnergy, (motor, user, dissipated, self._stored() - self.stored_at_start))
 
-    def work_by_part(self) -> dict[str, float]:
-        """Returns the work of each part since the start [J]; losses positive, as in `PlantEnergy.dissipated`."""
-        works = dict(zip(self.scene.works, self._machine.works(), strict=True))
-        if self._splitting:
-            works.update({f"efforts_{account}": work for account, work in self._splitting.work.items()})
-        return works
-
     def _stored(self) -> float:
         stored = self._machine.stored()
         return stored + self._splitting.stored(self._machine.state.item(0)) if self._splitting else stored

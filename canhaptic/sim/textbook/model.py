@@ -46,7 +46,7 @@ class Model:
         start: State at time 0.
         first: Mode of each element at time 0.
         breaks: Times at which the equations change by the clock [s].
-        evaluations: Times that the forces were worked out since the last `reset_count`.
+        evaluations: Times that the forces were worked out.
         switches: Whether anything may leave its mode.
     """
 
@@ -164,10 +164,6 @@ class Model:
             velocity = self.start[VELOCITY]
             self._friction = StickSlip(dry.kinetic, dry.static, excess, width, velocity, self._other_forces)
             self._elements.append(self._friction)
-
-    def reset_count(self) -> None:
-        """Begins to count evaluations anew."""
-        self.evaluations = 0
 
     def rates(self, time: float, state: Any, torque: float, modes: Modes) -> Floats:
         """Returns the rate of every state."""

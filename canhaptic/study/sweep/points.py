@@ -5,10 +5,10 @@ number of workers can change it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,11 +128,3 @@ def _hashed(seed: int, stream: int, numbers: _Hashes) -> _Hashes:
             mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
         mixed ^= mixed >> np.uint64(31)
     return mixed
-
-
-def slices(columns: Mapping[str, Column], part: Any) -> dict[str, Column]:
-    """Returns the rows `part` (an index array) of every column."""
-    return {
-        key: column[part] if isinstance(column, np.ndarray) else [column[i] for i in part]
-        for key, column in columns.items()
-    }

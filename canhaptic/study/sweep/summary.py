@@ -108,7 +108,6 @@ _COLUMNS: Final = {
     "least_margin": "least margin",
     "diverged": "diverged",
     "stable": "linear loop stable",
-    "position_rms": "position error rms, median [m or rad]",
     "stiffness_rendered": "stiffness, median",
 }
 
@@ -131,6 +130,4 @@ def _shares_table(found: Summary) -> Table:
 def _cell(key: str, value: float | None) -> str:
     if value is None:
         return "-"
-    if key == "position_rms":
-        return f"{value:.3g}"
     return si(value, "J", 3) if key == "least_margin" else f"{100.0 * value:.3g} %"
