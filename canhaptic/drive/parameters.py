@@ -74,6 +74,11 @@ class BusParameters(Parameters):
         return self.sample_time_ns * 1e-9
 
     @property
+    def delay(self) -> int:
+        """Whole holds between the computation of a torque and the hold in which it acts."""
+        return 1 if self.rpdo == "synchronous" else 0
+
+    @property
     def heartbeat_cycles(self) -> int:
         """SYNCs from one heartbeat of the master to the next."""
         return max(1, round(self.heartbeat_period * 1e9 / self.sample_time_ns))

@@ -174,9 +174,8 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
         return balance
 
     rig = DirectRig(
-        plant, step, period, 1 if scene.bus.rpdo == "synchronous" else 0, axis.parameters.counts_per_unit,
-        axis.loop.torque_quantum or None,
-    )  # fmt: skip
+        plant, step, period, scene.bus.delay, axis.parameters.counts_per_unit, axis.loop.torque_quantum or None
+    )
     held: list[float] = rig.run(holds + 1).torque_applied[1:].tolist()
     return held
 

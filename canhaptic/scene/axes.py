@@ -171,7 +171,7 @@ def _loop(
     at = section.mark
     derived: dict[str, Any] = {"sample_time": bus.sample_time_ns * 1e-9 if bus else 1e-3}
     if bus is not None:
-        derived["delay"] = 1 if bus.rpdo == "synchronous" else 0
+        derived["delay"] = bus.delay
     if axis is not None:
         derived["encoder_count"] = 1.0 / abs(axis.counts_per_unit)
         derived["torque_limit"] = axis.torque_limit

@@ -78,12 +78,10 @@ def _check_effects(scene: Scene, sections: MarkedMapping, faults: Faults) -> Non
 
 def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults: Faults) -> None:
     """Compares what a scene claims of the loop with what its bus makes of it."""
-    claimed_delay = axis.loop.delay
-    least_delay = 1 if scene.bus.rpdo == "synchronous" else 0
-    if claimed_delay < least_delay:
+    if axis.loop.delay < scene.bus.delay:
         faults.add(
             passivity.value_at("delay"),
-            f"got {claimed_delay}, but bus.rpdo: {scene.bus.rpdo} delays the torque by {least_delay} hold; "
+            f"got {axis.loop.delay}, but bus.rpdo: {scene.bus.rpdo} delays the torque by {scene.bus.delay} hold; "
             "leave it out, or set rpdo: event",
         )
     if abs(axis.loop.sample_time - scene.bus.sample_time) > 1e-9:

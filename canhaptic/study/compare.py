@@ -284,7 +284,7 @@ def _result(scene: Scene, cycles: int, path: str) -> dict[str, Any]:
         "config_hash": scene.config_hash(),
         "path": path,
         "rate": 1.0 / scene.bus.sample_time,
-        "delay": 1 if scene.bus.rpdo == "synchronous" else 0,
+        "delay": scene.bus.delay,
         "cycles": cycles,
         "duration": cycles * scene.bus.sample_time,
     }

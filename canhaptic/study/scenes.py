@@ -53,7 +53,7 @@ def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
         loop=axis.loop,
         make_plant=lambda: build_plant(simulation, sample_time_ns),
         sample_time_ns=sample_time_ns,
-        delay=1 if scene.bus.rpdo == "synchronous" else 0,
+        delay=scene.bus.delay,
         counts_per_unit=axis.parameters.counts_per_unit,
         torque_quantum=None if rated is None else rated * _PER_MILLE,
         torque_limit=axis.parameters.torque_limit,

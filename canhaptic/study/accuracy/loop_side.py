@@ -91,7 +91,7 @@ def _hertz(rate: float) -> str:
 def _delays(base: Variant, scene: Scene) -> list[Variant]:
     other = "event" if base.bus.rpdo == "synchronous" else "synchronous"
     bus = base.bus.model_copy(update={"rpdo": other})
-    axis = replace(base.axis, loop=base.axis.loop.model_copy(update={"delay": 1 if other == "synchronous" else 0}))
+    axis = replace(base.axis, loop=base.axis.loop.model_copy(update={"delay": bus.delay}))
     return [Variant("RPDO", other, axis, bus, loop_case(axis, replace(scene, bus=bus)))]
 
 

@@ -50,8 +50,7 @@ def radii(scene: Scene, varied: Mapping[str, Array]) -> Array:
     period: Any = scene.bus.sample_time_ns * 1e-9
     if "bus.rate" in varied:
         period = np.rint(1e9 / varied["bus.rate"]) * 1e-9
-    synchronous = 1.0 if scene.bus.rpdo == "synchronous" else 0.0
-    delays = np.broadcast_to(varied.get("loop.delay", synchronous), (count,))
+    delays = np.broadcast_to(varied.get("loop.delay", float(scene.bus.delay)), (count,))
     return _by_delay(loops, period, delays)
 
 

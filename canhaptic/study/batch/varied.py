@@ -48,7 +48,7 @@ def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
             bus = BusParameters(**{**bus.model_dump(), "rpdo": "synchronous" if value else "event"})
         else:
             axis = _axis_with(axis, section, name, value)
-    derived = {"sample_time": bus.sample_time, "delay": 1 if bus.rpdo == "synchronous" else 0, **_of_axis(axis)}
+    derived = {"sample_time": bus.sample_time, "delay": bus.delay, **_of_axis(axis)}
     axis = replace(axis, loop=_with(axis.loop, **derived))
     return replace(scene, bus=bus, axes=(axis, *scene.axes[1:]))
 

@@ -141,7 +141,7 @@ def theory_at(field: Field, values: Mapping[str, float]) -> Theory:
     simulation, environment = axis.simulation, axis.environment.parameters
     if simulation is None or not hasattr(environment, "stiffness"):
         return Theory(None, None)
-    delay = 1 if scene.bus.rpdo == "synchronous" else 0
+    delay = scene.bus.delay
     viscous = sum(
         float(getattr(effect.parameters, "damping", 0.0))
         for effect in simulation.effects
