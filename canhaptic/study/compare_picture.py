@@ -14,7 +14,7 @@ from canhaptic.study.compare import AxisComparison, Comparison
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference import Reference
 from canhaptic.view.decimate import decimate
-from canhaptic.view.picture_style import STYLE, matplotlib_figure
+from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 from canhaptic.view.si import si
 
 _BLUE, _VERMILION, _GREEN, _GREY = "#0072B2", "#D55E00", "#009E73", "#8C8C8C"
@@ -46,10 +46,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
         for panel in panels[-1]:
             panel.set_xlabel("time [s]")
         figure.suptitle(_caption(comparison), x=0.01, ha="left", fontsize=9.5, color="#404040")
-        try:
-            figure.savefig(path)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: the picture cannot be written ({error})") from error
+        save_picture(figure, path)
 
 
 def _caption(comparison: Comparison) -> str:

@@ -15,6 +15,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import CycleTiming
 from canhaptic.view.decimate import decimate
 from canhaptic.view.extent import rows_between
+from canhaptic.view.page import require_bokeh, write_page
 from canhaptic.view.series import PortSeries
 from canhaptic.view.si import si
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 _BUCKETS: Final = 1000
 _LINK_POINTS: Final = 4000
 _NS_PER_US: Final = 1000.0
-_MISSING: Final = "an HTML report needs Bokeh; install it with: pip install 'canhaptic[report]'"
 _STYLE: Final = (
     "<style>body{font-family:system-ui,sans-serif;margin:12px 18px;color:#222}"
     "table.account td,table.account th{padding:1px 14px 1px 0;text-align:right}"
@@ -55,13 +55,9 @@ def write_html(
     """
     if log.rows == 0:
         raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
-    try:
-        from bokeh.embed import file_html
-        from bokeh.resources import INLINE
+    require_bokeh()
+    from canhaptic.view.html_panels import Panels
 
-        from canhaptic.view.html_panels import Panels
-    except ImportError as error:
-        raise InputError(_MISSING) from error
     rows = rows_between(log, start, stop)
     panels = Panels(float(result["from"]), float(result["to"]))
     tabs = []
@@ -73,11 +69,7 @@ def write_html(
         tabs.append(panels.port(series, second, log.attributes.get(f"{name}.wall_position")))
     common = [_timing(log, rows, panels), _link(log, rows, panels)]
     page = panels.page(_heading(log, result, other), tabs, [panel for panel in common if panel is not None])
-    text = file_html(page, INLINE, title=f"{log.path.name} - canhaptic")
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: the page cannot be written ({error.strerror})") from error
+    write_page(page, f"{log.path.name} - canhaptic", path)
 
 
 def _timing(log: EnergyLog, rows: slice, panels: "Panels") -> Any:

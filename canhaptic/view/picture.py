@@ -18,7 +18,7 @@ from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.view.decimate import decimate
 from canhaptic.view.extent import contacts, rows_between
-from canhaptic.view.picture_style import STYLE, matplotlib_figure
+from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 from canhaptic.view.series import faults_of
 from canhaptic.view.si import si
 
@@ -58,7 +58,7 @@ def draw_energy(
         other: A second run, drawn over the first in thin dashed lines where it has the same ports.
 
     Raises:
-        InputError: The log holds no cycle there, or matplotlib is not installed.
+        InputError: The log holds no cycle there, matplotlib is not installed, or the file cannot be written.
     """
     if not isinstance(log, EnergyLog):
         with EnergyLog.open(log) as opened:
@@ -82,7 +82,7 @@ def draw_energy(
                 overlay.draw_over(panels[:, column], picture.scales)
             panels[-1, column].set_xlabel("time [s]" + picture.faults())
         figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
-        figure.savefig(path)
+        save_picture(figure, path)
 
 
 def _caption(log: EnergyLog) -> str:

@@ -1,5 +1,6 @@
-"""How every picture of the package looks, and where matplotlib is asked for."""
+"""How every picture of the package looks, where matplotlib is asked for, and how a picture is written."""
 
+from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
@@ -34,3 +35,15 @@ def matplotlib_figure() -> tuple[Any, Any]:
     except ImportError as error:
         raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
     return mpl, Figure
+
+
+def save_picture(figure: Any, path: str | Path) -> None:
+    """Writes a figure into a file; its suffix says how (.png, .svg, .pdf).
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: the picture cannot be written ({error})") from error

@@ -8,10 +8,10 @@ from typing import Any, Final
 from canhaptic.errors import InputError
 from canhaptic.study.accuracy.picture import GROUPS, STYLES, price_of
 from canhaptic.study.accuracy.table import advice_lines, heading
+from canhaptic.view.page import require_bokeh, write_page
 
 Row = Mapping[str, Any]
 
-_MISSING: Final = "an HTML report needs Bokeh; install it with: pip install 'canhaptic[report]'"
 _TOOLS: Final = "pan,wheel_zoom,box_zoom,reset,save"
 _MARKERS: Final = {"o": "circle", "v": "inverted_triangle", "s": "square", "^": "triangle", "D": "diamond"}
 
@@ -24,13 +24,10 @@ def write_accuracy_page(result: Row, path: Path) -> None:
     """
     if not result["plant"]:
         raise InputError("nothing was measured, there is nothing to draw")
-    try:
-        from bokeh.embed import file_html
-        from bokeh.layouts import column, row
-        from bokeh.models import Div
-        from bokeh.resources import INLINE
-    except ImportError as error:
-        raise InputError(_MISSING) from error
+    require_bokeh()
+    from bokeh.layouts import column, row
+    from bokeh.models import Div
+
     words = "".join(f"<p>{html.escape(line)}</p>" for line in (*heading(result), "", *advice_lines(result)))
     price = price_of(result)
     panels = [
@@ -40,11 +37,7 @@ def write_accuracy_page(result: Row, path: Path) -> None:
     parts = [Div(text=words), row(*panels)]
     if any(r["position_error"] for r in result["loop"]):
         parts.append(_loop(result))
-    text = file_html(column(*parts), INLINE, title=f"{result['scene']} - accuracy")
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: the page cannot be written ({error.strerror})") from error
+    write_page(column(*parts), f"{result['scene']} - accuracy", path)
 
 
 def _ladder(result: Row, price: str, price_label: str, error: str, error_label: str) -> Any:

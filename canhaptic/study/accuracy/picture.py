@@ -10,7 +10,7 @@ from typing import Any, Final
 from canhaptic.errors import InputError
 from canhaptic.study.accuracy.advice import FLOOR
 from canhaptic.study.accuracy.candidates import OURS
-from canhaptic.view.picture_style import STYLE, matplotlib_figure
+from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 
 Row = Mapping[str, Any]
 
@@ -59,10 +59,7 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=5, fontsize=8.5)
         figure.suptitle(_caption(result), x=0.01, ha="left", fontsize=9.5, color="#404040")
-        try:
-            figure.savefig(path)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: the picture cannot be written ({error})") from error
+        save_picture(figure, path)
 
 
 def price_of(result: Row) -> tuple[str, str]:

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.errors import InputError
 from canhaptic.study.map.panels import Cells, Lines, Panel
 from canhaptic.study.map.picture import COLOURS, common_limits, edges_of, few_values
+from canhaptic.view.page import require_bokeh, write_page
 
 _WIDTH, _HEIGHT = 560, 380
 _DASHES: Final = {"measured": "solid", "colgate": "dashed", "abbott_okamura": "dotted"}
@@ -22,24 +22,17 @@ def write_map(columns: Sequence[Sequence[Panel]], caption: str, path: Path) -> N
     Raises:
         InputError: Bokeh is not installed, or the page cannot be written.
     """
-    try:
-        from bokeh.embed import file_html
-        from bokeh.layouts import column, gridplot
-        from bokeh.models import Div
-        from bokeh.resources import INLINE
-    except ImportError as error:
-        raise InputError("an HTML page needs Bokeh; install it with: pip install 'canhaptic[report]'") from error
+    require_bokeh()
+    from bokeh.layouts import column, gridplot
+    from bokeh.models import Div
+
     rows = []
     for row in range(max(len(panels) for panels in columns)):
         panels = [panels[row] if row < len(panels) else None for panels in columns]
         limits = common_limits([panel for panel in panels if isinstance(panel, Cells)])
         rows.append([None if panel is None else _figure(panel, limits) for panel in panels])
     heading = Div(text=f"<b>{html.escape(caption)}</b>")
-    text = file_html(column(heading, gridplot(rows)), INLINE, title=f"{caption} - canhaptic")
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: the page cannot be written ({error.strerror})") from error
+    write_page(column(heading, gridplot(rows)), f"{caption} - canhaptic", path)
 
 
 def _figure(panel: Panel, limits: tuple[float, float]) -> Any:

@@ -7,10 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.errors import InputError
 from canhaptic.study.loop import Array
 from canhaptic.study.map.panels import Cells, Lines, Panel
-from canhaptic.view.picture_style import STYLE, matplotlib_figure
+from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 
 _FEW: Final = 8
 _LETTERS: Final = 80
@@ -39,10 +38,7 @@ def draw_map(columns: Sequence[Sequence[Panel]], caption: str, path: str | Path)
             _draw_row(figure, axes[row], panels)
         lines = textwrap.wrap(caption, _LETTERS * len(columns), break_long_words=False)
         figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=9.5, color="#404040")
-        try:
-            figure.savefig(path)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: the picture cannot be written ({error})") from error
+        save_picture(figure, path)
 
 
 def _draw_row(figure: Any, axes: Any, panels: Sequence[Panel | None]) -> None:

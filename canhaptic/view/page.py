@@ -1,0 +1,34 @@
+"""Pages that any browser opens without a network, drawn by Bokeh: where it is asked for, and how a page is written."""
+
+from pathlib import Path
+from typing import Any
+
+from canhaptic.errors import InputError
+
+
+def require_bokeh() -> None:
+    """Imports Bokeh.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        import bokeh.plotting  # noqa: F401 - what every page is drawn with
+    except ImportError as error:
+        raise InputError("an HTML page needs Bokeh; install it with: pip install 'canhaptic[report]'") from error
+
+
+def write_page(content: Any, title: str, path: Path) -> None:
+    """Writes a layout of Bokeh as one self-contained page.
+
+    Raises:
+        InputError: The page cannot be written.
+    """
+    from bokeh.embed import file_html
+    from bokeh.resources import INLINE
+
+    text = file_html(content, INLINE, title=title)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: the page cannot be written ({error.strerror})") from error
