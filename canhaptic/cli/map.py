@@ -6,9 +6,10 @@ from pathlib import Path
 from canhaptic.cli.arguments import add_json, check_picture
 from canhaptic.cli.output import write_json, write_line, write_note
 from canhaptic.errors import InputError
-from canhaptic.study.map.border import JUDGEMENTS, usual_judgement
+from canhaptic.study.map.border import JUDGEMENTS, passing_share, usual_judgement
 from canhaptic.study.map.field import fields_of
-from canhaptic.study.map.panels import Chosen, Lines, Panel, panels_of, passing_share
+from canhaptic.study.map.panel import Lines, Panel
+from canhaptic.study.map.panels import Chosen, panels_of
 from canhaptic.study.sweep.table import SweepTable
 
 
@@ -42,10 +43,7 @@ def execute(arguments: argparse.Namespace) -> int:
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
         columns = panels_of(fields, chosen)
         caption = f"{table.note('source')}   {'  '.join(entry['given'] for entry in table.identity['varied'])}"
-        shares = {
-            one.controller or one.scene.axes[0].passivity.name: passing_share(one, arguments.by or usual_judgement(one))
-            for one in fields
-        }
+        shares = {one.algorithm: passing_share(one, arguments.by or usual_judgement(one)) for one in fields}
     if arguments.json:
         write_json({"file": str(arguments.file), "passing": shares, "lines": _lines(columns)})
     else:

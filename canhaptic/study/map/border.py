@@ -3,7 +3,7 @@
 Colgate and Schenkel, "Passivity of a class of sampled-data systems", Journal of Robotic Systems 14, 1997: with the
 damping b of the device a sampled wall H(z) is passive for every user if and only if, at every frequency,
 
-    b > T / 2 (1 - cos wT) Re{(1 - e^-jwT) H(e^jwT)}
+    b > T / (2 - 2 cos wT) * Re{(1 - e^-jwT) H(e^jwT)}
 
 For a spring k without delay that is b > k T / 2. Abbott and Okamura (IEEE Trans. Robotics 21, 2005) add the encoder:
 the Coulomb friction of the device must cover half a count of the spring, k < 2 f_c / count: for a wall without a damper
@@ -59,7 +59,7 @@ def usual_judgement(field: Field) -> str:
     of the loop; where that is not linear, damping and dry friction of the device must cover at any moment what the port
     gave out, which is what Abbott and Okamura ask. The others are held to what they promise.
     """
-    if (field.controller or field.scene.axes[0].passivity.name) == "direct":
+    if field.algorithm == "direct":
         if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
             return "stable"
         return next((name for name in ("covered", "settled") if field.has(_ENERGIES[name])), "passive")
@@ -73,10 +73,16 @@ def passes(field: Field, judgement: str) -> Mask:
     passed = field.judged()
     if field.has("diverged"):
         passed &= field.figure("diverged") == 0.0
-    if field.has(RADIUS) and (field.controller or field.scene.axes[0].passivity.name) == "direct":
+    if field.has(RADIUS) and field.algorithm == "direct":
         radius = field.figure(RADIUS)
         passed &= ~(radius >= 1.0)
     return passed
+
+
+def passing_share(field: Field, judgement: str) -> float:
+    """Returns the share of the judged scenes that pass."""
+    judged = field.judged()
+    return float((passes(field, judgement) & judged).sum() / max(1, judged.sum()))
 
 
 def border_of(field: Field, key: str, kept: list[str], judgement: str) -> Border:

@@ -53,10 +53,12 @@ class Field:
         keys: Numeric keys with more than one value, in the order given.
         values: Every value of each of them, in the order of a grid; of each scene, for samples.
         is_grid: Whether figures have one dimension per key.
+        scene: Before anything varied, of this axis alone under this algorithm.
+        algorithm: Its name.
     """
 
     def __init__(self, table: SweepTable, axis: str, controller: str = "") -> None:
-        self._table, self.axis, self.controller = table, axis, controller
+        self._table, self.axis = table, axis
         self.index = table.axes.index(axis)
         self.is_grid = not table.identity["samples"]
         varied = table.identity["varied"]
@@ -70,6 +72,7 @@ class Field:
         self.keys = [key for key in names if key in numeric and self._is_varied(key)]
         self.values = {key: self._values(key) for key in self.keys}
         self.scene = _scene(table, axis, controller)
+        self.algorithm = self.scene.axes[0].passivity.name
         self.unit = self.scene.axes[0].parameters.unit
 
     def figure(self, metric: str) -> Array:

@@ -7,8 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.study.map.panels import Cells, Lines, Panel
-from canhaptic.study.map.picture import COLOURS, common_limits, edges_of, few_values
+from canhaptic.study.map.panel import Cells, Lines, Panel, common_limits
 from canhaptic.view.page import require_bokeh, write_page
 
 _WIDTH, _HEIGHT = 560, 380
@@ -29,7 +28,7 @@ def write_map(columns: Sequence[Sequence[Panel]], caption: str, path: Path) -> N
     rows = []
     for row in range(max(len(panels) for panels in columns)):
         panels = [panels[row] if row < len(panels) else None for panels in columns]
-        limits = common_limits([panel for panel in panels if isinstance(panel, Cells)])
+        limits = common_limits(panels)
         rows.append([None if panel is None else _figure(panel, limits) for panel in panels])
     heading = Div(text=f"<b>{html.escape(caption)}</b>")
     write_page(column(heading, gridplot(rows)), f"{caption} - canhaptic", path)
@@ -46,7 +45,7 @@ def _figure(panel: Panel, limits: tuple[float, float]) -> Any:
         width=_WIDTH, height=_HEIGHT, title=panel.title, x_axis_label=panel.x_label, y_axis_label=panel.y_label,
         tools="pan,wheel_zoom,box_zoom,reset,save", **types,
     )  # fmt: skip
-    places = few_values(panel)
+    places = panel.marks()
     if places:
         place.xaxis.ticker = places
         place.xaxis.major_label_overrides = {value: f"{value:g}" for value in places}
@@ -61,10 +60,9 @@ def _lines(place: Any, panel: Lines) -> None:
     from bokeh.models import HoverTool, Title
 
     for line in panel.lines:
-        colour = "black" if line.style == "abbott_okamura" else COLOURS[line.colour % len(COLOURS)]
         given = {"x": line.x, "y": line.y}
-        place.line(**given, color=colour, line_dash=_DASHES[line.style], line_width=2, legend_label=line.label)
-        dots = place.scatter(**given, color=colour, size=6 if line.style == "measured" else 2, name=line.label)
+        place.line(**given, color=line.colour, line_dash=_DASHES[line.style], line_width=2, legend_label=line.label)
+        dots = place.scatter(**given, color=line.colour, size=6 if line.style == "measured" else 2, name=line.label)
         tips = [("", "$name"), (panel.x_label, "@x"), (panel.y_label, "@y")]
         place.add_tools(HoverTool(renderers=[dots], tooltips=tips))
     if panel.note:
@@ -80,10 +78,10 @@ def _cells(place: Any, panel: Cells, limits: tuple[float, float]) -> None:
     from bokeh.models import ColorBar, HoverTool, LinearColorMapper, LogColorMapper
 
     mapper = (LogColorMapper if panel.value_log else LinearColorMapper)(
-        palette="Magma256" if panel.value_log and not panel.is_width else "Viridis256",
+        palette="Magma256" if panel.more_is_worse else "Viridis256",
         low=limits[0], high=limits[1], nan_color=_BLANK,
     )  # fmt: skip
-    if panel.value_log and not panel.is_width:
+    if panel.more_is_worse:
         mapper.palette = list(reversed(mapper.palette))
     colour = {"field": "value", "transform": mapper}
     if panel.dots:
@@ -97,7 +95,7 @@ def _cells(place: Any, panel: Cells, limits: tuple[float, float]) -> None:
 
 
 def _quads(panel: Cells) -> dict[str, Any]:
-    x, y = edges_of(panel.x, log=panel.x_log), edges_of(panel.y, log=panel.y_log)
+    x, y = panel.edges()
     rows, columns = panel.values.shape
     return {
         "left": np.tile(x[:-1], rows),

@@ -1,4 +1,4 @@
-"""What a map draws, as plain values: the same panels become a picture and a page."""
+"""Which panels a map has: chosen by what was varied and asked for, filled from the figures of a sweep."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -7,8 +7,9 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.study.loop import Array
-from canhaptic.study.map.border import JUDGEMENTS, border_of, passes, theory_at, usual_judgement
+from canhaptic.study.map.border import JUDGEMENTS, border_of, theory_at, usual_judgement
 from canhaptic.study.map.field import Field
+from canhaptic.study.map.panel import Cells, Line, Lines, Panel
 
 STIFFNESS: Final = "environment.stiffness"
 _PREFERRED: Final = ("bus.rate", "environment.damping")
@@ -17,53 +18,6 @@ _LOG_SPAN: Final = 8.0
 """Ratio of largest and least value from which an axis is logarithmic."""
 _LEAST_ENERGY: Final = 1e-6  # [J]
 _ERROR: Final = "position_error.rms"
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One line of a panel."""
-
-    label: str
-    x: Array
-    y: Array
-    style: str  # "measured", "colgate", "abbott_okamura"
-    colour: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Lines:
-    """A panel of lines; both axes positive where logarithmic."""
-
-    title: str
-    x_label: str
-    y_label: str
-    lines: tuple[Line, ...]
-    x_log: bool
-    y_log: bool
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Cells:
-    """A panel of coloured cells, or of dots where the scenes are no grid."""
-
-    title: str
-    x_label: str
-    y_label: str
-    x: Array  # of the columns, (nx,); of each dot, (n,)
-    y: Array  # of the rows, (ny,); of each dot, (n,)
-    values: Array  # (ny, nx), or (n,); NaN is blank
-    value_label: str
-    x_log: bool
-    y_log: bool
-    value_log: bool = False
-    limits: tuple[float, float] | None = None
-    contour: float | None = None
-    dots: bool = False
-    is_width: bool = False
-
-
-Panel = Lines | Cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +40,7 @@ def panels_of(fields: list[Field], chosen: Chosen) -> list[list[Panel]]:
     if chosen.metric is not None or not fields[0].is_grid:
         return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
     columns = [_usual_panels(one, chosen) for one in fields]
-    rows = [row for row in zip(*columns, strict=True) if any(_has_something(panel) for panel in row)]
+    rows = [row for row in zip(*columns, strict=True) if any(panel.has_something() for panel in row)]
     return [list(column) for column in zip(*rows, strict=True)] or columns
 
 
@@ -118,16 +72,8 @@ def _usual_panels(field: Field, chosen: Chosen) -> list[Panel]:
     return panels
 
 
-def _has_something(panel: Panel) -> bool:
-    return isinstance(panel, Lines) or bool(np.isfinite(panel.values).any())
-
-
 def _preference(key: str) -> int:
     return _PREFERRED.index(key) if key in _PREFERRED else len(_PREFERRED)
-
-
-def _name(field: Field) -> str:
-    return field.controller or field.scene.axes[0].passivity.name
 
 
 def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel:
@@ -135,7 +81,7 @@ def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel
     border = border_of(field, z, [x] if y is None else [x, y], judgement)
     order = np.argsort(field.values[x])
     places = field.values[x][order]
-    title = f"{_name(field)}: largest {z.rpartition('.')[2]}"
+    title = f"{field.algorithm}: largest {z.rpartition('.')[2]}"
     note = f"{JUDGEMENTS[judgement]}, worst of all else"
     levels = [None] if y is None else sorted(field.values[y].tolist())
     if y is not None and len(levels) > _MOST_LINES:
@@ -143,7 +89,7 @@ def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel
         cells, rows = _positive(border.value[order][:, ranks].T), field.values[y][ranks]
         return Cells(
             f"{title}, {note}", field.label(x), field.label(y), places, rows, cells, field.label(z),
-            _is_log(places), _is_log(rows), value_log=True, is_width=True,
+            _is_log(places), _is_log(rows), value_log=True,
         )  # fmt: skip
     lines: list[Line] = []
     for colour, level in enumerate(levels):
@@ -152,7 +98,7 @@ def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel
         )
         of_level = "" if level is None or y is None else f", {y.rpartition('.')[2]} {level:.3g}"
         lines.append(Line(f"measured{of_level}", places, _positive(kept[order]), "measured", colour))
-        if z == STIFFNESS and _name(field) == "direct":
+        if z == STIFFNESS and field.algorithm == "direct":
             lines += _theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
     if border.open.any():
         note += f"; on top: all of the range, {field.values[z].max():.3g}, passes"
@@ -188,7 +134,7 @@ def _metric_panel(field: Field, chosen: Chosen, metric: str) -> Panel:
     x = chosen.x or next(key for key in others if key != chosen.y)
     y = chosen.y or (STIFFNESS if STIFFNESS in others and x != STIFFNESS else next(key for key in others if key != x))
     values, label, kind = _shown(field, metric)
-    title = f"{_name(field)}: {label}"
+    title = f"{field.algorithm}: {label}"
     if field.is_grid:
         keys = [field.keys.index(key) for key in (y, x)]
         rest = [i for i in range(values.ndim) if i not in keys]
@@ -203,7 +149,7 @@ def _metric_panel(field: Field, chosen: Chosen, metric: str) -> Panel:
     return Cells(
         title, field.label(x), field.label(y), *places, values, label, _is_log(places[0]), _is_log(places[1]),
         value_log=kind in ("energy", "error"), limits=limits, contour=0.95 if kind == "share" else None,
-        dots=not field.is_grid,
+        dots=not field.is_grid, more_is_worse=kind in ("energy", "error"),
     )  # fmt: skip
 
 
@@ -257,16 +203,10 @@ def _profile(field: Field, key: str, metric: str) -> Panel:
     order = np.argsort(field.values[key])
     flat = _worst(values.reshape(len(order), 1, -1), (2,), kind)[:, 0] if field.is_grid else values
     places = field.values[key][order]
-    line = Line(_name(field), places, flat[order], "measured")
+    line = Line(field.algorithm, places, flat[order], "measured")
     log = kind in ("energy", "error")
-    return Lines(f"{_name(field)}: {label}", field.label(key), label, (line,), _is_log(places), log)
+    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), _is_log(places), log)
 
 
 def _is_log(values: Array) -> bool:
     return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
-
-
-def passing_share(field: Field, judgement: str) -> float:
-    """Returns the share of the judged scenes that pass."""
-    judged = field.judged()
-    return float((passes(field, judgement) & judged).sum() / max(1, judged.sum()))

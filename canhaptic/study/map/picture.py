@@ -7,18 +7,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.study.loop import Array
-from canhaptic.study.map.panels import Cells, Lines, Panel
+from canhaptic.study.map.panel import Cells, Lines, Panel, common_limits
 from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 
-_FEW: Final = 8
 _LETTERS: Final = 80
 """Of the caption over one column."""
-COLOURS: Final = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _LINES: Final[dict[str, dict[str, Any]]] = {
     "measured": {"linewidth": 2.0, "marker": "o", "markersize": 4.0},
     "colgate": {"linewidth": 1.4, "linestyle": "--", "zorder": 4},
-    "abbott_okamura": {"linewidth": 1.4, "linestyle": ":", "color": "black"},
+    "abbott_okamura": {"linewidth": 1.4, "linestyle": ":"},
 }
 
 
@@ -42,7 +39,7 @@ def draw_map(columns: Sequence[Sequence[Panel]], caption: str, path: str | Path)
 
 
 def _draw_row(figure: Any, axes: Any, panels: Sequence[Panel | None]) -> None:
-    limits = common_limits([panel for panel in panels if isinstance(panel, Cells)])
+    limits = common_limits(panels)
     for place, panel in zip(axes, panels, strict=True):
         if panel is None:
             place.set_visible(False)
@@ -61,24 +58,16 @@ def _draw_row(figure: Any, axes: Any, panels: Sequence[Panel | None]) -> None:
 
 def _mark_values(place: Any, panel: Panel) -> None:
     """Puts the marks of a logarithmic axis at the values themselves where those are few."""
-    places = few_values(panel)
+    places = panel.marks()
     if places:
         place.set_xticks(places, [f"{value:g}" for value in places])
         place.set_xticks([], minor=True)
 
 
-def few_values(panel: Panel) -> list[float]:
-    """Returns the values along a logarithmic axis; none where they are many, or no columns."""
-    found = panel.x if isinstance(panel, Cells) else np.concatenate([line.x for line in panel.lines] or [np.empty(0)])
-    values = np.unique(found).tolist()
-    return values if panel.x_log and len(values) <= _FEW and not getattr(panel, "dots", False) else []
-
-
 def _draw_lines(place: Any, panel: Lines) -> None:
     place.grid(visible=True)
     for line in panel.lines:
-        style = {"color": COLOURS[line.colour % len(COLOURS)], **_LINES[line.style]}
-        place.plot(line.x, line.y, label=line.label, **style)
+        place.plot(line.x, line.y, label=line.label, color=line.colour, **_LINES[line.style])
     if panel.note:
         place.text(
             0.0,
@@ -96,12 +85,11 @@ def _draw_cells(figure: Any, place: Any, panel: Cells, limits: tuple[float, floa
     from matplotlib.colors import LogNorm, Normalize
 
     norm = (LogNorm if panel.value_log else Normalize)(*limits)
-    colours = "magma_r" if panel.value_log and not panel.is_width else "viridis"
+    colours = "magma_r" if panel.more_is_worse else "viridis"
     if panel.dots:
         drawn = place.scatter(panel.x, panel.y, c=panel.values, norm=norm, cmap=colours, s=14.0, edgecolors="none")
     else:
-        edges = edges_of(panel.x, log=panel.x_log), edges_of(panel.y, log=panel.y_log)
-        drawn = place.pcolormesh(*edges, panel.values, norm=norm, cmap=colours, rasterized=True)
+        drawn = place.pcolormesh(*panel.edges(), panel.values, norm=norm, cmap=colours, rasterized=True)
         _draw_contour(place, panel)
     figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
 
@@ -113,30 +101,3 @@ def _draw_contour(place: Any, panel: Cells) -> None:
         return
     drawn = place.contour(panel.x, panel.y, panel.values, levels=[panel.contour], colors="white", linewidths=1.2)
     place.clabel(drawn, fmt=f"{100.0 * panel.contour:g} %%", fontsize=8.0)
-
-
-def edges_of(values: Array, *, log: bool) -> Array:
-    """Returns the edges of cells around sorted values, shape (n + 1,): halfway between neighbours."""
-    scaled = np.log(values) if log else values
-    if len(values) == 1:
-        half = np.array([0.5 if log else 0.5 * max(abs(float(values[0])), 1.0)])
-        edges = np.concatenate([scaled - half, scaled + half])
-    else:
-        middle = 0.5 * (scaled[1:] + scaled[:-1])
-        edges = np.concatenate([[2.0 * scaled[0] - middle[0]], middle, [2.0 * scaled[-1] - middle[-1]]])
-    return np.asarray(np.exp(edges) if log else edges)
-
-
-def common_limits(panels: Sequence[Cells]) -> tuple[float, float]:
-    """Returns limits of the colours that fit every panel of a row."""
-    if not panels:
-        return 0.0, 1.0
-    if panels[0].limits is not None:
-        return panels[0].limits
-    known = np.concatenate([panel.values[np.isfinite(panel.values)].ravel() for panel in panels])
-    if not len(known):
-        return (1.0, 10.0) if panels[0].value_log else (0.0, 1.0)
-    low, high = float(known.min()), float(known.max())
-    if panels[0].value_log:
-        return low, max(high, 10.0 * low)
-    return low, high if high > low else low + 1.0

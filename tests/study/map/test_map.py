@@ -11,8 +11,9 @@ from canhaptic.scene.load import load_scene
 from canhaptic.study.map.border import Border, border_of, colgate_stiffness, passes, theory_at, usual_judgement
 from canhaptic.study.map.field import fields_of
 from canhaptic.study.map.page import write_map
-from canhaptic.study.map.panels import Cells, Chosen, Lines, panels_of
-from canhaptic.study.map.picture import draw_map, edges_of
+from canhaptic.study.map.panel import Cells, Lines, edges_of
+from canhaptic.study.map.panels import Chosen, panels_of
+from canhaptic.study.map.picture import draw_map
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.table import SweepTable
 
