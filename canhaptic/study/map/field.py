@@ -12,12 +12,12 @@ from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.study.compare import with_algorithm
 from canhaptic.study.loop import Array
+from canhaptic.study.sweep.chunk import COMPLETED
 from canhaptic.study.sweep.points import CONTROLLER
 from canhaptic.study.sweep.table import SweepTable
 
 Mask = NDArray[np.bool_]
 
-_COMPLETED: Final = 1
 _UNITS: Final[dict[str, tuple[str, str]]] = {
     "stiffness": ("N/m", "N*m/rad"),
     "damping": ("N*s/m", "N*m*s/rad"),
@@ -82,7 +82,7 @@ class Field:
 
     def judged(self) -> Mask:
         """Returns which scenes were run to their end, shaped as a figure."""
-        found: Mask = self._shaped(self._table.status() == _COMPLETED)
+        found: Mask = self._shaped(self._table.status() == COMPLETED)
         return found
 
     def has(self, metric: str) -> bool:

@@ -36,12 +36,12 @@ FIGURES: Final = (*ALL, RADIUS)
 USUAL: Final = (*METRICS, RADIUS)
 """Metrics that need no continuous run beside each scene."""
 STATUS: Final = ("pending", "completed", "refused", "failed")
+COMPLETED, REFUSED, FAILED = (STATUS.index(name) for name in ("completed", "refused", "failed"))
 ENGINES: Final = ("none", "closed form", "numpy", "numba", "scalar")
 SLOTS: Final = 32
 """Different remarks that one chunk keeps."""
 MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set with its values says which"
 
-_COMPLETED, _REFUSED, _FAILED = 1, 2, 3
 _CLOSED_FORM, _SCALAR = ENGINES.index("closed form"), ENGINES.index("scalar")
 BATCHED: Final = frozenset(f"{section}.{name}" for section, names in BATCH_KEYS.items() for name in names)
 """Every key that may differ inside a batch."""
@@ -110,7 +110,7 @@ class _Chunk:
                 built = scene_of(self._recipe, self._row(row))
                 if built.scene is None:
                     refused.append(row)
-                    self._note(row, _REFUSED, 0, built.remark)
+                    self._note(row, REFUSED, 0, built.remark)
         return np.setdiff1d(np.arange(self._count), np.array(refused, dtype=np.intp))
 
     def _groups(self, keys: set[str], rows: _Rows) -> list[_Rows]:
@@ -193,22 +193,22 @@ class _Chunk:
         for row in rows.tolist():
             built = scene_of(self._recipe, self._row(row))
             if built.scene is None:
-                self._note(row, _REFUSED, 0, built.remark)
+                self._note(row, REFUSED, 0, built.remark)
                 continue
-            status, remark = _COMPLETED, _joined(reason, built.remark)
+            status, remark = COMPLETED, _joined(reason, built.remark)
             for index, name in enumerate(self._recipe.axes):
                 scene = seeded(self._recipe, _alone(built, index), self._start + row)
                 try:
                     figures = run_scalar(scene, cycles_in(self._recipe, scene), asked)
                 except CanHapticError as error:
-                    status, remark = _FAILED, str(error).splitlines()[0]
+                    status, remark = FAILED, str(error).splitlines()[0]
                     continue
                 for metric in asked:
                     self._figures[f"{name}/{metric}"][row] = figures[metric]
             self._note(row, status, _SCALAR, remark)
 
     def _note_all(self, rows: _Rows, engine: int, remark: str) -> None:
-        self._status[rows], self._engine[rows], self._remark[rows] = _COMPLETED, engine, self._slot(remark)
+        self._status[rows], self._engine[rows], self._remark[rows] = COMPLETED, engine, self._slot(remark)
 
     def _note(self, row: int, status: int, engine: int, remark: str) -> None:
         self._status[row], self._engine[row], self._remark[row] = status, engine, self._slot(remark)

@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from canhaptic.errors import InputError, ParameterError, SceneConflictError, SceneError
 from canhaptic.scene.load import scene_from_text
@@ -233,9 +233,7 @@ def _refusal(axis: AxisScene, scene: Scene) -> str:
     return ""
 
 
-def _first_line(error: Any) -> str:
+def _first_line(error: Exception) -> str:
     """Returns the first fault of an error without the override that it names, which is one of the sweep's own."""
     line = str(error).splitlines()[0]
-    if line.startswith("--set "):
-        line = line.partition(": ")[2]
-    return line
+    return line.partition(": ")[2] if line.startswith("--set ") else line

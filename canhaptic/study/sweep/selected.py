@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.study.loop import Array
+from canhaptic.study.sweep.chunk import COMPLETED
 from canhaptic.study.sweep.points import CONTROLLER
 from canhaptic.study.sweep.table import SweepTable
 
-_COMPLETED: Final = 1
 _BLOCK: Final = 65_536
 """Rows looked at together."""
 _DIGIT: Final = 16
@@ -50,8 +50,7 @@ class Selected:
 
     def least(self, metric: str) -> float | None:
         """Returns the least finite figure; None without any."""
-        least = min((float(values.min()) for values in self._columns(metric, finite=True) if len(values)), default=None)
-        return least
+        return min((float(values.min()) for values in self._columns(metric, finite=True) if len(values)), default=None)
 
     def median(self, metric: str) -> float | None:
         """Returns the median of the finite figures, of an even number the mean of both in the middle."""
@@ -88,7 +87,7 @@ class Selected:
     def _blocks(self) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:
         for start in range(0, len(self.table), _BLOCK):
             stop = min(len(self.table), start + _BLOCK)
-            rows = np.asarray(self.table.status(start, stop) == _COMPLETED)
+            rows = np.asarray(self.table.status(start, stop) == COMPLETED)
             if self._controller is not None:
                 rows &= self.table.numbers(CONTROLLER, start, stop) == self._controller
             yield start, stop, rows

@@ -208,10 +208,9 @@ class _Run:
         finally:
             for future in self._out:
                 future.cancel()
-        for future in [
-            future for future in self._out if not future.cancelled()
-        ]:  # what is under way is not thrown away
-            self._take(future, executor)
+        for future in [*self._out]:
+            if not future.cancelled():  # what is under way is not thrown away
+                self._take(future, executor)
 
     def _submit(self, executor: Executor | Pool, in_flight: int) -> None:
         target = executor.executor if isinstance(executor, Pool) else executor

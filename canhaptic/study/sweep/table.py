@@ -115,7 +115,7 @@ class SweepTable:
 
     def done(self) -> NDArray[np.bool_]:
         """Returns which chunks are there, shape (n_chunks,)."""
-        return np.asarray(self._read("done")).astype(bool)
+        return np.asarray(self._file["done"]).astype(bool)
 
     def span(self, chunk: int) -> tuple[int, int]:
         """Returns first scene and one beyond the last of a chunk."""
@@ -188,19 +188,23 @@ class SweepTable:
         self._writer.flush()
         self._writer.put("done", chunk, np.ones(1, dtype=np.uint8))
 
-    def _read(self, path: str) -> NDArray[Any]:
-        return np.asarray(self._file[path])
-
     def _texts(self, chunk: int) -> list[str]:
         raw = self._file["texts"][chunk * SLOTS : (chunk + 1) * SLOTS]
         return [bytes(text).decode("utf-8", "replace") for text in raw]
 
 
 class _Writer:
-    """Writes rows at the places that HDF5 gave its columns, without HDF5."""
+    """Writes rows at the places that HDF5 gave its columns, without HDF5.
 
-    def __init__(self, path: Path, file: Any, place: Path | None = None) -> None:
-        self.path = path
+    Args:
+        path: Of the file, for messages.
+        file: The same, open in HDF5.
+        place: Where it is, when not at its path yet.
+        kept: What a failure leaves behind, for messages.
+    """
+
+    def __init__(self, path: Path, file: Any, place: Path | None = None, kept: str = _KEPT) -> None:
+        self._path, self._kept = path, kept
         try:
             self._descriptor = os.open(place or path, os.O_RDWR)
             fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -208,7 +212,7 @@ class _Writer:
             os.close(self._descriptor)
             raise LogWriteError(f"{path}: another sweep writes it; wait for its end, or give another --out") from error
         except OSError as error:
-            raise _write_error(path, error) from error
+            raise _write_error(path, error, kept) from error
         self._places: dict[str, tuple[int, np.dtype[Any]]] = {}
 
         def visit(name: str, item: Any) -> None:
@@ -227,7 +231,7 @@ class _Writer:
                 written = os.pwrite(self._descriptor, content, offset)
                 content, offset = content[written:], offset + written
         except OSError as error:
-            raise _write_error(self.path, error) from error
+            raise _write_error(self._path, error, self._kept) from error
 
     def fill(self, path: str, count: int, value: NDArray[Any]) -> None:
         """Writes one value all over a column."""
@@ -240,14 +244,12 @@ class _Writer:
         try:
             os.fdatasync(self._descriptor)
         except OSError as error:
-            raise _write_error(self.path, error) from error
+            raise _write_error(self._path, error, self._kept) from error
 
     def close(self) -> None:
         """Closes the file, everything flushed."""
         try:
-            os.fdatasync(self._descriptor)
-        except OSError as error:
-            raise _write_error(self.path, error) from error
+            self.flush()
         finally:
             os.close(self._descriptor)
 
@@ -267,7 +269,7 @@ def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replac
         with h5py.File(beginning, "w", libver=("earliest", "v110"), locking=False) as file:
             fills = _lay_out(file, points, chunk, columns)
         with h5py.File(beginning, "r", locking=False) as file:
-            writer = _Writer(path, file, beginning)
+            writer = _Writer(path, file, beginning, _NOTHING_RUN)
         try:
             for name, (count, fill) in fills.items():
                 writer.fill(name, count, fill)
@@ -275,8 +277,8 @@ def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replac
         finally:
             writer.close()
         beginning.replace(path)
-    except LogWriteError as error:
-        raise LogWriteError(str(error).replace(_KEPT, _NOTHING_RUN)) from error
+    except LogWriteError:
+        raise  # an OSError itself, whose message is complete
     except (OSError, RuntimeError) as error:
         raise _write_error(path, error, _NOTHING_RUN) from error
     finally:
@@ -348,9 +350,7 @@ def _opened(path: Path) -> Any:
     return file
 
 
-def _write_error(
-    path: Path, error: Exception, kept: str = "what was finished is kept, --resume goes on"
-) -> LogWriteError:
+def _write_error(path: Path, error: Exception, kept: str) -> LogWriteError:
     code = error.errno if isinstance(error, OSError) else None
     reason = os.strerror(code) if code else " ".join(str(error).split())
     if code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
