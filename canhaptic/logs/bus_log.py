@@ -1,16 +1,14 @@
 """The bus log as the link sees it: every frame sent or received goes into a ring, a writer process formats it."""
 
-import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
-from canhaptic.errors import LogWriteError, ParameterError
+from canhaptic.errors import ParameterError
 from canhaptic.logs.bus_sink import CONVERTIBLE, FRAME_RING, aside_files
 from canhaptic.logs.writer_process import WriterProcess
 
 _MOST_BUSES: Final = 256  # one byte in each record
-_WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
 
 
 class BusLogWriter:
@@ -45,20 +43,11 @@ class BusLogWriter:
         last: float = 0.0,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        channels = [channel] if isinstance(channel, str) else list(channel)
-        for name in channels:
-            if not name or any(letter.isspace() for letter in name):
-                raise ParameterError(f"channel {name!r}: expected a name without spaces, it stands in every line")
-        if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
-            raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, each another")
-        if file_size < 0 or files < 2:
-            raise ParameterError(f"bus log of {files} files of {file_size} bytes: expected at least 2 files, size >= 0")
         self.path = Path(path).absolute()
         convert = self.path.suffix.lower() in CONVERTIBLE
-        if convert and (file_size or last):
-            raise ParameterError(f"{self.path}: only candump text (.log) can be a series of files or the last seconds")
-        if last < 0.0 or (last and file_size):
-            raise ParameterError(f"{self.path}: last {last} s, expected >= 0 and no series of files with it")
+        channels = [channel] if isinstance(channel, str) else list(channel)
+        _check_channels(channels)
+        _check_files(self.path, file_size, files, last, convert)
         for old in aside_files(self.path) if file_size else []:
             old.unlink()
         job = {
@@ -72,11 +61,10 @@ class BusLogWriter:
             "last_ns": round(last * 1e9),
         }
         self._process = WriterProcess(job, [FRAME_RING], on_failure)
-        self._push = self._process.rings[0].push
+        [self._frames] = self._process.rings
+        self._push = self._frames.push
         self._free = pace == "free"
-        self._goes_on = on_failure is not None
         self._channels = len(channels)
-        self._closed = False
         self.dropped = 0
         """Frames lost so far because the ring was full."""
 
@@ -118,17 +106,8 @@ class BusLogWriter:
 
     def _insist(self, frame: tuple[int, int, int, bool, int, bytes]) -> None:
         """Waits for room at free pace, counts the frame as dropped otherwise."""
-        if not self._free:
+        if not (self._free and self._process.push_patiently(self._frames, frame)):
             self.dropped += 1
-            return
-        pause = threading.Event()
-        while not self._push(frame):
-            if self.failure:
-                if not self._goes_on:
-                    raise LogWriteError(self.failure)
-                self.dropped += 1
-                return
-            pause.wait(_WAIT)
 
     def close(self, status: str = "complete") -> None:
         """Writes everything that is still in the ring and waits for it. A second call does nothing.
@@ -139,6 +118,21 @@ class BusLogWriter:
         Raises:
             LogWriteError: The log is not complete.
         """
-        if not self._closed:
-            self._closed = True
-            self._process.close(status)
+        self._process.close(status)
+
+
+def _check_channels(channels: Sequence[str]) -> None:
+    for name in channels:
+        if not name or any(letter.isspace() for letter in name):
+            raise ParameterError(f"channel {name!r}: expected a name without spaces, it stands in every line")
+    if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
+        raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, each another")
+
+
+def _check_files(path: Path, file_size: int, files: int, last: float, is_converted: bool) -> None:
+    if file_size < 0 or files < 2:
+        raise ParameterError(f"{path}: {files} files of {file_size} bytes, expected at least 2 files, size >= 0")
+    if is_converted and (file_size or last):
+        raise ParameterError(f"{path}: only candump text (.log) can be a series of files or the last seconds")
+    if last < 0.0 or (last and file_size):
+        raise ParameterError(f"{path}: last {last} s, expected >= 0 and no series of files with it")

@@ -1,11 +1,10 @@
 """The energy log as the cycle sees it: one packed row per SYNC into a ring, a writer process behind it."""
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
-from canhaptic.errors import LogWriteError, ParameterError
+from canhaptic.errors import ParameterError
 from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.logs.schema import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
 from canhaptic.logs.writer_process import WriterProcess
@@ -14,7 +13,6 @@ from canhaptic.signals import CycleTiming, Sample, Truth
 RING_ROWS: Final = 16_384  # 16 s at 1 kHz, longer than a disk stalls
 _FLUSH_TIME_NS: Final = 200_000_000  # a chunk holds this much of the run, at real pace
 _FREE_CHUNK: Final = 4096  # rows; without a wall clock only throughput counts
-_WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
 
 
 class EnergyLogWriter:
@@ -60,11 +58,9 @@ class EnergyLogWriter:
         )
         job = {"kind": "energy", "path": str(self.path), "pace": pace, "schema": schema.to_json()}
         self._process = WriterProcess(job, [schema.ring(ring_rows), EVENT_RING], on_failure)
-        rows, self._events = self._process.rings
-        self._push = rows.push
-        self._goes_on = on_failure is not None
+        self._rows, self._events = self._process.rings
+        self._push = self._rows.push
         self._unreported = 0
-        self._closed = False
         self.dropped = 0
         """Cycles lost so far because the ring was full."""
 
@@ -106,22 +102,11 @@ class EnergyLogWriter:
             for position, energy in truths:
                 row.append(position)
                 row += energy
-        if self._push(row):
+        if self._push(row) or (self._free and self._process.push_patiently(self._rows, row)):
             self._unreported = 0
-        elif not (self._free and self._push_patiently(row)):
+        else:
             self._unreported += 1
             self.dropped += 1
-
-    def _push_patiently(self, row: Sequence[float]) -> bool:
-        """Waits for room; returns False when there will be none."""
-        pause = threading.Event()
-        while not self._push(row):
-            if self.failure:
-                if not self._goes_on:
-                    raise LogWriteError(self.failure)
-                return False
-            pause.wait(_WAIT)
-        return True
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
         """Notes something that happened: a fault, an EMCY, a lost frame, a stop. Long texts are cut.
@@ -144,9 +129,7 @@ class EnergyLogWriter:
         Raises:
             LogWriteError: The log is not complete.
         """
-        if not self._closed:
-            self._closed = True
-            self._process.close(status)
+        self._process.close(status)
 
 
 def _cut(text: str, size: int) -> bytes:

@@ -13,9 +13,8 @@ from typing import Any, Final, Protocol
 
 from canhaptic.logs.ring import AreaState, RingShape, SharedArea
 
-FAILED: Final = (
-    74  # exit status when the file cannot be written (EX_IOERR of sysexits.h); starting again would not help
-)
+FAILED: Final = 74
+"""Exit status when the file cannot be written (EX_IOERR of sysexits.h); starting again would not help."""
 _NICENESS: Final = 10
 _PAUSE: Final = 0.01  # [s] between two looks at the ring
 _INTERRUPTED: Final = "interrupted: the controlling process ended without closing the log"

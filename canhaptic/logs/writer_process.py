@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ from canhaptic.logs.ring import AreaState, Ring, RingShape, SharedArea, allocate
 from canhaptic.logs.writer import FAILED
 
 _RESTARTS: Final = 5  # a writer that is killed more often than this has a reason
+_WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
 
 
 class WriterProcess:
@@ -41,6 +42,7 @@ class WriterProcess:
         self.failure = ""
         """Why writing ended before it was asked to; empty while all is well."""
         self.restarts = 0
+        self._is_closed = False
         self._descriptor = _allocate(size_of(shapes), job["path"])
         self._area = SharedArea(self._descriptor, shapes)
         self._process = self._spawn(restart=False)
@@ -58,8 +60,23 @@ class WriterProcess:
         """Process id of the writer at work."""
         return self._process.pid
 
+    def push_patiently(self, ring: Ring, record: Sequence[float | bytes]) -> bool:
+        """Writes one record as soon as the ring has room; returns False when it will have none any more.
+
+        Raises:
+            LogWriteError: The writer has failed, the ring is full, and there is no `on_failure` to be told.
+        """
+        pause = threading.Event()
+        while not ring.push(record):
+            if self.failure:
+                if self._on_failure is None:
+                    raise LogWriteError(self.failure)
+                return False
+            pause.wait(_WAIT)
+        return True
+
     def close(self, status: str) -> None:
-        """Lets the writer finish everything that is in the rings, and waits for it.
+        """Lets the writer finish everything that is in the rings, and waits for it. A second call does nothing.
 
         Args:
             status: How the run ended, kept in the file.
@@ -67,6 +84,9 @@ class WriterProcess:
         Raises:
             LogWriteError: The file is not complete.
         """
+        if self._is_closed:
+            return
+        self._is_closed = True
         self._area.set_text("status", status)
         self._area.state = AreaState.CLOSING
         self._supervisor.join()
