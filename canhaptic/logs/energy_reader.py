@@ -16,6 +16,7 @@ import numpy as np
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.hdf5 import Array, Hdf5File
+from canhaptic.logs.packing import whole_lengths
 from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
 
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
@@ -82,7 +83,7 @@ class EnergyLog:
         self.rows_lost = int(attributes["rows_lost"])
         self.status = str(attributes["status"])
         described = [line.rpartition(" ") for line in str(attributes["ports"]).splitlines()]
-        self.rows = _whole_rows(file)
+        self.rows, _ = whole_lengths(file)
         self.ports = {name: Quantities(file, f"ports/{name}", self.rows) for name, _, _ in described}
         self.truth = {name: Quantities(file, f"truth/{name}", self.rows) for name in file.names("truth")}
         self.timing = Quantities(file, "timing", self.rows)
@@ -168,10 +169,6 @@ def _check_format(path: Path, attributes: Mapping[str, Any]) -> None:
     missing = [name for name in _OURS if name not in attributes]
     if missing:
         raise LogFormatError(f"{path}: the attributes {', '.join(missing)} are missing")
-
-
-def _whole_rows(file: Hdf5File) -> int:
-    return min((len(dataset) for path, dataset in file.datasets() if not path.startswith("events/")), default=0)
 
 
 def _plain(value: Any) -> str | int | float:

@@ -6,16 +6,13 @@ old copies (9.6 MB of data became 86 to 307 MB). On a clean close the file is pa
 
 import os
 from pathlib import Path
-from typing import Any, Final
 
 import numpy as np
 
 from canhaptic.logs.hdf5 import Dataset, Hdf5File
+from canhaptic.logs.packing import repack, trim
 from canhaptic.logs.ring import SharedArea
 from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema
-
-PACKED_CHUNK: Final = 16_384  # rows
-_BLOCK: Final = 16 * PACKED_CHUNK  # rows copied at a time when packing
 
 
 class EnergySink:
@@ -134,47 +131,3 @@ class EnergySink:
         self._file.close()
         os.close(self._descriptor)
         repack(self._path, self._path, {"status": status})
-
-
-def trim(file: Hdf5File) -> tuple[int, int]:
-    """Cuts all columns of a file to whole rows and returns (rows, events): a kill can come between two columns."""
-    lengths: dict[bool, int] = {}
-    for path, dataset in file.datasets():
-        is_event = path.startswith("events/")
-        lengths[is_event] = min(len(dataset), lengths.get(is_event, len(dataset)))
-    for path, dataset in file.datasets():
-        if len(dataset) > lengths[path.startswith("events/")]:
-            dataset.truncate(lengths[path.startswith("events/")])
-    return lengths.get(False, 0), lengths.get(True, 0)
-
-
-def repack(source: Path, target: Path, attributes: dict[str, Any], limit: int | None = None) -> None:
-    """Writes a compact copy of a log with large chunks, whole rows only; `target` may be `source`.
-
-    Args:
-        source: A log, also one that a kill left open.
-        target: The copy.
-        attributes: Attributes of the root to change.
-        limit: Rows to keep at most.
-    """
-    temporary = target.with_name(target.name + ".new")
-    with Hdf5File(source, "live") as old, Hdf5File(temporary, "w") as new:
-        for name, value in {**old.attributes, **attributes}.items():
-            new.set_attribute(name, value)
-        lengths = {path: len(dataset) for path, dataset in old.datasets()}
-        rows = {
-            is_event: min((n for path, n in lengths.items() if path.startswith("events/") == is_event), default=0)
-            for is_event in (False, True)
-        }
-        rows[False] = rows[False] if limit is None else min(rows[False], limit)
-        for path, dataset in old.datasets():
-            _copy_column(dataset, new, path, rows[path.startswith("events/")])
-    os.replace(temporary, target)
-
-
-def _copy_column(dataset: Dataset, new: Hdf5File, path: str, rows: int) -> None:
-    copy = new.create(path, dataset.dtype, max(1, min(rows, PACKED_CHUNK)))
-    for name, value in dataset.attributes.items():
-        copy.set_attribute(name, value)
-    for start in range(0, rows, _BLOCK):
-        copy.append(dataset.read(start, min(rows, start + _BLOCK)))

@@ -5,8 +5,8 @@ from typing import Final
 
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.energy_sink import repack
 from canhaptic.logs.hdf5 import Dataset, Hdf5File
+from canhaptic.logs.packing import columns_of_rows, repack
 
 _STEP: Final = 512  # rows tried at a time
 
@@ -31,9 +31,7 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
     with EnergyLog.open(source) as log:
         status, rows = log.status, log.rows
     with Hdf5File(source, "live") as file:
-        readable = min(
-            (_readable(dataset, rows) for path, dataset in file.datasets() if not path.startswith("events/")), default=0
-        )
+        readable = min((_readable(dataset, rows) for dataset in columns_of_rows(file)), default=0)
     note = "" if status == "complete" else f" (was: {status})"
     repack(source, target, {"status": f"repaired{note}"}, readable)
     return readable, rows - readable

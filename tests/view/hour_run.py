@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from canhaptic.haptics.balance import Branch
-from canhaptic.logs.energy_sink import PACKED_CHUNK
 from canhaptic.logs.hdf5 import Hdf5File
+from canhaptic.logs.packing import PACKED_CHUNK
 from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema, PortDescription
 
 HOUR = 3_600_000

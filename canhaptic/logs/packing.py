@@ -1,0 +1,62 @@
+"""What is whole of an energy log, and how it is packed: a kill or a full disk can come between two columns."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.logs.hdf5 import Dataset, Hdf5File
+
+PACKED_CHUNK: Final = 16_384  # rows
+_BLOCK: Final = 16 * PACKED_CHUNK  # rows copied at a time
+_EVENTS: Final = "events/"
+
+
+def columns_of_rows(file: Hdf5File) -> Iterator[Dataset]:
+    """Yields the columns that have one element per row: all but those of the events."""
+    return (dataset for path, dataset in file.datasets() if not path.startswith(_EVENTS))
+
+
+def whole_lengths(file: Hdf5File) -> tuple[int, int]:
+    """Returns (rows, events): how many of each every column of a file has."""
+    lengths = [(path.startswith(_EVENTS), len(dataset)) for path, dataset in file.datasets()]
+    rows, events = (min((n for is_event, n in lengths if is_event is wanted), default=0) for wanted in (False, True))
+    return rows, events
+
+
+def trim(file: Hdf5File) -> tuple[int, int]:
+    """Cuts all columns of a file to whole rows and events, and returns how many (rows, events) are left."""
+    rows, events = whole_lengths(file)
+    for path, dataset in file.datasets():
+        length = events if path.startswith(_EVENTS) else rows
+        if len(dataset) > length:
+            dataset.truncate(length)
+    return rows, events
+
+
+def repack(source: Path, target: Path, attributes: dict[str, Any], limit: int | None = None) -> None:
+    """Writes a compact copy of a log with large chunks, whole rows only; `target` may be `source`.
+
+    Args:
+        source: A log, also one that a kill left open.
+        target: The copy.
+        attributes: Attributes of the root to change.
+        limit: Rows to keep at most.
+    """
+    temporary = target.with_name(target.name + ".new")
+    with Hdf5File(source, "live") as old, Hdf5File(temporary, "w") as new:
+        for name, value in {**old.attributes, **attributes}.items():
+            new.set_attribute(name, value)
+        rows, events = whole_lengths(old)
+        rows = rows if limit is None else min(rows, limit)
+        for path, dataset in old.datasets():
+            _copy_column(dataset, new, path, events if path.startswith(_EVENTS) else rows)
+    os.replace(temporary, target)
+
+
+def _copy_column(dataset: Dataset, new: Hdf5File, path: str, rows: int) -> None:
+    copy = new.create(path, dataset.dtype, max(1, min(rows, PACKED_CHUNK)))
+    for name, value in dataset.attributes.items():
+        copy.set_attribute(name, value)
+    for start in range(0, rows, _BLOCK):
+        copy.append(dataset.read(start, min(rows, start + _BLOCK)))
