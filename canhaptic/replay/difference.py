@@ -27,22 +27,20 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> dict[str
     nodes = describe_nodes(scene)
     decoders = [BusDecoder([node for node in nodes if node.bus == place]) for place in range(len(scene.buses))]
     before = []
-    for number, frame in enumerate(frames[:index]):
-        words = decoders[recording.buses[number]].decode(
-            frame.can_id, frame.data
-        )  # all of them: the maps are learnt from the start
+    for number, (frame, bus) in enumerate(zip(frames[:index], recording.buses, strict=False)):
+        words = _words(frame, decoders[bus])  # of all of them: the maps are learnt from the start
         if number >= index - _SHOWN_BEFORE:
             direction = "T" if recording.is_master[number] else "R"
-            before.append({**_place(recording, frame), "direction": direction, **_frame(frame, words._asdict())})
-    recorded = frames[index]
+            before.append({**_place(recording, frame), "direction": direction, **words})
+    recorded, bus = frames[index], recording.buses[index]
     sent = None
     if departure is not None:
-        channel = recorded.channel if departure.bus == recording.buses[index] else scene.buses[departure.bus].name
+        channel = recorded.channel if departure.bus == bus else scene.buses[departure.bus].name
         other = recorded._replace(can_id=departure.can_id, data=departure.data, channel=channel)
-        sent = _frame(other, decoders[departure.bus].decode(other.can_id, other.data)._asdict())
+        sent = _words(other, decoders[departure.bus])
     return {
         **_place(recording, recorded),
-        "recorded": _frame(recorded, decoders[recording.buses[index]].decode(*_content(recorded))._asdict()),
+        "recorded": _words(recorded, decoders[bus]),
         "sent": sent,
         "before": before,
     }
@@ -52,9 +50,6 @@ def _place(recording: Recording, frame: Frame) -> dict[str, Any]:
     return {"number": frame.number, "time": (frame.timestamp_ns - recording.frames[0].timestamp_ns) * 1e-9}
 
 
-def _frame(frame: Frame, words: dict[str, str]) -> dict[str, Any]:
-    return {"channel": frame.channel, "id": frame.can_id, "data": frame.data.hex().upper(), **words}
-
-
-def _content(frame: Frame) -> tuple[int, bytes]:
-    return frame.can_id, frame.data
+def _words(frame: Frame, decoder: BusDecoder) -> dict[str, Any]:
+    decoded = decoder.decode(frame.can_id, frame.data)._asdict()
+    return {"channel": frame.channel, "id": frame.can_id, "data": frame.data.hex().upper(), **decoded}

@@ -23,7 +23,7 @@ class Departure(NamedTuple):
 
     place: int  # index of the recorded frame
     bus: int  # that the frame was sent on
-    can_id: int  # of the frame sent instead; -1 when nothing was sent
+    can_id: int  # of the frame sent instead
     data: bytes
 
 

@@ -12,7 +12,6 @@ from canhaptic.scene.models import Scene
 
 _ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
 
-
 Address = tuple[int, int]
 """Place of the bus among those of the scene, COB-ID."""
 
