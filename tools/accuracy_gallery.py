@@ -12,7 +12,7 @@ from canhaptic.study.accuracy.advice import advice
 from canhaptic.study.accuracy.picture import draw_accuracy
 from canhaptic.study.accuracy.study import AccuracyStudy
 from canhaptic.study.accuracy.table import advice_lines, length, markdown
-from tools.bench.report import machine, versions
+from tools.bench.report import write_result
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 SCENES: Final = ("paper_wall", "stiff_stop", "stick_slip", "delayed_bus", "coarse_encoder")
@@ -28,14 +28,12 @@ def make(name: str, folder: Path) -> None:
 def redraw(name: str, folder: Path) -> None:
     """Writes advice, tables and picture anew from what was measured before."""
     result = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-    measured = {key: value for key, value in result.items() if key not in ("machine", "versions")}
-    measured["advice"] = advice(result["plant"], result["advice"]["effects"], result["tolerance"])
-    _write(name, measured, folder, result["machine"], result["versions"])
+    result["advice"] = advice(result["plant"], result["advice"]["effects"], result["tolerance"])
+    _write(name, result, folder)
 
 
-def _write(name: str, result: dict[str, Any], folder: Path, of: Any = None, used: Any = None) -> None:
-    document: dict[str, Any] = {"machine": of or machine(), "versions": used or versions(PACKAGES), **result}
-    (folder / f"{name}.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+def _write(name: str, result: dict[str, Any], folder: Path) -> None:
+    write_result(folder / f"{name}.json", PACKAGES, result)
     draw_accuracy(result, folder / f"{name}.png")
     title = name.replace("_", " ").capitalize()
     comment = _comment(ROOT / "configs" / "accuracy" / f"{name}.yaml")

@@ -6,7 +6,6 @@ with that torque acting one sample later, as a CANopen drive with a synchronous 
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tools.bench.report import RESULTS, machine, versions
+from tools.bench.report import RESULTS, write_result
 from tools.paper_runs import LATE, ROOT, Record, figures_of, record
 from tools.paper_traps import traps
 
@@ -155,14 +154,14 @@ def main() -> int:
     parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the pictures")
     parser.add_argument("--result", type=Path, default=RESULT, help="JSON file of the figures")
     arguments = parser.parse_args()
-    document: dict[str, Any] = {"machine": machine(), "versions": versions(PACKAGES)}
+    found: dict[str, Any] = {}
     for name, figure in FIGURES.items():
         runs = run_all(name)
         draw(name, runs, arguments.images / figure.picture)
-        document[name] = {label: figures_of(taken) for label, taken in runs.items()}
+        found[name] = {label: figures_of(taken) for label, taken in runs.items()}
         print(arguments.images / figure.picture)
-    document["traps"] = traps()
-    arguments.result.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    found["traps"] = traps()
+    write_result(arguments.result, PACKAGES, found)
     print(arguments.result)
     return 0
 

@@ -7,16 +7,11 @@ lock-step the rate does not pace anything. Without logs: they are another proces
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
-
-import yaml
 
 from canhaptic.scene.build import build
-from canhaptic.scene.load import scene_from_text
-from canhaptic.scene.models import Scene
+from tools.bench.demo import demo_of
 from tools.bench.report import Row, interleave, publish
 
-CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "axes.png"
 AXES = (1, 2, 3, 6, 12)
 RATE = 250  # [Hz]
@@ -26,20 +21,9 @@ TARGET_OF_THREE = 5_000.0  # [cycles/s]
 NEAR_LINEAR = 1.25  # largest cost of an added axis over that of the second
 
 
-def scene_of(axes: int) -> Scene:
-    """Returns the demo with so many axes, all alike."""
-    document: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    [first] = document["axes"]
-    document["axes"] = [{**first, "name": f"axis{n}", "node_id": n} for n in range(1, axes + 1)]
-    document["bus"]["rate"] = RATE
-    drive = document["simulation"]["drive"]
-    drive["objects"] = {f"{index:#06x}": value for index, value in drive["objects"].items()}
-    return scene_from_text(yaml.safe_dump(document), str(CONFIG))
-
-
 def cost(axes: int) -> float:
     """Returns the time of one cycle [s]."""
-    with build(scene_of(axes), "free") as experiment:
+    with build(demo_of(axes, RATE), "free") as experiment:
         experiment.rig.start()
         step = experiment.cycle.step
         start = perf_counter()

@@ -23,8 +23,8 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.state_machine import DriveState
 from canhaptic.sim.virtual_bus import LeanVirtualBus
+from tools.bench.demo import CONFIG
 from tools.bench.peers import (
-    CONFIG,
     COUNT,
     ENABLE,
     RPDO,

@@ -4,7 +4,6 @@ Reads every EDS and DCF of eds/ and of the folder in CANHAPTIC_VENDOR_EDS; each 
 rendered to, by the configuration that `canhaptic new --simulate` writes for it, profile included.
 """
 
-import json
 import os
 import sys
 import tempfile
@@ -23,7 +22,7 @@ from canhaptic.errors import CanHapticError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.starter import starter_scene
-from tools.bench.report import RESULTS, machine, versions
+from tools.bench.report import RESULTS, write_result
 
 ROOT = Path(__file__).resolve().parents[2]
 OBJECTS = (0x1016, 0x6007, 0x6071, 0x6072, 0x6074, 0x6075, 0x6076, 0x6077, 0x608F, 0x6091, 0x60C2, 0x6502)
@@ -119,13 +118,8 @@ def main() -> int:
     if not vendors.is_dir():
         print(f"no vendor dictionaries in {vendors} (set CANHAPTIC_VENDOR_EDS); the result file is left as it is")
         return 0
-    result = {
-        "question": "dictionaries",
-        "machine": machine(),
-        "versions": versions(["canhaptic", "canopen"]),
-        "rows": [asdict(verdict) for verdict in verdicts],
-    }
-    (RESULTS / "dictionaries.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    rows = [asdict(verdict) for verdict in verdicts]
+    write_result(RESULTS / "dictionaries.json", ["canhaptic", "canopen"], {"rows": rows})
     return 0 if all(verdict.run in ("passed", "not run") for verdict in verdicts) else 1
 
 

@@ -14,7 +14,6 @@ whatever takes the master's or the drive's heartbeat away, `bus.heartbeat_timeou
 drive says so, not when a frame tells it.
 """
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -31,8 +30,8 @@ from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.state_machine import DriveState
 from canhaptic.sim.timers import NEVER
-from tools.bench.peers import CONFIG
-from tools.bench.report import RESULTS, machine, versions
+from tools.bench.demo import CONFIG
+from tools.bench.report import RESULTS, write_result
 
 BEGIN, CYCLES = 500, 1_500
 PERIOD = 1_000_000  # [ns]
@@ -268,10 +267,8 @@ def publish_outcomes(outcomes: list[Outcome]) -> None:
             "yes" if one.met else "MISSED",
         )
     Console(width=160).print(table)
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    packages = versions(["canhaptic", "python-can"])
-    document = {"machine": machine(), "versions": packages, "rows": [asdict(one) for one in outcomes]}
-    (RESULTS / "faults.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    rows = [asdict(one) for one in outcomes]
+    write_result(RESULTS / "faults.json", ["canhaptic", "python-can"], {"rows": rows})
 
 
 def main() -> None:

@@ -17,8 +17,8 @@ import can
 from canhaptic.errors import RigError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
+from tools.bench.demo import CONFIG
 from tools.bench.paced import Run, bare_run, best_of, canhaptic_run, canopen_run, rows_of
-from tools.bench.peers import CONFIG
 from tools.bench.report import interleave, publish
 
 REPEATS = 3

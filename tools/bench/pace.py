@@ -6,8 +6,9 @@ interleaved repeats.
 
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
+from tools.bench.demo import CONFIG
 from tools.bench.paced import Run, bare_run, best_of, canhaptic_run, canopen_run, rows_of
-from tools.bench.peers import CONFIG, BroughtUp
+from tools.bench.peers import BroughtUp
 from tools.bench.report import interleave, publish
 
 REPEATS = 3

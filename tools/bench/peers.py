@@ -9,7 +9,6 @@ import struct
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
 
@@ -26,8 +25,8 @@ from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_servo_drive
 from canhaptic.sim.drive_group import DriveGroup
 from canhaptic.sim.state_machine import DriveState
+from tools.bench.demo import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 NODE = 1
 SYNC, TPDO, RPDO = 0x080, 0x180 + NODE, 0x200 + NODE
 ENABLE = 0x0F

@@ -9,9 +9,9 @@ from time import perf_counter
 from canhaptic.cli.main import main as canhaptic
 from canhaptic.replay.replay import replay
 from canhaptic.scene.load import load_scene
+from tools.bench.demo import CONFIG
 from tools.bench.report import Row, publish
 
-CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 DURATION = 60.0
 REPEATS = 3
 TARGET = 5.0

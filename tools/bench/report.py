@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -88,9 +89,14 @@ def publish(question: str, rows: Sequence[Row], packages: Sequence[str]) -> None
         if row.note:
             console.print(f"{row.row}, {row.peer}: {row.note}")
     console.print("  ".join(f"{key}: {value}" for key, value in {**machine(), **versions(packages)}.items()))
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    document = {"machine": machine(), "versions": versions(packages), "rows": [asdict(row) for row in rows]}
-    (RESULTS / f"{question}.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_result(RESULTS / f"{question}.json", packages, {"rows": [asdict(row) for row in rows]})
+
+
+def write_result(path: Path, packages: Sequence[str], found: Mapping[str, Any]) -> None:
+    """Writes what was found, under the machine and the versions of some packages unless it names its own."""
+    document = {"machine": machine(), "versions": versions(packages), **found}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def _short(value: float | None) -> str:

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
-NOT_QUESTIONS = {"__init__", "paced", "peers", "report", "run"}
+NOT_QUESTIONS = {"__init__", "demo", "paced", "peers", "report", "run"}
 
 
 def questions() -> list[str]:

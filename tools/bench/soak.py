@@ -16,7 +16,8 @@ from pathlib import Path
 from canhaptic.cycle import run
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
-from tools.bench.peers import CONFIG, SYNC, TPDO
+from tools.bench.demo import CONFIG
+from tools.bench.peers import SYNC, TPDO
 from tools.bench.report import Row, publish
 
 PERIOD = 1_000_000  # [ns]

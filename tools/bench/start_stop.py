@@ -9,16 +9,11 @@ operator's stop takes the torque down along its ramp of 20 ms, which is part of 
 
 from collections.abc import Callable, Sequence
 from time import perf_counter
-from typing import Any
-
-import yaml
 
 from canhaptic.errors import RigError
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.load import scene_from_text
-from canhaptic.scene.models import Scene
 from canhaptic.sim.state_machine import DriveState
-from tools.bench.peers import CONFIG
+from tools.bench.demo import demo_of
 from tools.bench.report import Row, publish
 
 RATES = {1: 1000, 3: 500}  # [Hz] that the worst cycle of so many axes allows at 1 Mbit/s
@@ -26,18 +21,6 @@ REPEATS = 5
 CYCLES = 20
 MOST, MOST_RESET = 0.1, 0.05  # [s]
 SLOW = 0.2  # [s]
-
-
-def scene_of(axes: int, enable_delay: float) -> Scene:
-    """Returns the demo with so many axes whose drives take so long to enable [s]."""
-    document: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    [first] = document["axes"]
-    document["axes"] = [{**first, "name": f"axis{n}", "node_id": n} for n in range(1, axes + 1)]
-    document["bus"]["rate"] = RATES[axes]
-    drive = document["simulation"]["drive"]
-    drive["objects"] = {f"{index:#06x}": value for index, value in drive["objects"].items()}
-    drive["enable_delay"] = enable_delay
-    return scene_from_text(yaml.safe_dump(document), str(CONFIG))
 
 
 def timed(action: Callable[[], object]) -> float:
@@ -57,7 +40,7 @@ def drives_are(experiment: Experiment, state: DriveState) -> None:
 
 def start_and_stop(axes: int, enable_delay: float, *, ramp: bool) -> tuple[float, float]:
     """Returns the times of a start and of a stop [s]."""
-    with build(scene_of(axes, enable_delay), "real") as experiment:
+    with build(demo_of(axes, RATES[axes], enable_delay), "real") as experiment:
         rig = experiment.rig
         start = timed(rig.start)
         drives_are(experiment, DriveState.OPERATION_ENABLED)
@@ -70,7 +53,7 @@ def start_and_stop(axes: int, enable_delay: float, *, ramp: bool) -> tuple[float
 
 def fault_reset(axes: int) -> float:
     """Returns the time of the reset of a fault of every drive [s]."""
-    with build(scene_of(axes, 0.0), "real") as experiment:
+    with build(demo_of(axes, RATES[axes]), "real") as experiment:
         experiment.rig.start()
         assert experiment.far_side is not None
         for drive in experiment.far_side.drives:
@@ -89,7 +72,7 @@ def fault_reset(axes: int) -> float:
 def rows_for(axes: int) -> list[Row]:
     """Returns the figures of one number of axes."""
     name = f"{axes} axis" if axes == 1 else f"{axes} axes"
-    heartbeats = 2 * scene_of(axes, 0.0).bus.heartbeat_period
+    heartbeats = 2 * demo_of(axes, RATES[axes]).bus.heartbeat_period
     plain = [start_and_stop(axes, 0.0, ramp=True) for _ in range(REPEATS)]
     at_once = [start_and_stop(axes, 0.0, ramp=False) for _ in range(REPEATS)]
     slow = [start_and_stop(axes, SLOW, ramp=True) for _ in range(REPEATS)]

@@ -13,9 +13,9 @@ from time import perf_counter
 from canhaptic.scene.load import load_scene
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.workers import Pool
+from tools.bench.demo import CONFIG
 from tools.bench.report import Row, publish
 
-CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 TARGET = 1.7
 ROUNDS = 3
 CHUNK = 2500
