@@ -1,19 +1,23 @@
 """`canhaptic accuracy CONFIG`: what accuracy costs in time, for the simulated plant and for the loop, with advice."""
 
 import argparse
-import sys
 from pathlib import Path
 
-from canhaptic.cli.arguments import add_json, add_scene, check_picture, scene_of, seconds
-from canhaptic.cli.output import write_json, write_note
-from canhaptic.cli.progress import RunProgress
+from canhaptic.cli.arguments import (
+    add_json,
+    add_scene,
+    check_folder,
+    check_picture,
+    positive_number,
+    scene_of,
+    seconds,
+)
+from canhaptic.cli.output import note_file, write_file, write_json
+from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
-from canhaptic.errors import InputError
 from canhaptic.parameters import Unit
 from canhaptic.study.accuracy.study import DEFAULT_BUDGET, UNITS, AccuracyStudy
 from canhaptic.view.energy_table import make_console
-
-_CALLS_PER_UNIT = 64  # of the progress: it looks at every 64th count
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,16 +55,16 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.png is not None:
         check_picture(arguments.png)
     for path in (arguments.html, arguments.markdown):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
-    with StopSignal() as stop, RunProgress(UNITS * _CALLS_PER_UNIT, scene.bus.sample_time, "free") as progress:
+        if path is not None:
+            check_folder(path)
+    with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
         study = AccuracyStudy(
             scene,
             arguments.axis,
             tolerance=arguments.tolerance,
             duration=arguments.duration,
             budget=arguments.budget,
-            progress=(lambda done: progress(done * _CALLS_PER_UNIT)) if sys.stderr.isatty() else None,
+            progress=progress,
             stop=stop.requested,
         )
         result = study.run()
@@ -81,28 +85,19 @@ def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
         from canhaptic.study.accuracy.picture import draw_accuracy
 
         draw_accuracy(result, arguments.png)
-        write_note(f"  picture     {arguments.png}")
+        note_file("picture", arguments.png)
     if arguments.html is not None:
         from canhaptic.study.accuracy.page import write_accuracy_page
 
         write_accuracy_page(result, arguments.html)
-        write_note(f"  page        {arguments.html}")
+        note_file("page", arguments.html)
     if arguments.markdown is not None:
-        try:
-            arguments.markdown.write_text(markdown(result), encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{arguments.markdown}: cannot be written ({error.strerror})") from error
-        write_note(f"  tables      {arguments.markdown}")
+        write_file(arguments.markdown, markdown(result))
+        note_file("tables", arguments.markdown)
 
 
 def _length(text: str) -> float:
-    try:
-        value = float(str(Unit("m", "rad").read(text)))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"got {text!r}: {error}") from error
-    if not 0.0 < value <= 1.0:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 < tolerance <= 1 [m or rad]")
-    return value
+    return positive_number(text, Unit("m", "rad"), "tolerance", 1.0)
 
 
 def _budget(text: str) -> float:

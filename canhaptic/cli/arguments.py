@@ -48,6 +48,15 @@ def check_picture(path: Path) -> None:
     """
     if path.suffix not in PICTURES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}")
+    check_folder(path)
+
+
+def check_folder(path: Path) -> None:
+    """Refuses a file for which there is no folder, before anything runs.
+
+    Raises:
+        InputError: There is none.
+    """
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
 
@@ -58,10 +67,38 @@ def seconds(text: str) -> float:
     Raises:
         argparse.ArgumentTypeError: It is none, or not above zero.
     """
+    return positive_number(text, Unit("s", "s"), "duration", 1e6)
+
+
+def positive_number(text: str, unit: Unit, name: str, most: float) -> float:
+    """Returns a number above zero, SI, from a text with or without its unit.
+
+    Args:
+        text: As typed.
+        unit: That it may carry.
+        name: What it is, for the message.
+        most: Largest that is accepted.
+
+    Raises:
+        argparse.ArgumentTypeError: It is no number of this dimension, or out of range.
+    """
     try:
-        value = float(str(Unit("s", "s").read(text)))
+        value = float(str(unit.read(text)))
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"got {text!r}: {error}") from error
-    if not 0.0 < value <= 1e6:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 < duration <= 1e6 [s]")
+    if not 0.0 < value <= most:
+        units = " or ".join(dict.fromkeys((unit.linear, unit.rotary)))
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 < {name} <= {most:g} [{units}]")
     return value
+
+
+def names(text: str) -> list[str]:
+    """Returns names that commas separate.
+
+    Raises:
+        argparse.ArgumentTypeError: There is none.
+    """
+    found = [name.strip() for name in text.split(",") if name.strip()]
+    if not found:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected names with commas")
+    return found

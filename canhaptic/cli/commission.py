@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
-from canhaptic.cli.output import failure, write_failure, write_json, write_line, write_note
+from canhaptic.cli.arguments import add_json, add_scene, check_folder, scene_of, seconds
+from canhaptic.cli.output import failure, write_failure, write_file, write_json, write_line, write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.commission.dialogue import Dialogue, Unattended
 from canhaptic.commission.laws import CommissioningLimits
@@ -54,8 +54,8 @@ def execute(arguments: argparse.Namespace) -> int:
     """Walks the steps; returns 0 when all agrees, 1 when something is to be corrected, 130 or 143 after a signal."""
     scene = scene_of(arguments)
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
-    if arguments.out is not None and not arguments.out.absolute().parent.is_dir():
-        raise InputError(f"{arguments.out}: no such folder {arguments.out.absolute().parent}; make it first")
+    if arguments.out is not None:
+        check_folder(arguments.out)
     dialogue = _dialogue(scene, yes=arguments.yes)
     error: CanHapticError | None = None
     with StopSignal() as stop:
@@ -150,7 +150,4 @@ def _print(report: Report, error: CanHapticError | None, arguments: argparse.Nam
     if error is not None:
         write_failure(error)
     if arguments.out is not None:
-        try:
-            arguments.out.write_text(snippet)
-        except OSError as problem:
-            raise InputError(f"{arguments.out}: cannot be written ({problem})") from problem
+        write_file(arguments.out, snippet)

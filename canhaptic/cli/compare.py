@@ -1,21 +1,23 @@
 """`canhaptic compare CONFIG`: every passivity algorithm on one scene, beside the continuous environment."""
 
 import argparse
-import sys
 from pathlib import Path
+from typing import Final
 
-from canhaptic.cli.arguments import add_json, add_scene, check_picture, scene_of, seconds
-from canhaptic.cli.output import write_json, write_note
-from canhaptic.cli.progress import RunProgress
+from canhaptic.cli.arguments import add_json, add_scene, check_picture, names, positive_number, scene_of, seconds
+from canhaptic.cli.output import note_file, write_json
+from canhaptic.cli.progress import run_progress
 from canhaptic.parameters import Unit
 from canhaptic.study.compare import chosen_algorithms, compare, cycles_of
 from canhaptic.view.energy_table import make_console
+
+_FASTEST: Final = 1e6  # [Hz]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `compare`."""
     add_scene(parser)
-    parser.add_argument("--algorithms", metavar="A,B,...", type=_names, help="which; by default every one")
+    parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
     parser.add_argument("--duration", metavar="S", type=seconds, help="length of each run [s]; by default the scene's")
     parser.add_argument(
         "--rate", metavar="HZ", type=_rate, help="another rate than the scene's, also beyond what a bus could carry"
@@ -38,14 +40,14 @@ def execute(arguments: argparse.Namespace) -> int:
     total = cycles_of(scene, arguments.duration) * len(algorithms) * len(scene.axes)
     if arguments.rate is not None:
         total = round(total * arguments.rate * scene.bus.sample_time)
-    with RunProgress(total, scene.bus.sample_time, "free") as progress:
+    with run_progress(total, scene.bus.sample_time, "free") as progress:
         comparison = compare(
             scene,
             algorithms,
             duration=arguments.duration,
             rate=arguments.rate,
             over_can=arguments.can,
-            progress=progress if sys.stderr.isatty() else None,
+            progress=progress,
         )
     if arguments.json:
         write_json(comparison.result)
@@ -57,16 +59,9 @@ def execute(arguments: argparse.Namespace) -> int:
         from canhaptic.study.compare_picture import draw_comparison
 
         draw_comparison(comparison, arguments.png)
-        write_note(f"  picture     {arguments.png}")
+        note_file("picture", arguments.png)
     return 0
 
 
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
-
-
 def _rate(text: str) -> float:
-    try:
-        return float(str(Unit("Hz", "Hz").read(text)))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"got {text!r}: {error}") from error
+    return positive_number(text, Unit("Hz", "Hz"), "rate", _FASTEST)

@@ -10,7 +10,7 @@ from rich import box
 from rich.table import Table
 
 from canhaptic.cli.arguments import add_json
-from canhaptic.cli.output import write_json, write_note
+from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
 from canhaptic.shipped import FOLDERS, shipped
 from canhaptic.view.energy_table import make_console
@@ -69,6 +69,6 @@ def _copy(target: Path) -> None:
     try:
         for folder in FOLDERS:
             shutil.copytree(shipped(folder), target / folder)
-            write_note(f"  {folder:<8} {target / folder}")
+            note_file(folder, target / folder)
     except OSError as error:
         raise InputError(f"{target}: cannot be written ({error}); name a folder that can") from error

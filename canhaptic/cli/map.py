@@ -3,9 +3,8 @@
 import argparse
 from pathlib import Path
 
-from canhaptic.cli.arguments import add_json, check_picture
-from canhaptic.cli.output import write_json, write_line, write_note
-from canhaptic.errors import InputError
+from canhaptic.cli.arguments import add_json, check_folder, check_picture
+from canhaptic.cli.output import note_file, write_json, write_line
 from canhaptic.study.map.border import JUDGEMENTS, passing_share, usual_judgement
 from canhaptic.study.map.field import fields_of
 from canhaptic.study.map.panel import Lines, Panel
@@ -36,8 +35,8 @@ def execute(arguments: argparse.Namespace) -> int:
     """
     if arguments.png is not None:
         check_picture(arguments.png)
-    if arguments.html is not None and not arguments.html.absolute().parent.is_dir():
-        raise InputError(f"{arguments.html}: no such folder {arguments.html.absolute().parent}; make it first")
+    if arguments.html is not None:
+        check_folder(arguments.html)
     with SweepTable(arguments.file) as table:
         fields = fields_of(table, arguments.axis)
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
@@ -52,12 +51,12 @@ def execute(arguments: argparse.Namespace) -> int:
         from canhaptic.study.map.picture import draw_map
 
         draw_map(columns, caption, arguments.png)
-        write_note(f"  picture     {arguments.png}")
+        note_file("picture", arguments.png)
     if arguments.html is not None:
         from canhaptic.study.map.page import write_map
 
         write_map(columns, caption, arguments.html)
-        write_note(f"  page        {arguments.html}")
+        note_file("page", arguments.html)
     return 0
 
 

@@ -4,9 +4,10 @@ import json
 import math
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from canhaptic.errors import CanHapticError, SceneError
+from canhaptic.errors import CanHapticError, InputError, SceneError
 
 
 def write_json(value: Any) -> None:
@@ -23,6 +24,23 @@ def write_note(text: str) -> None:
     """Writes one line to standard error."""
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
+
+
+def note_file(what: str, path: Path) -> None:
+    """Says on standard error which file was written."""
+    write_note(f"  {what:<10}  {path}")
+
+
+def write_file(path: Path, text: str) -> None:
+    """Writes a text as UTF-8.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); name another file") from error
 
 
 def print_failure(error: CanHapticError, *, as_json: bool) -> None:

@@ -7,6 +7,8 @@ without waiting. No thread is started.
 import os
 import select
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Final, Literal, Self
 
@@ -19,6 +21,22 @@ _FIRST: Final = 1_000_000_000  # [ns]
 _INTERVAL: Final = {"real": 500_000_000, "free": 100_000_000}  # [ns]
 
 
+Pace = Literal["real", "free"]
+
+
+@contextmanager
+def run_progress(cycles: int | None, sample_time: float, pace: Pace, every: int = 64) -> Iterator["RunProgress | None"]:
+    """Yields the progress of a run where somebody can see it; None where standard error is no terminal.
+
+    The arguments are those of `RunProgress`.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    with RunProgress(cycles, sample_time, pace, every) as progress:
+        yield progress
+
+
 class RunProgress:
     """Told the number of completed cycles; shows it now and then.
 
@@ -26,10 +44,12 @@ class RunProgress:
         cycles: How many there will be; None when that is not known.
         sample_time: [s]
         pace: Of the run.
+        every: Which counts are looked at, at free pace: one of so many.
     """
 
-    def __init__(self, cycles: int | None, sample_time: float, pace: Literal["real", "free"]) -> None:
+    def __init__(self, cycles: int | None, sample_time: float, pace: Pace, every: int = 64) -> None:
         self._cycles = cycles
+        self._every = every
         self._sample_time = sample_time
         self._pace = pace
         self._clock = WallClock()
@@ -39,7 +59,7 @@ class RunProgress:
 
     def __call__(self, cycles: int) -> None:
         """Takes the number of completed cycles; cheap but for a few calls a second."""
-        if self._pace == "free" and cycles & 63:
+        if self._pace == "free" and cycles % self._every:
             return
         now = self._clock.now()
         if now >= self._next:

@@ -1,19 +1,18 @@
 """`canhaptic run CONFIG`: brings the drives up, renders the environment, stops, and prints the energy account."""
 
 import argparse
-import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from canhaptic.cli.arguments import add_json, add_scene, check_picture, scene_of, seconds
-from canhaptic.cli.output import failure, write_failure, write_json, write_note
-from canhaptic.cli.progress import RunProgress
+from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_note
+from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
-from canhaptic.errors import CanHapticError, InputError
+from canhaptic.errors import CanHapticError
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.method import method_line
@@ -54,7 +53,9 @@ def execute(arguments: argparse.Namespace) -> int:
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         if error is None and arguments.png is not None and energy_log is not None:
-            _draw(energy_log, arguments.png)
+            from canhaptic.view.picture import draw_energy
+
+            draw_energy(energy_log, arguments.png)
     _report(result, error, arguments)
     return stop.exit_status if error is None else error.exit_status
 
@@ -68,8 +69,8 @@ def _run(
     error: CanHapticError | None = None
     begin = clock.now()
     try:
-        with RunProgress(cycles, scene.bus.sample_time, experiment.pace) as progress:
-            run(experiment.cycle, cycles, stop.requested, progress if sys.stderr.isatty() else None)
+        with run_progress(cycles, scene.bus.sample_time, experiment.pace) as progress:
+            run(experiment.cycle, cycles, stop.requested, progress)
     except CanHapticError as raised:
         error = raised
     elapsed = (clock.now() - begin) * 1e-9
@@ -116,15 +117,6 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
     return result
 
 
-def _draw(log: Path, path: Path) -> None:
-    from canhaptic.view.picture import draw_energy
-
-    try:
-        draw_energy(log, path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: the picture cannot be written ({error})") from error
-
-
 def _report(result: dict[str, Any], error: CanHapticError | None, arguments: argparse.Namespace) -> None:
     """Prints the account, and the error that ended the run if one did."""
     if arguments.json:
@@ -138,4 +130,4 @@ def _report(result: dict[str, Any], error: CanHapticError | None, arguments: arg
     files = {"energy log": arguments.log, "bus log": arguments.bus_log, "picture": None if error else arguments.png}
     for what, path in files.items():
         if path is not None:
-            write_note(f"  {what:<10}  {path}")
+            note_file(what, path)

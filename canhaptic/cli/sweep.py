@@ -5,10 +5,10 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Final
 
-from canhaptic.cli.arguments import add_json, add_scene, scene_of, seconds
-from canhaptic.cli.output import write_json, write_note
+from canhaptic.cli.arguments import add_json, add_scene, names, scene_of, seconds
+from canhaptic.cli.output import note_file, write_json, write_note
 from canhaptic.cli.scene_progress import SceneProgress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.errors import InputError
@@ -20,7 +20,7 @@ from canhaptic.study.sweep.table import SweepTable
 from canhaptic.study.sweep.workers import Pool, dask_executor
 from canhaptic.view.energy_table import make_console
 
-_MOST_WORKERS = 1024
+_MOST_WORKERS: Final = 1024
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="LOW:HIGH:N, LOW:HIGH:log:N or A,B,C of any key of the scene, as in environment.stiffness=1e2:1e6:log:40 "
         "(every axis) or axes.0.torque_limit=5,10; repeatable",
     )
-    parser.add_argument(
-        "--controllers", metavar="A,B,...", type=_names, default=[], help="judge each scene under these"
-    )
+    parser.add_argument("--controllers", metavar="A,B,...", type=names, default=[], help="judge each scene under these")
     parser.add_argument(
         "--sample", metavar="lhs:N", type=_samples, default=0, help="N points of a Latin hypercube, no grid"
     )
@@ -47,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--metrics",
         metavar="A,B,...",
-        type=_names,
+        type=names,
         help=f"fewer are faster; by default {', '.join(USUAL)}; beside a continuous run also {', '.join(CONTINUOUS)}",
     )
     parser.add_argument(
@@ -138,7 +136,7 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _note(out: Path | None, state: Progress, stopped: bool) -> None:
     if out is not None:
-        write_note(f"  results     {out}")
+        note_file("results", out)
     if stopped:
         kept = f"; what is finished is kept: --resume goes on with {out}" if out is not None else ""
         write_note(f"  stopped     {state.done} of {state.total} scenes are finished{kept}")
@@ -146,13 +144,6 @@ def _note(out: Path | None, state: Progress, stopped: bool) -> None:
 
 def _quiet(_: Progress) -> None:
     """Shows nothing."""
-
-
-def _names(text: str) -> list[str]:
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    if not names:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected names with commas")
-    return names
 
 
 def _count(text: str) -> int:
