@@ -1,5 +1,6 @@
 """Where the object dictionary of an axis is: beside the scene, or among those that come with the package."""
 
+import os
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +30,18 @@ def find_dictionary(section: MarkedMapping, faults: Faults) -> MarkedMapping:
     looked = "" if Path(text).is_absolute() else f" in {' or '.join(str(folder) for folder in folders)}"
     faults.add(at, f"got {text!r}, no such file{looked}; give the path of the drive's EDS or DCF")
     return section
+
+
+def path_for_scene(dictionary: Path, scene: Path | None) -> str:
+    """Returns the path by which a scene finds a dictionary.
+
+    Args:
+        dictionary: Its file, as seen from the current folder.
+        scene: The file of the scene, which the path then starts from; None where that is not known: the whole path.
+    """
+    if scene is None:
+        return str(dictionary.absolute())
+    return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
 
 
 def _is_file(path: Path) -> bool:

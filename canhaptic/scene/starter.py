@@ -6,6 +6,7 @@ It is a whole scene: every key that a dictionary can give is given, every other 
 import json
 import math
 import re
+from pathlib import Path
 from string import Template
 from typing import Final
 
@@ -16,6 +17,7 @@ from canhaptic.drive.pdo_map import is_writable
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey
 from canhaptic.errors import DictionaryError, InputError
+from canhaptic.scene.eds_path import path_for_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.profiles import profile_values
 
@@ -39,8 +41,8 @@ _TEXT: Final = Template("""\
 # Every line marked $to_set holds a guess: put the value of your rig there and take the mark away. Real drives do not
 # run before.
 #
-#     canhaptic check rig.yaml    what would be done, and whether the drive is fit for it
-#     canhaptic run rig.yaml$hint
+#     canhaptic check $scene    what would be done, and whether the drive is fit for it
+#     canhaptic run $scene$hint
 #
 # Plain numbers are SI. A text may carry a unit (1 kHz, 0.5 N*m, 50 us), which is checked for dimension.
 
@@ -90,7 +92,14 @@ $objects  plant:
 """)
 
 
-def starter_scene(found: Survey, dictionary: ObjectDictionary, *, simulate: bool, drive: str | None = None) -> str:
+def starter_scene(
+    found: Survey,
+    dictionary: ObjectDictionary,
+    *,
+    simulate: bool,
+    drive: str | None = None,
+    out: Path | None = None,
+) -> str:
     """Returns the text of a scene file for one drive, which `load_scene` accepts.
 
     Args:
@@ -98,6 +107,7 @@ def starter_scene(found: Survey, dictionary: ObjectDictionary, *, simulate: bool
         dictionary: The same dictionary.
         simulate: Adds a simulated drive, motor and hand on a virtual bus, so that it runs at once.
         drive: Name of the drive profile to use; None for none.
+        out: The file that the text is for; None where that is not known, and the dictionary needs its whole path.
 
     Raises:
         DictionaryError: The drive cannot serve; lists every reason.
@@ -112,6 +122,7 @@ def starter_scene(found: Survey, dictionary: ObjectDictionary, *, simulate: bool
         title=_plain(f"{found.vendor} {found.product}".strip() or "A CiA 402 drive"),
         eds=_plain(str(found.path)),
         eds_quoted=_EDS_TOKEN,
+        scene=_plain(str(out or "rig.yaml")),
         hint="      needs no hardware: drive, motor and hand are simulated" if simulate else "",
         **_bus_values(found, simulate),
         **_axis_values(found, dictionary, drive),
@@ -119,7 +130,7 @@ def starter_scene(found: Survey, dictionary: ObjectDictionary, *, simulate: bool
         **_scaled(limit),
         simulation=_simulation(dictionary, rated, limit) if simulate else "",
     )
-    return _aligned(text).replace(_EDS_TOKEN, json.dumps(str(found.path), ensure_ascii=False))
+    return _aligned(text).replace(_EDS_TOKEN, json.dumps(path_for_scene(found.path, out), ensure_ascii=False))
 
 
 def _bus_values(found: Survey, simulate: bool) -> dict[str, str]:

@@ -217,6 +217,44 @@ def test_a_path_with_every_awkward_letter_survives(tmp_path: Path, capsys: Captu
     assert main(["check", str(scene)]) == 0
 
 
+def test_a_scene_finds_its_dictionary_from_its_own_folder_and_moves_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in ("rig/drives", "rig/scenes", "elsewhere"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "rig" / "drives" / "x.eds").write_bytes(OURS.read_bytes())
+    (tmp_path / "link").symlink_to(tmp_path / "rig" / "scenes")
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "rig/drives/x.eds", "--out", "rig/scenes/a.yaml"]) == 0
+    assert main(["new", "rig/drives/x.eds", "--out", "link/b.yaml"]) == 0
+    (tmp_path / "rig").rename(tmp_path / "moved")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for name in ("a.yaml", "b.yaml"):
+        scene = load_scene(Path("..") / "moved" / "scenes" / name)
+        assert scene.axes[0].parameters.eds.read_bytes() == OURS.read_bytes()
+        assert yaml.safe_load(scene.text)["axes"][0]["eds"] == "../drives/x.eds"
+
+
+def test_a_printed_scene_finds_its_dictionary_from_any_folder(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.eds").write_bytes(OURS.read_bytes())
+    (tmp_path / "scenes").mkdir()
+    monkeypatch.chdir(tmp_path)
+    scene = started(Path("own.eds"), tmp_path / "scenes", capsys)
+    assert load_scene(scene).axes[0].parameters.eds == tmp_path / "own.eds"
+
+
+def test_no_scene_is_overwritten(tmp_path: Path, capsys: Captured) -> None:
+    out = tmp_path / "rig.yaml"
+    out.write_text("mine")
+    assert main(["new", str(OURS), "--out", str(out)]) == 2
+    assert "rig.yaml: is there already" in capsys.readouterr().err
+    assert out.read_text() == "mine"
+    assert main(["new", str(OURS), "--out", str(tmp_path / "none" / "rig.yaml")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+
+
 def test_a_drive_that_cannot_serve_gets_no_configuration(capsys: Captured) -> None:
     assert main(["new", str(TRAITS / "no_cyclic_torque.eds")]) == 2
     captured = capsys.readouterr()
