@@ -16,6 +16,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
+from canhaptic.view.picture_style import STYLE
 from tools.bench.report import RESULTS, write_result
 from tools.paper_runs import LATE, ROOT, Record, figures_of, record
 from tools.paper_traps import traps
@@ -23,18 +25,6 @@ from tools.paper_traps import traps
 RESULT: Final = RESULTS / "paper_figures.json"
 IMAGES: Final = ROOT / "docs" / "images"
 PACKAGES: Final = ("canhaptic", "numpy")
-_BLUE, _VERMILION, _GREEN, _GREY = "#0072B2", "#D55E00", "#009E73", "#6E6E6E"
-_STYLE: Final[Any] = {
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#E6E6E6",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.handlelength": 1.8,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +83,13 @@ def draw(name: str, runs: Mapping[str, Record], path: Path) -> None:
         path: The picture.
     """
     figure = FIGURES[name]
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         sheet = Figure(figsize=(11.0, 5.0), dpi=100, layout="constrained")
         panels: Any = sheet.subplots(2, len(figure.drawn), sharex=True, sharey="row", height_ratios=(3, 2))
         for column, (label, heading) in enumerate(figure.drawn):
             taken = runs[label]
             (_draw_energies if figure.energy else _draw_contact)(panels[:, column], taken)
-            panels[0, column].set_title(heading, loc="left", fontsize=9.5)
+            panels[0, column].set_title(heading)
             panels[1, column].set_xlabel("time [s]")
             panels[0, column].set_xlim(0.0, taken.time[-1] + taken.time[1])
         handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -116,16 +106,16 @@ def _draw_contact(panels: Any, taken: Record) -> None:
     position, force = panels
     of = taken.reference
     reach = 1.1e3 * np.abs(taken.position).max()
-    position.axhspan(-reach, 1e3 * taken.wall, color=_GREY, alpha=0.12, linewidth=0)
-    position.plot(taken.time, 1e3 * of.position, color=_GREY, linewidth=2.4, alpha=0.6, label="continuous wall")
-    position.plot(taken.time, 1e3 * taken.position, color=_BLUE, linewidth=1.2, label="sampled wall")
+    position.axhspan(-reach, 1e3 * taken.wall, color=PALE, alpha=0.12, linewidth=0)
+    position.plot(taken.time, 1e3 * of.position, color=PALE, linewidth=2.4, alpha=0.6, label="continuous wall")
+    position.plot(taken.time, 1e3 * taken.position, color=BLUE, linewidth=1.2, label="sampled wall")
     position.set_ylim(-reach, reach)
     position.set_ylabel("position [mm]\n(grey: inside the wall)" if _is_left(position) else "")
-    force.plot(of.fine_time, of.fine_torque, color=_GREY, linewidth=2.4, alpha=0.6)
-    force.plot(taken.time, taken.torque, color=_BLUE, linewidth=1.0, drawstyle="steps-pre")
+    force.plot(of.fine_time, of.fine_torque, color=PALE, linewidth=2.4, alpha=0.6)
+    force.plot(taken.time, taken.torque, color=BLUE, linewidth=1.0, drawstyle="steps-pre")
     stuck = taken.sticky
     if stuck.any():
-        force.plot(taken.time[stuck], taken.torque[stuck], "o", color=_VERMILION, markersize=3.5, label="sticky hold")
+        force.plot(taken.time[stuck], taken.torque[stuck], "o", color=VERMILION, markersize=3.5, label="sticky hold")
     force.set_ylabel("force [N]" if _is_left(force) else "")
 
 
@@ -133,14 +123,14 @@ def _draw_energies(panels: Any, taken: Record) -> None:
     """Sums of interaction and dissipated energy, and what eq. 4 asks to be positive: the first less the second."""
     energy, margin = panels
     exchanged, dissipated = np.cumsum(taken.h_i), np.cumsum(taken.h_r)
-    energy.plot(taken.time, 1e3 * exchanged, color=_BLUE, linewidth=1.4, label="exchanged, sum of $H_I$")
+    energy.plot(taken.time, 1e3 * exchanged, color=BLUE, linewidth=1.4, label="exchanged, sum of $H_I$")
     energy.plot(
-        taken.time, 1e3 * dissipated, color=_VERMILION, linewidth=1.4, linestyle=(0, (4, 1.5)),
+        taken.time, 1e3 * dissipated, color=VERMILION, linewidth=1.4, linestyle=(0, (4, 1.5)),
         label="dissipated, sum of $H_R$",
     )  # fmt: skip
     energy.set_ylabel("energy [mJ]" if _is_left(energy) else "")
-    margin.axhline(0.0, color=_GREY, linewidth=0.8)
-    margin.plot(taken.time, 1e3 * (exchanged - dissipated), color=_GREEN, linewidth=1.2, label="margin of eq. 4")
+    margin.axhline(0.0, color=PALE, linewidth=0.8)
+    margin.plot(taken.time, 1e3 * (exchanged - dissipated), color=GREEN, linewidth=1.2, label="margin of eq. 4")
     margin.set_ylabel("margin [mJ]" if _is_left(margin) else "")
 
 

@@ -14,16 +14,15 @@ from canhaptic.study.compare import AxisComparison, Comparison
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference import Reference
 from canhaptic.view.decimate import decimate
-from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
+from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
+from canhaptic.view.picture_style import STYLE, axis_scale, matplotlib_figure, save_picture
 from canhaptic.view.si import si
 
-_BLUE, _VERMILION, _GREEN, _GREY = "#0072B2", "#D55E00", "#009E73", "#8C8C8C"
 _BUCKETS: Final = 1200
 _ROOM: Final = 0.35
 """Above and below the continuous run, as a part of its range."""
 _FLATTENING: Final = 4.0
 """Times the median range of an energy, beyond which a run does not widen the scale of all."""
-_PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
 _PAPER: Final[Any] = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
 
 
@@ -100,7 +99,7 @@ def _scale(*lines: Array) -> _Scale:
     high = max(float(line.max(initial=0.0)) for line in lines)
     room = _ROOM * max(high - low, 1e-12)
     largest = max(abs(low), abs(high))
-    scale, prefix = next(((s, p) for s, p in _PREFIXES if largest >= s), (1.0, ""))
+    scale, prefix = axis_scale(largest)
     return scale, prefix, (low - room, high + room)
 
 
@@ -119,24 +118,24 @@ def _line(panel: Any, time: Array, values: Array, scale: _Scale, **style: Any) -
 def _draw_position(panel: Any, run: LoopRun, reference: Reference | None, period: float, scale: _Scale) -> None:
     if reference is not None:
         time = _times(reference.position, period)
-        _line(panel, time, reference.position, scale, color=_GREY, linewidth=3.0, alpha=0.6)
+        _line(panel, time, reference.position, scale, color=PALE, linewidth=3.0, alpha=0.6)
     time = _times(run.true_position, period)
-    _line(panel, time, run.true_position, scale, color=_BLUE, linewidth=1.0)
+    _line(panel, time, run.true_position, scale, color=BLUE, linewidth=1.0)
 
 
 def _draw_force(panel: Any, run: LoopRun, reference: Reference | None, period: float, scale: _Scale) -> None:
     if reference is not None:
-        _line(panel, reference.fine_time, reference.fine_torque, scale, color=_GREY, linewidth=3.0, alpha=0.6)
+        _line(panel, reference.fine_time, reference.fine_torque, scale, color=PALE, linewidth=3.0, alpha=0.6)
     time = _times(run.torque, period)
-    _line(panel, time, run.torque, scale, color=_VERMILION, linewidth=0.9, drawstyle="steps-pre")
+    _line(panel, time, run.torque, scale, color=VERMILION, linewidth=0.9, drawstyle="steps-pre")
 
 
 def _draw_energy(panel: Any, run: LoopRun, period: float, scale: _Scale) -> None:
     time = _times(run.interaction, period)
     panel.axhline(0.0, color="black", linewidth=0.8)
-    _line(panel, time, run.interaction, scale, color=_BLUE, linewidth=1.2, label="in, true")
-    _line(panel, time, run.dissipated, scale, color=_VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
-    _line(panel, time, run.interaction - run.dissipated, scale, color=_GREEN, linewidth=1.1, label="margin of (4)")
+    _line(panel, time, run.interaction, scale, color=BLUE, linewidth=1.2, label="in, true")
+    _line(panel, time, run.dissipated, scale, color=VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
+    _line(panel, time, run.interaction - run.dissipated, scale, color=GREEN, linewidth=1.1, label="margin of (4)")
     panel.set_title(
         f"least in {si(run.least_interaction, 'J', 3)}, margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left"
     )

@@ -20,9 +20,9 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
+from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
 from canhaptic.view.series import PortSeries
 
-BLUE, VERMILION, GREEN, ORANGE, GREY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#4D4D4D", "#CC79A7"
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
 _WORST_SPAN: Final = 0.25  # [s] shown on either side of the worst margin
 _TIMING_COLOURS: Final = (BLUE, GREEN, VERMILION, PURPLE)

@@ -2,8 +2,7 @@
 
 An axis in a group has no column: its position and torque are drawn in that of the group.
 
-matplotlib is imported when a picture is drawn, not before. Colours are those of Okabe and Ito, told apart by
-everyone; lines differ in width and style too.
+matplotlib is imported when a picture is drawn, not before.
 """
 
 from collections.abc import Sequence
@@ -18,12 +17,12 @@ from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.view.decimate import decimate
 from canhaptic.view.extent import contacts, rows_between
-from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
+from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
+from canhaptic.view.picture_style import STYLE, axis_scale, matplotlib_figure, save_picture
 from canhaptic.view.series import faults_of
 from canhaptic.view.si import si
 
-_BLUE, _VERMILION, _GREEN, _ORANGE, _GREY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#4D4D4D"
-_OF_AXES: Final = (_BLUE, _VERMILION, _GREEN, _ORANGE)  # axes of a group in turn
+_OF_AXES: Final = (BLUE, VERMILION, GREEN, ORANGE)  # axes of a group in turn
 _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
 _MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
 _MAX_FAULTS_NAMED: Final = 4
@@ -34,7 +33,6 @@ _LEGEND: Final[Any] = {
     "borderaxespad": 0.0,
     "columnspacing": 1.2,
 }
-_PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
 
 Array = NDArray[Any]
 
@@ -150,10 +148,10 @@ class _PortPicture:
         for position, label, colour in zip(positions, self._axes or ("position",), cycle(_OF_AXES)):
             self._line(axes, position, scale, color=colour, linewidth=1.3, label=label)
         if isinstance(wall, int | float):
-            axes.axhline(wall / scale, color=_GREY, linewidth=1.0, linestyle="--", label="wall")
+            axes.axhline(wall / scale, color=GREY, linewidth=1.0, linestyle="--", label="wall")
             low, high = axes.get_ylim()
             inside = low if self._log.attributes.get(f"{self._name}.wall_side", "below") == "below" else high
-            axes.axhspan(inside, wall / scale, color=_GREY, alpha=0.10, linewidth=0)
+            axes.axhspan(inside, wall / scale, color=GREY, alpha=0.10, linewidth=0)
             axes.set_ylim(low, high)
         _finish(axes, "position", f"{prefix}{self._movers[0].unit('position')}")
 
@@ -165,9 +163,9 @@ class _PortPicture:
         unit = self._port.unit("torque_applied")
         scale, prefix = self._prefix(command, applied)
         self._line(
-            axes, command, scale, color=_ORANGE, linewidth=2.2, alpha=0.8, drawstyle="steps-post", label="commanded"
+            axes, command, scale, color=ORANGE, linewidth=2.2, alpha=0.8, drawstyle="steps-post", label="commanded"
         )
-        self._line(axes, applied, scale, color=_BLUE, linewidth=0.9, drawstyle="steps-pre", label="applied")
+        self._line(axes, applied, scale, color=BLUE, linewidth=0.9, drawstyle="steps-pre", label="applied")
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
     def _draw_torques_of_axes(self, axes: Any) -> None:
@@ -188,11 +186,11 @@ class _PortPicture:
         scale, prefix = self._prefix(taken_in, dissipated)
         shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in (taken_in, dissipated, margin)]))
         time, upper, lower = self._time[shown], taken_in[shown] / scale, dissipated[shown] / scale
-        axes.fill_between(time, lower, upper, upper >= lower, color=_GREEN, alpha=0.22, linewidth=0, label="margin")
+        axes.fill_between(time, lower, upper, upper >= lower, color=GREEN, alpha=0.22, linewidth=0, label="margin")
         if (upper < lower).any():
-            axes.fill_between(time, lower, upper, upper < lower, color=_VERMILION, alpha=0.45, linewidth=0)
-        axes.plot(time, upper, color=_BLUE, linewidth=1.3, label="in")
-        axes.plot(time, lower, color=_VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
+            axes.fill_between(time, lower, upper, upper < lower, color=VERMILION, alpha=0.45, linewidth=0)
+        axes.plot(time, upper, color=BLUE, linewidth=1.3, label="in")
+        axes.plot(time, lower, color=VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
         worst = int(margin.argmin())
         label = f"least {si(float(margin[worst]), 'J')} at {self._time[worst]:.4g} s"
         axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
@@ -201,23 +199,25 @@ class _PortPicture:
     def _draw_surplus(self, axes: Any) -> None:
         surplus, deficit = self._column("h_dis"), np.cumsum(self._column("deficit"))
         scale, prefix = self._prefix(surplus, deficit)
-        self._line(axes, surplus, scale, color=_ORANGE, linewidth=1.3, label="surplus to dissipate")
-        self._line(axes, deficit, scale, color=_VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
+        self._line(axes, surplus, scale, color=ORANGE, linewidth=1.3, label="surplus to dissipate")
+        self._line(axes, deficit, scale, color=VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
         if not (surplus.any() or deficit.any()):
             axes.set_ylim(-0.05, 1.0)
         _finish(axes, "surplus", f"{prefix}J")
 
     def _prefix(self, *lines: Array) -> tuple[float, str]:
-        scale, prefix = _prefix(*lines)
+        """Returns the scale and SI prefix of the panel that shows all of these lines."""
+        largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
+        scale, prefix = axis_scale(largest)
         self.scales.append(scale)
         return scale, prefix
 
     def _mark(self, axes: Any) -> None:
         """Shades the contacts and marks faults."""
         for start, end in self._contacts:
-            axes.axvspan(self._time[start], self._time[end], color=_GREY, alpha=0.05, linewidth=0, zorder=0)
+            axes.axvspan(self._time[start], self._time[end], color=GREY, alpha=0.05, linewidth=0, zorder=0)
         for event in self._faults:
-            axes.axvline(event.sync_index * self._log.sample_time, color=_VERMILION, linewidth=0.9, linestyle=":")
+            axes.axvline(event.sync_index * self._log.sample_time, color=VERMILION, linewidth=0.9, linestyle=":")
 
     def faults(self) -> str:
         """Returns one line of words per marked fault, for below the time axis."""
@@ -226,15 +226,6 @@ class _PortPicture:
             f"\n{event.sync_index * period:.4g} s: {event.kind} {event.text[:60]}"
             for event in self._faults[:_MAX_FAULTS_NAMED]
         )
-
-
-def _prefix(*lines: Array) -> tuple[float, str]:
-    """Returns the scale and SI prefix that put the largest value of all lines between 1 and 1000."""
-    largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
-    for scale, prefix in _PREFIXES:
-        if largest >= scale:
-            return scale, prefix
-    return 1.0, ""
 
 
 def _finish(axes: Any, title: str, unit: str) -> None:

@@ -21,6 +21,7 @@ STYLE: Final[Any] = {
     "svg.hashsalt": "canhaptic",
 }
 """For `matplotlib.rc_context`."""
+_PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
 
 
 def matplotlib_figure() -> tuple[Any, Any]:
@@ -47,3 +48,8 @@ def save_picture(figure: Any, path: str | Path) -> None:
         figure.savefig(path)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: the picture cannot be written ({error})") from error
+
+
+def axis_scale(largest: float) -> tuple[float, str]:
+    """Returns the scale and SI prefix of an axis by its largest value, which they put between 1 and 1000 if below 1."""
+    return next(((scale, prefix) for scale, prefix in _PREFIXES if largest >= scale), _PREFIXES[0])

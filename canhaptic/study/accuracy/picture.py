@@ -10,28 +10,29 @@ from typing import Any, Final
 from canhaptic.errors import InputError
 from canhaptic.study.accuracy.advice import FLOOR
 from canhaptic.study.accuracy.candidates import OURS
+from canhaptic.view.palette import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
 from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 
 Row = Mapping[str, Any]
 
 STYLES: Final[dict[str, tuple[str, str]]] = {
-    OURS: ("#009E73", "o"),
-    "semi-implicit Euler": ("#8C8C8C", "v"),
-    "implicit midpoint": ("#E69F00", "s"),
-    "RK4": ("#D55E00", "^"),
-    "LSODA, located": ("#0072B2", "D"),
-    "MuJoCo Euler": ("#CC79A7", "P"),
-    "MuJoCo RK4": ("#56B4E9", "X"),
+    OURS: (GREEN, "o"),
+    "semi-implicit Euler": (PALE, "v"),
+    "implicit midpoint": (ORANGE, "s"),
+    "RK4": (VERMILION, "^"),
+    "LSODA, located": (BLUE, "D"),
+    "MuJoCo Euler": (PURPLE, "P"),
+    "MuJoCo RK4": (SKY, "X"),
 }
 GROUPS: Final[dict[str, str]] = {
     "as it is": "#000000",
-    "sample rate": "#0072B2",
-    "RPDO": "#D55E00",
-    "algorithm": "#009E73",
-    "velocity": "#E69F00",
-    "torque step": "#CC79A7",
-    "encoder count": "#56B4E9",
-    "effect": "#8C8C8C",
+    "sample rate": BLUE,
+    "RPDO": VERMILION,
+    "algorithm": GREEN,
+    "velocity": ORANGE,
+    "torque step": PURPLE,
+    "encoder count": SKY,
+    "effect": PALE,
 }
 
 

@@ -1,0 +1,8 @@
+"""Colours of every picture and page: those of Okabe and Ito, told apart by everyone, and two greys.
+
+Lines differ in width and style too.
+"""
+
+BLUE, VERMILION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
+PURPLE, SKY = "#CC79A7", "#56B4E9"
+GREY, PALE = "#4D4D4D", "#8C8C8C"
