@@ -1,11 +1,12 @@
 """`canhaptic check CONFIG`: what a scene would do, before anything is sent."""
 
 import argparse
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Final
 
 import yaml
-from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from canhaptic.cli.arguments import add_json, add_scene, scene_of
@@ -13,13 +14,16 @@ from canhaptic.cli.host import host_settings
 from canhaptic.cli.output import write_json
 from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.bus_budget import BusBudget, require_budget
-from canhaptic.drive.fitness import Finding, check_dictionary
+from canhaptic.drive.fitness import Finding, Verdict, check_dictionary
 from canhaptic.drive.pdo_map import choose_map
 from canhaptic.drive.realtime import GRANTED, Realtime
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.starter import TO_SET, guesses_left
 from canhaptic.view.energy_table import make_console
+from canhaptic.view.tables import plain_table
+
+_COLOURS: Final = {Verdict.FIT: "green", Verdict.UNKNOWN: "yellow", Verdict.REFUSED: "red"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,7 +94,7 @@ def _print(
         console.print(
             f"{len(lines)} values are still marked {TO_SET}, in lines {shown}: real drives do not run on guesses"
         )
-    console.print(yaml.safe_dump(_changed(scene), sort_keys=False, allow_unicode=True), markup=False)
+    console.print(yaml.safe_dump(_without_empty(scene.resolved()), sort_keys=False, allow_unicode=True), markup=False)
     for name, budget in budgets.items():
         console.print(_bus_table(name, budget))
         console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
@@ -112,27 +116,17 @@ def _realtime(scene: Scene) -> dict[str, str]:
     return realtime.report
 
 
-def _changed(scene: Scene) -> dict[str, Any]:
-    """Returns the configuration in effect without what is neither given nor set by default."""
-
-    def shown(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: shown(entry) for key, entry in value.items() if entry not in (None, {}, [])}
-        return value
-
-    result: dict[str, Any] = shown(scene.resolved())
-    return result
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    for column in columns:
-        table.add_column(column, overflow="fold")
-    return table
+def _without_empty(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns values without the entries that are empty, such as those neither given nor set by default."""
+    return {
+        key: _without_empty(entry) if isinstance(entry, Mapping) else entry
+        for key, entry in values.items()
+        if entry not in (None, {}, [])
+    }
 
 
 def _bus_table(name: str, budget: BusBudget) -> Table:
-    table = _table(f"bus {name}".rstrip() + ", worst cycle", "what", "frames", "bits each", "bits", "time")
+    table = plain_table(f"bus {name}".rstrip() + ", worst cycle", "what", "frames", "bits each", "bits", "time")
     for row in budget.rows:
         time = f"{row.bits / budget.bitrate * 1e6:.0f} us"
         table.add_row(row.what, str(row.frames), str(row.bits_each), str(row.bits), time)
@@ -140,16 +134,15 @@ def _bus_table(name: str, budget: BusBudget) -> Table:
 
 
 def _fitness_table(axis: AxisScene, findings: list[Finding]) -> Table:
-    colours = {"fit": "green", "unknown": "yellow", "refused": "red"}
-    table = _table(f"{axis.parameters.name}: {axis.parameters.eds}", "object", "verdict", "")
+    table = plain_table(f"{axis.parameters.name}: {axis.parameters.eds}", "object", "verdict", "")
     for finding in findings:
-        verdict = finding.verdict.value
-        table.add_row(finding.item, f"[{colours[verdict]}]{verdict}[/]", finding.text.replace("[", r"\["))
+        verdict = f"[{_COLOURS[finding.verdict]}]{finding.verdict.value}[/]"
+        table.add_row(finding.item, verdict, escape(finding.text))
     return table
 
 
 def _hint_table(hints: list[Hint]) -> Table:
-    table = _table("stability", "axis", "limit", "at most", "asked", "")
+    table = plain_table("stability", "axis", "limit", "at most", "asked", "")
     for hint in hints:
         limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
         asked = "" if hint.asked is None else f"{hint.asked:.4g}"
@@ -159,14 +152,14 @@ def _hint_table(hints: list[Hint]) -> Table:
 
 
 def _host_table() -> Table:
-    table = _table("host", "setting", "value", "advice")
+    table = plain_table("host", "setting", "value", "advice")
     for setting in host_settings():
         table.add_row(setting.name, setting.value, setting.advice)
     return table
 
 
 def _realtime_table(answers: dict[str, str]) -> Table:
-    table = _table("bus.realtime", "asked", "answer")
+    table = plain_table("bus.realtime", "asked", "answer")
     for name, answer in answers.items():
-        table.add_row(name, answer.replace("[", r"\["), style="" if answer == GRANTED else "yellow")
+        table.add_row(name, escape(answer), style="" if answer == GRANTED else "yellow")
     return table

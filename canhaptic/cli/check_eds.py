@@ -5,19 +5,25 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import write_json
-from canhaptic.cli.tables import plain_table
 from canhaptic.dictionary import read_dictionary
+from canhaptic.drive.fitness import Verdict
 from canhaptic.drive.pdo_map import AxisMap, PdoPlan
-from canhaptic.drive.survey import Suitability, Survey, SurveyRow, survey, unconfigured_axis
+from canhaptic.drive.survey import Suitability, Survey, survey, unconfigured_axis
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.view.energy_table import make_console
+from canhaptic.view.tables import plain_table
 
 _COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", Suitability.UNFIT: "red"}
-_WORDS: Final = {"fit": "[green]ok[/]", "unknown": "[yellow]condition[/]", "refused": "[red]unfit[/]"}
+_WORDS: Final = {
+    Verdict.FIT: "[green]ok[/]",
+    Verdict.UNKNOWN: "[yellow]condition[/]",
+    Verdict.REFUSED: "[red]unfit[/]",
+}
 _UNFIT: Final = 1
 
 
@@ -112,16 +118,11 @@ def _object_table(found: Survey) -> Table:
     for row in found.rows:
         if row.group != group:
             table.add_section()
-        stated = row.stated.replace("[", r"\[")
-        table.add_row(row.group if row.group != group else "", row.item, _WORDS[row.verdict.value], stated, _text(row))
+        text = "see below" if row.item == "map" and row.verdict is Verdict.FIT else row.text
+        cells = (_WORDS[row.verdict], escape(row.stated), escape(text))
+        table.add_row(row.group if row.group != group else "", row.item, *cells)
         group = row.group
     return table
-
-
-def _text(row: SurveyRow) -> str:
-    if row.item == "map":
-        return "see below" if row.verdict.value == "fit" else row.text.replace("[", r"\[")
-    return row.text.replace("[", r"\[")
 
 
 def _map_table(axis_map: AxisMap) -> Table:

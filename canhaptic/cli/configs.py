@@ -6,14 +6,14 @@ import shutil
 from pathlib import Path
 from typing import Final
 
-from rich import box
-from rich.table import Table
+from rich.markup import escape
 
 from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
 from canhaptic.shipped import FOLDERS, shipped
 from canhaptic.view.energy_table import make_console
+from canhaptic.view.tables import plain_table
 
 _COMMENT: Final = "#"
 _SENTENCE_END: Final = re.compile(r"\.\s+(?=[A-Z])")
@@ -37,11 +37,9 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json({"folder": str(folder), "configs": scenes})
         return 0
-    table = Table(title=str(folder), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    table.add_column("file", no_wrap=True)
-    table.add_column("what it is", overflow="fold")
+    table = plain_table(str(folder), "file", "what it is")
     for name, about in scenes.items():
-        table.add_row(name, about.replace("[", r"\["))
+        table.add_row(name, escape(about))
     make_console().print(table)
     return 0
 

@@ -3,11 +3,13 @@
 import argparse
 from typing import Final
 
+from rich.markup import escape
+
 from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.output import write_json
-from canhaptic.cli.tables import plain_table
 from canhaptic.scene.preflight import PreflightFinding, preflight
 from canhaptic.view.energy_table import make_console
+from canhaptic.view.tables import plain_table
 
 _REFUSED: Final = 1
 _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
@@ -40,6 +42,5 @@ def _print(findings: list[PreflightFinding], interfaces: list[str]) -> None:
     table = plain_table("SocketCAN", "interface", "item", "", "seen", "what to do")
     for finding in findings:
         severity = f"[{_COLOURS[finding.severity]}]{finding.severity}[/]"
-        cells = (finding.seen.replace("[", r"\["), finding.text.replace("[", r"\["))
-        table.add_row(finding.interface, finding.item, severity, *cells)
+        table.add_row(finding.interface, finding.item, severity, escape(finding.seen), escape(finding.text))
     console.print(table)

@@ -4,8 +4,10 @@ from collections.abc import Iterable
 from enum import Enum
 from typing import Any, Final, NamedTuple
 
-from rich import box
+from rich.markup import escape
 from rich.table import Table
+
+from canhaptic.view.tables import plain_table
 
 
 class Verdict(Enum):
@@ -83,22 +85,16 @@ class Report:
 
     def table(self) -> Table:
         """Returns the rows as a table for a terminal."""
-        table = Table(title="commissioning", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-        for column in ("axis", "what", "configured", "found", "verdict", ""):
-            table.add_column(column, overflow="fold")
+        table = plain_table("commissioning", "axis", "what", "configured", "found", "verdict", "")
         for row in self.findings:
             verdict = f"[{_COLOURS[row.verdict]}]{row.verdict.value}[/]"
-            table.add_row(*(_plain(text) for text in row[:4]), verdict, _plain(row.text))
+            table.add_row(*(escape(text) for text in row[:4]), verdict, escape(row.text))
         return table
 
     def snippet(self) -> str:
         """Returns the values to paste as YAML, axis by axis; "" when there are none."""
         axes = dict.fromkeys(value.axis for value in self.values)
         return "\n".join(_axis_snippet(axis, [v for v in self.values if v.axis == axis]) for axis in axes)
-
-
-def _plain(text: str) -> str:
-    return text.replace("[", r"\[")
 
 
 def _axis_snippet(axis: str, values: Iterable[Value]) -> str:

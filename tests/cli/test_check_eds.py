@@ -208,13 +208,14 @@ def test_what_a_dictionary_states_is_taken_over(tmp_path: Path, capsys: Captured
 
 
 def test_a_path_with_every_awkward_letter_survives(tmp_path: Path, capsys: Captured) -> None:
-    folder = tmp_path / 'a "b"  # c: Gerät'
+    folder = tmp_path / 'a "b"  # c: [red] Gerät'
     folder.mkdir()
     path = folder / "x.eds"
     path.write_bytes(OURS.read_bytes())
     scene = started(path, tmp_path, capsys)
     assert yaml.safe_load(scene.read_text(encoding="utf-8"))["axes"][0]["eds"] == str(path)
     assert main(["check", str(scene)]) == 0
+    assert "[red]" in "".join(capsys.readouterr().out.split())
 
 
 def test_a_scene_finds_its_dictionary_from_its_own_folder_and_moves_with_it(
