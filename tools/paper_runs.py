@@ -13,12 +13,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic import build, load_scene, run
-from canhaptic.cycle import Cycle
+from canhaptic import load_scene
 from canhaptic.haptics.balance import Branch, EnergyBalance, LedgerSummary
-from canhaptic.scene.build import build_controllers
 from canhaptic.scene.models import Scene
-from canhaptic.signals import CycleTiming, Sample, Truth
+from canhaptic.signals import Sample, Truth
+from canhaptic.study.over_can import walk_over_can
 from canhaptic.study.reference import Reference, continuous_reference
 from canhaptic.study.scenes import environment_of, plant_parts
 
@@ -52,29 +51,6 @@ class Record:
         return held_back
 
 
-class _Kept:
-    """Takes the cycles of the only axis where a log would."""
-
-    def __init__(self) -> None:
-        self.rows: list[tuple[float, ...]] = []
-
-    def append(
-        self,
-        sync_index: int,
-        samples: Sequence[Sample],
-        balances: Sequence[EnergyBalance],
-        timing: CycleTiming,
-        truths: Sequence[Truth] | None = None,
-    ) -> None:
-        """Takes one cycle."""
-        [sample], [balance], [truth] = samples, balances, truths or ()
-        true, measured = -truth.energy.motor, (sample.position, sample.torque_applied)
-        self.rows.append((*measured, balance.torque, balance.h_i, balance.h_r, true, float(balance.branch)))
-
-    def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
-        """Takes nothing: a fault ends the run."""
-
-
 def record(config: str, overrides: Sequence[str] = ()) -> Record:
     """Returns one run of a scene of `configs/` with one simulated axis.
 
@@ -83,16 +59,14 @@ def record(config: str, overrides: Sequence[str] = ()) -> Record:
         overrides: As `--set` takes them.
     """
     scene = load_scene(ROOT / "configs" / config, overrides)
-    cycles, kept = round((scene.run.duration or 1.0) / scene.bus.sample_time), _Kept()
-    with build(scene, "free") as experiment:
-        drives = experiment.far_side.drives if experiment.far_side else []
-        cycle = Cycle(experiment.rig, build_controllers(scene), kept, lambda: [drive.truth() for drive in drives])
-        run(cycle, cycles)
-        [ledger] = cycle.ledgers
-        summary = ledger.summary()
-    position, torque, command, h_i, h_r, true, branch = (
-        np.array(column, dtype=float) for column in zip(*kept.rows, strict=True)
-    )
+    cycles, rows = round((scene.run.duration or 1.0) / scene.bus.sample_time), list[tuple[float, ...]]()
+
+    def take(_axis: int, sample: Sample, balance: EnergyBalance, truth: Truth) -> None:
+        seen, booked = (sample.position, sample.torque_applied), (balance.torque, balance.h_i, balance.h_r)
+        rows.append((*seen, *booked, -truth.energy.motor, balance.branch))
+
+    [summary] = walk_over_can(scene, cycles, take)
+    position, torque, command, h_i, h_r, true, branch = np.array(rows, dtype=float).T
     return Record(
         time=np.arange(cycles, dtype=float) * scene.bus.sample_time,
         position=position,

@@ -3,20 +3,22 @@
 from collections.abc import Callable, Sequence
 
 from canhaptic.cycle import Cycle, run
-from canhaptic.errors import CanHapticError, InputError
-from canhaptic.haptics.balance import EnergyBalance
+from canhaptic.errors import InputError, RigError
+from canhaptic.haptics.balance import EnergyBalance, LedgerSummary
 from canhaptic.scene.build import build, build_controllers
 from canhaptic.scene.models import Scene
 from canhaptic.signals import CycleTiming, Sample, Truth
 from canhaptic.study.loop import LoopRun, Recorder
 
+Take = Callable[[int, Sample, EnergyBalance, Truth], None]
+"""Takes one cycle of one axis: its place, what its drive reported, what was booked, and what truly happened."""
 
-class _Recorders:
-    """Takes the cycles of all axes where a log would."""
 
-    def __init__(self, axes: int, counter: Callable[[], None]) -> None:
-        self.of_axes = [Recorder() for _ in range(axes)]
-        self._counter = counter
+class _Tap:
+    """Hands every cycle on where a log would take it."""
+
+    def __init__(self, take: Take) -> None:
+        self._take = take
 
     def append(
         self,
@@ -27,12 +29,34 @@ class _Recorders:
         truths: Sequence[Truth] | None = None,
     ) -> None:
         """Takes one cycle."""
-        for recorder, sample, balance, truth in zip(self.of_axes, samples, balances, truths or (), strict=True):
-            recorder.take(sample.position, truth.position, sample.torque_applied, balance, truth.energy.motor)
-            self._counter()
+        for axis, row in enumerate(zip(samples, balances, truths or (), strict=True)):
+            self._take(axis, *row)
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
         """Takes nothing: a fault ends the run."""
+
+
+def walk_over_can(scene: Scene, cycles: int, take: Take) -> list[LedgerSummary]:
+    """Runs the controllers of a scene on its simulated drives, hands every cycle on, and returns the accounts.
+
+    Args:
+        scene: No axis of it is in a group.
+        cycles: SYNCs.
+        take: Called once per cycle and axis.
+
+    Raises:
+        InputError: The drives are not simulated in this process.
+        RigError: A drive, the link or the limiter ended the run.
+    """
+    if not scene.simulated:
+        raise InputError(f"{scene.source}: --can needs bus.interface: virtual and a `simulation`; leave --can out")
+    with build(scene, "free") as experiment:
+        far_side = experiment.far_side
+        assert far_side is not None
+        drives = far_side.drives
+        cycle = Cycle(experiment.rig, build_controllers(scene), _Tap(take), lambda: [d.truth() for d in drives])
+        run(cycle, cycles)
+    return [ledger.summary() for ledger in cycle.ledgers]
 
 
 def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> list[LoopRun]:
@@ -46,16 +70,15 @@ def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> l
     Raises:
         InputError: The drives are not simulated in this process.
     """
-    if not scene.simulated:
-        raise InputError(f"{scene.source}: --can needs bus.interface: virtual and a `simulation`; leave --can out")
-    recorders, ended = _Recorders(len(scene.axes), counter), ""
-    with build(scene, "free") as experiment:
-        far_side = experiment.far_side
-        assert far_side is not None
-        drives = far_side.drives
-        cycle = Cycle(experiment.rig, build_controllers(scene), recorders, lambda: [d.truth() for d in drives])
-        try:
-            run(cycle, cycles)
-        except CanHapticError as error:
-            ended = f"stopped: {error}"
-    return [recorder.run(ended) for recorder in recorders.of_axes]
+    recorders, ended = [Recorder() for _ in scene.axes], ""
+
+    def take(axis: int, sample: Sample, balance: EnergyBalance, truth: Truth) -> None:
+        motor = truth.energy.motor
+        recorders[axis].take(sample.position, truth.position, sample.torque_applied, balance, motor)
+        counter()
+
+    try:
+        walk_over_can(scene, cycles, take)
+    except RigError as error:
+        ended = f"stopped: {error}"
+    return [recorder.run(ended) for recorder in recorders]
