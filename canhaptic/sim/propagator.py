@@ -22,6 +22,7 @@ LEVELS: Final = 24
 TICKS: Final = 1 << LEVELS
 """Ticks in one sample time; all time inside the plant is an integer number of them."""
 _LARGEST_STEP: Final = 0.25  # of ||F h||: the series then needs about a dozen terms
+_TERMS: Final = 16  # of the series of many matrices: 4^-16 / 16! is below 1e-22
 
 
 def taylor_flow(rates: Array, step: float) -> Array:
@@ -103,3 +104,26 @@ def _congruent(work: Array, change: Array) -> Array:
     """Returns (I + E)' Q (I + E) without adding E to the identity first, which would round E off."""
     product = work @ change
     return work + product + product.T + change.T @ product
+
+
+def flow_changes(rates: Array) -> Array:
+    """Returns exp(F) - I of many matrices, shape (n, k, k); each is the same whatever the others are.
+
+    A series of a fixed number of terms at F / 2^h with a norm of at most 1/4, then h doublings, h of each its own.
+
+    Args:
+        rates: F, each multiplied by its step, shape (n, k, k).
+    """
+    norms = np.abs(rates).sum(axis=1).max(axis=1)
+    halvings = np.maximum(0, np.ceil(np.log2(np.maximum(norms / _LARGEST_STEP, 1e-300)))).astype(int)
+    term = rates * (0.5**halvings)[:, None, None]
+    scaled = term
+    change: Array = term.copy()
+    for order in range(2, _TERMS):
+        term = term @ scaled / order
+        change += term
+    for level in range(int(halvings.max(initial=0))):
+        rows = np.flatnonzero(halvings > level)
+        some = change[rows]
+        change[rows] = 2.0 * some + some @ some
+    return change

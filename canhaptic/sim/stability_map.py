@@ -10,10 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.propagator import Array
-
-_LARGEST_STEP = 0.25  # of ||F h||
-_TERMS = 16  # of the series, whose last is then below 1e-23
+from canhaptic.sim.propagator import Array, flow_changes
 
 
 class Loops(NamedTuple):
@@ -47,7 +44,7 @@ def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array
     rates = np.zeros((len(mass), 3, 3))  # of [q, v, held torque]
     rates[:, 0, 1] = 1.0
     rates[:, 1] = np.stack([-hand / mass, -damping / mass, 1.0 / mass], axis=1)
-    change = _flow_change(rates * period[:, None, None], 1.0)
+    change = flow_changes(rates * period[:, None, None])
     size = 3 + delay  # [q, v, q before] and, with a delay, the torque that waits
     matrices = np.zeros((len(mass), size, size))
     law = np.zeros((len(mass), size))  # torque computed from the state at a SYNC
@@ -67,23 +64,3 @@ def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Arra
     """Returns the largest absolute eigenvalue of each loop, shape (n_loops,); below 1 it is stable."""
     radii: Array = np.abs(np.linalg.eigvals(loop_matrices(loops, sample_time, delay))).max(axis=1)
     return radii
-
-
-def _flow_change(rates: Array, sample_time: float) -> Array:
-    """Returns exp(F T) - I of many matrices F, shape (n, k, k), by the series at a small step and doubling.
-
-    Steps and terms of each follow from that one alone, so that no bit of it depends on the others.
-    """
-    sizes = np.abs(rates).sum(axis=1).max(axis=1) * sample_time
-    halvings = np.maximum(0, np.frexp(sizes / _LARGEST_STEP)[1])
-    change = np.empty_like(rates)
-    for count in np.unique(halvings).tolist():
-        rows = halvings == count
-        step = part = term = rates[rows] * (sample_time * 0.5**count)
-        for order in range(2, _TERMS + 1):
-            term = term @ step / order
-            part = part + term
-        for _ in range(count):
-            part = 2.0 * part + part @ part
-        change[rows] = part
-    return change

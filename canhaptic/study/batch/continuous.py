@@ -19,7 +19,7 @@ from canhaptic.haptics.environments.free_space import FreeSpace
 from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.haptics.environments.two_sided_wall import TwoSidedWall
 from canhaptic.haptics.environments.viscous_medium import ViscousMedium
-from canhaptic.study.batch.plants import flow_changes
+from canhaptic.sim.propagator import flow_changes
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.figures import last_rows
 from canhaptic.study.loop import Array

@@ -17,13 +17,13 @@ from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.assembly import Scene as PlantScene
 from canhaptic.sim.effects import Effect
 from canhaptic.sim.plant import Plant
+from canhaptic.sim.propagator import flow_changes
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch.varied import simulation_with
 from canhaptic.study.loop import Array
 
 _IN_ARRAYS: Final = ("viscous_friction", "tremor")
 """Effects whose place in the equation of motion is known here."""
-_TERMS: Final = 16  # of the series: 4^-16 / 16! is below 1e-22
 Numbers = dict[str, Array | float]
 
 
@@ -133,26 +133,6 @@ def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[A
         start[:, sine], start[:, cosine] = np.sin(phase), np.cos(phase)
     force /= np.reshape(plant["mass"], (-1, 1))
     return rates, start
-
-
-def flow_changes(rates: Array) -> Array:
-    """Returns exp(F) - I of many matrices, shape (n, k, k); each is the same whatever the others are.
-
-    A series of a fixed number of terms at F / 2^h with a norm of at most 1/4, then h doublings, h of each its own.
-    """
-    norms = np.abs(rates).sum(axis=1).max(axis=1)
-    halvings = np.maximum(0, np.ceil(np.log2(np.maximum(4.0 * norms, 1e-300)))).astype(int)
-    term = rates * (0.5**halvings)[:, None, None]
-    scaled = term
-    change: Array = term.copy()
-    for order in range(2, _TERMS):
-        term = term @ scaled / order
-        change += term
-    for level in range(int(halvings.max(initial=0))):
-        rows = np.flatnonzero(halvings > level)
-        some = change[rows]
-        change[rows] = 2.0 * some + some @ some
-    return change
 
 
 def _one_by_one(
