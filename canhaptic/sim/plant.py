@@ -18,7 +18,7 @@ from canhaptic.signals import PlantEnergy
 from canhaptic.sim.assembly import MOTOR, Body, LinearPart, Rows, Scene
 from canhaptic.sim.compiler import Mode, initial_state
 from canhaptic.sim.effects import Effect
-from canhaptic.sim.machine import Machine
+from canhaptic.sim.machine import Machine, matrix_of
 from canhaptic.sim.propagator import LEVELS, TICKS, Array
 from canhaptic.sim.splitting import Splitting
 from canhaptic.sim.timetable import Timetable
@@ -212,9 +212,7 @@ class Plant:
 
     def whole_flow(self) -> Array:
         """Returns the flow of the first mode over one sample time, shape (n, n)."""
-        flow = self._machine.first_mode.flows[0]
-        identity = np.eye(len(self.scene.names))
-        return np.array([np.asarray(flow(column, np.empty(len(identity)))) for column in identity]).T
+        return matrix_of(self._machine.first_mode.flows[0]).copy()
 
     def initial_state(self) -> Array:
         """Returns the state at the start, shape (n,)."""
