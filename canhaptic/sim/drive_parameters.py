@@ -75,19 +75,12 @@ class SimulatedDriveParameters(Parameters):
     sdo_size_indicated: bool = True
     sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
 
-    @field_validator("objects")
+    @field_validator("objects", "absent", "refused")
     @classmethod
-    def _check_places(cls, objects: dict[str | int, int | float | str]) -> dict[str | int, int | float | str]:
-        for key in objects:
+    def _check_places(cls, places: Any) -> Any:
+        for key in places:
             parse_place(key)
-        return objects
-
-    @field_validator("absent", "refused")
-    @classmethod
-    def _check_keys(cls, keys: Any) -> Any:
-        for key in keys:
-            parse_place(key)
-        return keys
+        return places
 
     @property
     def position_sign(self) -> int:
