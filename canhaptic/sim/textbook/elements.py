@@ -53,12 +53,9 @@ class Element(Protocol):
 
 
 class Smooth:
-    """An element without modes."""
+    """What elements without modes share."""
 
     modes: tuple[str, ...] = ("only",)
-
-    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
-        """Adds nothing; overwritten by what derives from this."""
 
     def ways(self, index: int, mode: str) -> Sequence[Way]:
         """Returns none."""
