@@ -26,10 +26,11 @@ else:
     _ModelMetaclass = type(BaseModel)
 
 Motion = Literal["m", "rad"]
+"""Whether an axis slides or turns, by the unit of its position."""
 
 # Dimension exponents of (kg, m, s, A, K, rad). The radian is kept as a dimension of its own, so that a linear
 # stiffness on a rotary axis is an error and not a wall of the wrong strength.
-_Dimension = tuple[int, int, int, int, int, int]
+_Dimension = tuple[int, ...]
 _BASE_UNITS: Final[dict[str, tuple[float, _Dimension]]] = {
     "kg": (1.0, (1, 0, 0, 0, 0, 0)),
     "g": (1e-3, (1, 0, 0, 0, 0, 0)),
@@ -60,6 +61,16 @@ _FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1)(?:\^(-?\d))?\s*")
 _motion: ContextVar[Motion | None] = ContextVar("motion", default=None)
 
 
+def effort_unit(motion: str) -> str:
+    """Returns the unit of force or torque of an axis whose position is in "m" or in "rad"."""
+    return "N" if motion == "m" else "N*m"
+
+
+def damping_unit(motion: str) -> str:
+    """Returns the unit of damping of an axis whose position is in "m" or in "rad"."""
+    return "N*s/m" if motion == "m" else "N*m*s/rad"
+
+
 @contextmanager
 def axis_motion(motion: Motion | None) -> Iterator[None]:
     """Within the block, parameters belong to an axis that moves in metres or in radians."""
@@ -87,7 +98,8 @@ def parse_unit(text: str) -> tuple[float, _Dimension]:
     Raises:
         ValueError: The text is not a product of known units.
     """
-    factor, dimension, position = 1.0, (0, 0, 0, 0, 0, 0), 0
+    factor, position = 1.0, 0
+    dimension: _Dimension = (0, 0, 0, 0, 0, 0)
     text = text.strip()
     while position < len(text):
         match = _FACTOR.match(text, position)
@@ -96,8 +108,7 @@ def parse_unit(text: str) -> tuple[float, _Dimension]:
         scale, base = _base_unit(match.group(2))
         power = int(match.group(3) or 1) * (-1 if match.group(1) == "/" else 1)
         factor *= scale**power
-        d = [a + power * b for a, b in zip(dimension, base, strict=True)]
-        dimension = (d[0], d[1], d[2], d[3], d[4], d[5])
+        dimension = tuple(a + power * b for a, b in zip(dimension, base, strict=True))
         position = match.end()
     return factor, dimension
 

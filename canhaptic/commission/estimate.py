@@ -59,16 +59,17 @@ def _triangle(half_base: int) -> Array:
 
 
 def _solve(matrix: Array, torque: Array) -> Dynamics | None:
+    """Returns the least-squares solution, or None where the columns of the matrix do not tell the unknowns apart."""
     scale = np.linalg.norm(matrix, axis=0)
     used = scale > 0.0
-    if np.linalg.matrix_rank(matrix[:, used] / scale[used]) < int(np.count_nonzero(used)):
+    normed, unknowns = matrix[:, used] / scale[used], int(np.count_nonzero(used))
+    if np.linalg.matrix_rank(normed) < unknowns:
         return None
-    solution, *_ = np.linalg.lstsq(matrix[:, used] / scale[used], torque, rcond=None)
-    rest = torque - (matrix[:, used] / scale[used]) @ solution
-    variance = float(rest @ rest) / max(1, len(torque) - int(np.count_nonzero(used)))
-    covariance = np.linalg.inv((matrix[:, used] / scale[used]).T @ (matrix[:, used] / scale[used])) * variance
+    solution, *_ = np.linalg.lstsq(normed, torque, rcond=None)
+    rest = torque - normed @ solution
+    variance = float(rest @ rest) / max(1, len(torque) - unknowns)
     values, errors = np.zeros(4), np.zeros(4)
     values[used] = solution / scale[used]
-    errors[used] = np.sqrt(np.diag(covariance)) / scale[used]
-    m, b, c, f = (float(value) for value in values)
-    return Dynamics(m, float(errors[0]), b, float(errors[1]), c, float(errors[2]), f, variance**0.5)
+    errors[used] = np.sqrt(np.diag(np.linalg.inv(normed.T @ normed)) * variance) / scale[used]
+    (m, b, c, f), (m_error, b_error, c_error, _) = values.tolist(), errors.tolist()
+    return Dynamics(m, m_error, b, b_error, c, c_error, f, variance**0.5)

@@ -10,6 +10,7 @@ from canhaptic.commission.session import Session
 from canhaptic.drive.link import Link
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import SdoError, StartError
+from canhaptic.parameters import effort_unit
 
 _NODES: Final = range(1, 128)
 _ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")
@@ -59,11 +60,9 @@ def identify(session: Session) -> None:
         known = [session.drives[n].axis.node_id for n in on_link]
         strangers = scan(link, known, session.scene.bus.master_id)
         found = ", ".join(str(node) for node in sorted([*known, *strangers]))
-        verdict, text = Verdict.AGREES, ""
-        if strangers:
-            verdict = Verdict.DIFFERS
-            text = f"node {', '.join(map(str, strangers))} is not in the configuration: what is it, and who feeds it?"
-        session.found(on_link[0], "nodes on the bus", ", ".join(map(str, sorted(known))), found, verdict, text)
+        text = f"node {', '.join(map(str, strangers))} is not in the configuration: what is it, and who feeds it?"
+        expected = ", ".join(map(str, sorted(known)))
+        session.judged(on_link[0], "nodes on the bus", expected, found, good=not strangers, text=text)
     for axis, drive in enumerate(session.drives):
         _presence(session, axis, drive)
         _identity(session, axis, drive)
@@ -78,10 +77,11 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
         raise StartError(
             drive.axis.name, "presence", str(error), "an answer", "check power, node ID, bit rate and cable"
         ) from error
-    is_servo = device_type & 0xFFFF == od.CIA402_PROFILE
-    verdict = Verdict.AGREES if is_servo else Verdict.FAILED
-    text = "" if is_servo else "no CiA 402 drive; check node_id"
-    session.found(axis, "device profile", "0x0192", f"{device_type & 0xFFFF:#06x}", verdict, text)
+    profile = device_type & 0xFFFF
+    session.judged(
+        axis, "device profile", f"{od.CIA402_PROFILE:#06x}", f"{profile:#06x}", good=profile == od.CIA402_PROFILE,
+        text="no CiA 402 drive; check node_id", otherwise=Verdict.FAILED,
+    )  # fmt: skip
 
 
 def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
@@ -102,9 +102,8 @@ def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
         if not wanted:
             session.found(axis, item, "not given", f"{found:#010x}", Verdict.MEASURED)
         else:
-            verdict = Verdict.AGREES if found == wanted else Verdict.DIFFERS
-            text = "" if found == wanted else "the EDS is of another drive: take the one of this drive and firmware"
-            session.found(axis, item, f"{wanted:#010x}", f"{found:#010x}", verdict, text)
+            text = "the EDS is of another drive: take the one of this drive and firmware"
+            session.judged(axis, item, f"{wanted:#010x}", f"{found:#010x}", good=found == wanted, text=text)
         if demanded is None and found:
             session.propose(axis, key, found, comment="refuses another drive at this node ID")
 
@@ -117,13 +116,13 @@ def _modes(session: Session, axis: int, drive: ServoDrive) -> None:
         return
     names = ", ".join(name for bit, name in enumerate(_MODES) if name and modes >> bit & 1)
     serves = bool(modes & od.CYCLIC_SYNC_TORQUE_BIT)
-    text = "" if serves else "no cyclic synchronous torque: other firmware, or another drive"
-    session.found(axis, "modes (0x6502)", "cst", names, Verdict.AGREES if serves else Verdict.FAILED, text)
+    text = "no cyclic synchronous torque: other firmware, or another drive"
+    session.judged(axis, "modes (0x6502)", "cst", names, good=serves, text=text, otherwise=Verdict.FAILED)
 
 
 def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
     parameters = drive.axis
-    unit = "N" if parameters.unit == "m" else "N*m"
+    unit = effort_unit(parameters.unit)
     configured = "" if parameters.rated_torque is None else f"{parameters.rated_torque:g} {unit}"
     try:
         counts = drive.sdo.read(od.RATED_TORQUE)
@@ -137,5 +136,5 @@ def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
     at_axis = of_motor * parameters.transmission
     found = f"{at_axis:g} {unit}" + (f" ({of_motor:g} N*m at the motor)" if parameters.transmission != 1.0 else "")
     same = parameters.rated_torque is None or abs(at_axis - parameters.rated_torque) <= 0.01 * parameters.rated_torque
-    text = "" if same else "correct rated_torque or transmission: every torque is wrong by this ratio"
-    session.found(axis, "rated torque (0x6076)", configured, found, Verdict.AGREES if same else Verdict.DIFFERS, text)
+    text = "correct rated_torque or transmission: every torque is wrong by this ratio"
+    session.judged(axis, "rated torque (0x6076)", configured, found, good=same, text=text)

@@ -6,7 +6,9 @@ from canhaptic.commission.laws import NO_TORQUE
 from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
 
-_STANDSTILL: Final = 1.0  # [s]
+STANDSTILL: Final = "standstill at zero torque"
+"""What the report calls the step."""
+_WATCHED: Final = 1.0  # [s] that an axis must stand still
 _UNATTENDED: Final = 0.4  # [s] of the simulated hand's motion
 _LONGEST: Final = 120.0  # [s] that a person may take
 _FEWEST_COUNTS: Final = 200  # half a per cent
@@ -21,13 +23,13 @@ def stand_still(session: Session, axis: int) -> bool:
         RigError: Drive or link failed.
     """
     name, unit = session.axes[axis].parameters.name, session.axes[axis].parameters.unit
-    law = session.play(axis, NO_TORQUE, session.cycles(_STANDSTILL))
+    law = session.play(axis, NO_TORQUE, session.cycles(_WATCHED))
     drift = abs(law.positions[-1] - law.positions[0])
     swing = max(law.positions) - min(law.positions)
     still = drift <= _DRIFT * session.limits.travel
-    text = "" if still else f"{name} moves without torque: weight, a wrong offset of the drive, or somebody pushes"
-    verdict = Verdict.AGREES if still else Verdict.FAILED
-    session.found(axis, "standstill at zero torque", "", f"{drift:.3g} {unit}, noise {swing:.3g}", verdict, text)
+    text = f"{name} moves without torque: weight, a wrong offset of the drive, or somebody pushes"
+    found = f"{drift:.3g} {unit}, noise {swing:.3g}"
+    session.judged(axis, STANDSTILL, "", found, good=still, text=text, otherwise=Verdict.FAILED)
     return still
 
 
@@ -55,7 +57,7 @@ def move_by_hand(session: Session, axis: int) -> None:
     session.truths = ()
     law = session.play(axis, NO_TORQUE, session.cycles(_LONGEST), done)
     if not law.positions:
-        session.found(axis, "encoder", "", "not tried", Verdict.UNKNOWN)
+        session.not_tried("encoder", [axis])
         return
     truth = session.truth(axis)
     moved = None if truth is None or not begin else truth - begin[0]
@@ -73,19 +75,16 @@ def move_by_hand(session: Session, axis: int) -> None:
 def _judge(session: Session, axis: int, ratio: float) -> None:
     parameters = session.axes[axis].parameters
     right = ratio > 0.0
-    verdict = Verdict.AGREES if right else Verdict.DIFFERS
-    found = parameters.direction if right else -parameters.direction
-    text = "" if right else "the encoder counts the other way"
-    session.found(axis, "encoder direction", str(parameters.direction), str(found), verdict, text)
+    direction = parameters.direction if right else -parameters.direction
+    text = "the encoder counts the other way"
+    session.judged(axis, "encoder direction", str(parameters.direction), str(direction), good=right, text=text)
     if not right:
-        session.propose(axis, "direction", found)
+        session.propose(axis, "direction", direction)
     counts = parameters.counts_per_unit * abs(ratio)
     same = abs(abs(ratio) - 1.0) <= _TOLERANCE
-    text = "" if same else f"every position is wrong by {abs(ratio):.4g}; gear, counts per turn or 0x608F"
-    configured = f"{parameters.counts_per_unit:g} count/{parameters.unit}"
-    verdict = Verdict.AGREES if same else Verdict.DIFFERS
-    session.found(axis, "encoder counts", configured, f"{counts:.6g} count/{parameters.unit}", verdict, text)
+    text = f"every position is wrong by {abs(ratio):.4g}; gear, counts per turn or 0x608F"
+    unit = f"count/{parameters.unit}"
+    configured, found = f"{parameters.counts_per_unit:g} {unit}", f"{counts:.6g} {unit}"
+    session.judged(axis, "encoder counts", configured, found, good=same, text=text)
     if not same:
-        session.propose(
-            axis, "counts_per_unit", counts, f"count/{parameters.unit}", "as measured; round it to the data"
-        )
+        session.propose(axis, "counts_per_unit", counts, unit, "as measured; round it to the data")

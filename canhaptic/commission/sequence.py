@@ -1,8 +1,7 @@
 """The steps in their order; what was found before a fault is kept."""
 
 from canhaptic.commission.identify import identify
-from canhaptic.commission.motion import move_by_hand, stand_still
-from canhaptic.commission.report import Verdict
+from canhaptic.commission.motion import STANDSTILL, move_by_hand, stand_still
 from canhaptic.commission.session import Session
 from canhaptic.commission.torque import identify_dynamics, pulse, time_the_read_back
 from canhaptic.commission.watchdog import pull_the_master, time_the_cycle
@@ -25,25 +24,13 @@ def commission(session: Session, timing_duration: float) -> None:
             f"{session.scene.source}: commissioning tries one axis after the other, and this simulated mechanism joins "
             "them; leave `mechanisms` out and give every axis a `simulation` of its own"
         )
-    axes = range(len(session.axes))
     tell = session.dialogue.tell
-    free: list[int] = []
     with session.rig_of(with_hand=False):
-        tell("1 of 6: who is on the bus (no torque, nothing enabled)")
-        identify(session)
-        if session.report.failed or session.stop_requested():
+        if not _stands_still(session):
             return
-        names = ", ".join(axis.parameters.name for axis in session.axes)
-        if not session.dialogue.confirm(f"{names}: hands off, clear of the machine. Enable the drives at zero torque?"):
-            session.found(0, "standstill at zero torque", "", "not tried", Verdict.UNKNOWN)
-            return
-        tell("2 of 6: standing still at zero torque")
-        free = [axis for axis in axes if not session.stop_requested() and stand_still(session, axis)]
-    if len(free) < len(session.axes) or session.stop_requested():
-        return
     with session.rig_of(with_hand=True):
         tell("3 of 6: the encoder, moved by hand (zero torque)")
-        for axis in axes:
+        for axis in range(len(session.axes)):
             if not session.stop_requested():
                 move_by_hand(session, axis)
     with session.rig_of(with_hand=False):
@@ -56,6 +43,21 @@ def commission(session: Session, timing_duration: float) -> None:
             return
         tell(f"6 of 6: the cycle, for {timing_duration:g} s (zero torque)")
         time_the_cycle(session, timing_duration)
+
+
+def _stands_still(session: Session) -> bool:
+    """Returns whether every drive is the one of the configuration, and stands still at zero torque."""
+    session.dialogue.tell("1 of 6: who is on the bus (no torque, nothing enabled)")
+    identify(session)
+    if session.report.failed or session.stop_requested():
+        return False
+    names = ", ".join(axis.parameters.name for axis in session.axes)
+    asked = f"{names}: hands off, clear of the machine. Enable the drives at zero torque?"
+    if not session.agreed(asked, STANDSTILL, [0]):
+        return False
+    session.dialogue.tell("2 of 6: standing still at zero torque")
+    still = [not session.stop_requested() and stand_still(session, axis) for axis in range(len(session.axes))]
+    return all(still) and not session.stop_requested()
 
 
 def _with_torque(session: Session) -> None:

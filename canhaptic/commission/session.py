@@ -1,9 +1,8 @@
 """The rig under commissioning: one experiment, run again and again with torques that are known beforehand."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Self
 
 from canhaptic.commission.dialogue import Dialogue
 from canhaptic.commission.laws import NO_TORQUE, CommissioningLimits, OpenLoop
@@ -45,16 +44,18 @@ class Session:
         self.truths: Sequence[Truth] = ()
 
     @contextmanager
-    def rig_of(self, *, with_hand: bool) -> Iterator[Self]:
+    def rig_of(self, *, with_hand: bool) -> Iterator[None]:
         """Builds the rig for the steps inside; nothing is sent before one of them does.
 
         Args:
             with_hand: Whether the simulated hand is on the handle; a real one was asked to be, or not to be.
         """
         scene = self.scene if with_hand else without_hand(self.scene)
-        with build(scene) as self._experiment:
-            yield self
-        self._experiment = None
+        try:
+            with build(scene) as self._experiment:
+                yield
+        finally:
+            self._experiment = None
 
     @property
     def experiment(self) -> Experiment:
@@ -133,6 +134,32 @@ class Session:
         name = self.axes[axis].parameters.name
         self.report.add(Finding(name, item, configured, found, verdict, text))
         self.dialogue.tell(f"  {name}: {item}: {found} ({verdict.value})")
+
+    def judged(
+        self,
+        axis: int,
+        item: str,
+        configured: str,
+        found: str,
+        *,
+        good: bool,
+        text: str,
+        otherwise: Verdict = Verdict.DIFFERS,
+    ) -> None:
+        """Adds a row that agrees, or has another verdict and a text on what to do."""
+        self.found(axis, item, configured, found, Verdict.AGREES if good else otherwise, "" if good else text)
+
+    def agreed(self, question: str, item: str, axes: Iterable[int], text: str = "") -> bool:
+        """Returns whether the person agrees to try something; where not, the report says so of these axes."""
+        if self.dialogue.confirm(question):
+            return True
+        self.not_tried(item, axes, text)
+        return False
+
+    def not_tried(self, item: str, axes: Iterable[int], text: str = "") -> None:
+        """Adds a row per axis for what was not tried."""
+        for axis in axes:
+            self.found(axis, item, "", "not tried", Verdict.UNKNOWN, text)
 
     def propose(self, axis: int, key: str, value: float | int | str, unit: str = "", comment: str = "") -> None:
         """Adds a value to paste."""

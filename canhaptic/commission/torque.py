@@ -10,6 +10,7 @@ from canhaptic.commission.laws import OpenLoop, doublet, sweep
 from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
+from canhaptic.parameters import damping_unit, effort_unit
 
 _FIRST: Final = 0.01  # of the rated torque
 _PULSE: Final = 0.04  # [s]
@@ -20,13 +21,20 @@ _HALF_BASE: Final = 0.02  # [s] of the weights of the estimate
 _SURE: Final = 2.0  # standard deviations
 _RATTLE: Final = 64  # cycles
 _SCALE_TOLERANCE: Final = 0.1
+_MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
 
 
-def largest_torque(session: Session, axis: int) -> float:
-    """Returns the torque beyond which commissioning does not go [N or N*m]."""
+def largest_torque(session: Session, axis: int, part: float | None = None) -> float:
+    """Returns the torque beyond which commissioning does not go [N or N*m].
+
+    Args:
+        session: Its limits.
+        axis: Index of the axis.
+        part: Of the rated torque, or of the limit where there is none; None: that of the session.
+    """
     parameters = session.axes[axis].parameters
     rated = parameters.rated_torque or parameters.torque_limit
-    return min(session.limits.torque * rated, parameters.torque_limit)
+    return min((session.limits.torque if part is None else part) * rated, parameters.torque_limit)
 
 
 def pulse(session: Session, axis: int) -> float | None:
@@ -38,13 +46,12 @@ def pulse(session: Session, axis: int) -> float | None:
         RigError: Drive or link failed.
     """
     parameters = session.axes[axis].parameters
-    unit, most = "N" if parameters.unit == "m" else "N*m", largest_torque(session, axis)
+    unit, most = effort_unit(parameters.unit), largest_torque(session, axis)
     asked = f"{parameters.name}: let go of the handle. Pulses of at most {most:.3g} {unit} and {4 * _PULSE:g} s now?"
-    if not session.dialogue.confirm(asked):
-        session.found(axis, "torque sign", "", "not tried", Verdict.UNKNOWN)
+    if not session.agreed(asked, "torque sign", [axis]):
         return None
     cycles = session.cycles(_PULSE)
-    torque = min(most, _FIRST * (parameters.rated_torque or parameters.torque_limit))
+    torque = min(most, largest_torque(session, axis, _FIRST))
     while True:
         law = session.play(axis, doublet(torque, cycles), 4 * cycles + session.cycles(_REST))
         moved = _first_motion(law, cycles)
@@ -56,9 +63,9 @@ def pulse(session: Session, axis: int) -> float | None:
         session.found(axis, "torque sign", "+", f"no motion at {torque:.3g} {unit}", Verdict.UNKNOWN, text)
         return None
     right = moved > 0.0
-    text = "" if right else "torque and encoder disagree: every wall would pull in. Swap two motor phases, or 0x607E"
+    text = "torque and encoder disagree: every wall would pull in. Swap two motor phases, or 0x607E"
     found = f"{moved:+.3g} {parameters.unit} at {torque:+.3g} {unit}"
-    session.found(axis, "torque sign", "+", found, Verdict.AGREES if right else Verdict.FAILED, text)
+    session.judged(axis, "torque sign", "+", found, good=right, text=text, otherwise=Verdict.FAILED)
     return torque * (cycles * session.sample_time) ** 2 / (2.0 * moved) if right else None  # as the encoder has it
 
 
@@ -68,12 +75,13 @@ def time_the_read_back(session: Session) -> None:
     Raises:
         RigError: Drive or link failed.
     """
-    amplitude = min(largest_torque(session, axis) for axis in range(len(session.axes)))
-    reads = all(drive.map.read_back != "none" for drive in session.drives)
+    item, axes = "demand reported", range(len(session.axes))
+    if any(drive.map.read_back == "none" for drive in session.drives):
+        session.not_tried(item, axes)
+        return
+    amplitude = min(largest_torque(session, axis) for axis in axes)
     asked = f"all axes: hands off. A rattle of {amplitude:.3g} N or N*m that moves nothing, {_RATTLE} cycles, now?"
-    if not reads or not session.dialogue.confirm(asked):
-        for axis in range(len(session.axes)):
-            session.found(axis, "demand reported", "", "not tried", Verdict.UNKNOWN)
+    if not session.agreed(asked, item, axes):
         return
     session.rig.start()
     try:
@@ -83,11 +91,11 @@ def time_the_read_back(session: Session) -> None:
     for axis, timing in enumerate(timings):
         configured = session.axes[axis].parameters.demand_reported
         if timing.reported is None:
-            session.found(axis, "demand reported", configured, "unclear", Verdict.UNKNOWN, timing.text)
+            session.found(axis, item, configured, "unclear", Verdict.UNKNOWN, timing.text)
             continue
         same = timing.reported == configured
-        verdict, text = (Verdict.AGREES, "") if same else (Verdict.DIFFERS, "every hold is booked with its neighbour's")
-        session.found(axis, "demand reported", configured, timing.reported, verdict, text)
+        text = "every hold is booked with its neighbour's torque"
+        session.judged(axis, item, configured, timing.reported, good=same, text=text)
         if not same:
             session.propose(axis, "demand_reported", timing.reported)
 
@@ -109,10 +117,9 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     lowest, highest, duration = _SWEEP
     swing = rough_mass * (2.0 * math.pi * lowest) ** 2 * session.limits.travel / 4.0
     amplitude = min(largest_torque(session, axis), swing)
-    unit = "N" if parameters.unit == "m" else "N*m"
+    unit = effort_unit(parameters.unit)
     asked = f"{parameters.name}: hands off. A sweep of {amplitude:.3g} {unit}, {lowest:g} to {highest:g} Hz, now?"
-    if not session.dialogue.confirm(asked):
-        session.found(axis, "moving mass", "", "not tried", Verdict.UNKNOWN)
+    if not session.agreed(asked, "moving mass", [axis]):
         return
     torques = sweep(amplitude, lowest, highest, duration, session.sample_time)
     law = session.play(axis, torques, len(torques))
@@ -129,8 +136,8 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
 
 
 def _report(session: Session, axis: int, found: Dynamics) -> None:
-    linear = session.axes[axis].parameters.unit == "m"
-    mass_unit, damping_unit, unit = ("kg", "N*s/m", "N") if linear else ("kg*m^2", "N*m*s/rad", "N*m")
+    motion = session.axes[axis].parameters.unit
+    mass_unit, unit = _MASS_UNITS[motion], effort_unit(motion)
     least = found.mass - _SURE * found.mass_error
     declared = session.axes[axis].loop.moving_mass
     text = f"+- {found.mass_error:.2g}"
@@ -145,12 +152,12 @@ def _report(session: Session, axis: int, found: Dynamics) -> None:
     session.propose(axis, "passivity.moving_mass", 0.9 * least, mass_unit, f"0.9 of {least:.4g}, two deviations below")
     sure_damping = max(0.0, found.damping - _SURE * found.damping_error)
     text = f"+- {found.damping_error:.2g}"
-    session.found(axis, "viscous friction", "", f"{found.damping:.3g} {damping_unit}", Verdict.MEASURED, text)
+    session.found(axis, "viscous friction", "", f"{found.damping:.3g} {damping_unit(motion)}", Verdict.MEASURED, text)
     text = f"+- {found.friction_error:.2g}; constant load {found.offset:.2g} {unit}, rest {found.residual:.2g} {unit}"
     session.found(axis, "dry friction", "", f"{found.friction:.3g} {unit}", Verdict.MEASURED, text)
     if sure_damping > 0.0:
         comment = "certain to two deviations here and now; grease and temperature change it"
-        session.propose(axis, "passivity.device_damping", 0.5 * sure_damping, damping_unit, comment)
+        session.propose(axis, "passivity.device_damping", 0.5 * sure_damping, damping_unit(motion), comment)
     _scale(session, axis, found)
 
 
@@ -158,7 +165,7 @@ def _scale(session: Session, axis: int, found: Dynamics) -> None:
     """Compares the mass found with one that was weighed: the same ratio is wrong in every torque."""
     axis_scene = session.axes[axis]
     parameters, simulation = axis_scene.parameters, axis_scene.simulation
-    unit, mass_unit = ("N", "kg") if parameters.unit == "m" else ("N*m", "kg*m^2")
+    unit, mass_unit = effort_unit(parameters.unit), _MASS_UNITS[parameters.unit]
     truth = None if simulation is None or simulation.effects else simulation.plant.mass
     question = f"{parameters.name}: moving mass from a scale or a drawing (Enter when unknown)?"
     known = session.dialogue.number(question, mass_unit, truth)
@@ -168,7 +175,7 @@ def _scale(session: Session, axis: int, found: Dynamics) -> None:
         return
     ratio = found.mass / known
     same = abs(ratio - 1.0) <= _SCALE_TOLERANCE
-    verdict, text = (Verdict.AGREES if same else Verdict.DIFFERS), "" if same else "torques are not what they say"
-    session.found(axis, "torque scale", "1", f"{1.0 / ratio:.4g}", verdict, text)
+    text = "torques are not what they say"
+    session.judged(axis, "torque scale", "1", f"{1.0 / ratio:.4g}", good=same, text=text)
     if not same:
         session.propose(axis, "rated_torque", parameters.rated_torque / ratio, unit, "by the mass that you gave")

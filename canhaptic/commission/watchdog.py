@@ -20,9 +20,8 @@ def pull_the_master(session: Session) -> None:
         RigError: Drive or link failed otherwise than asked for.
     """
     asked = "watchdog: the drives are enabled at zero torque, then the master falls silent. Now?"
-    if not session.dialogue.confirm(asked):
-        for axis in range(len(session.axes)):
-            session.found(axis, "watchdog", "", "not tried", Verdict.UNKNOWN, "a killed master may leave a torque on")
+    axes = range(len(session.axes))
+    if not session.agreed(asked, "watchdog", axes, "a killed master may leave a torque on"):
         return
     rig = session.rig
     rig.start()
@@ -30,7 +29,7 @@ def pull_the_master(session: Session) -> None:
         silence = _SILENCES * rig.bus.master_silence_ns
         for link in rig.links:
             link.pump(link.clock.now() + silence)
-        for axis in range(len(session.axes)):
+        for axis in axes:
             _judge(session, axis)
     finally:
         _end(session)
@@ -46,8 +45,9 @@ def _judge(session: Session, axis: int) -> None:
         return
     stopped = state in TORQUE_FREE
     told = f", {drive.emergency}" if drive.emergency is not None else ""
-    text = "" if stopped else "a killed master leaves its torque on: set axes[].watchdog, 0x1016 and 0x6007, or a relay"
-    session.found(axis, "watchdog", limit, f"{state.value}{told}", Verdict.AGREES if stopped else Verdict.FAILED, text)
+    text = "a killed master leaves its torque on: set axes[].watchdog, 0x1016 and 0x6007, or a relay"
+    found = f"{state.value}{told}"
+    session.judged(axis, "watchdog", limit, found, good=stopped, text=text, otherwise=Verdict.FAILED)
 
 
 def _end(session: Session) -> None:
@@ -74,10 +74,8 @@ def time_the_cycle(session: Session, seconds: float) -> None:
     lost.update((name, statistics[name] - before[name]) for name in _LOST)
     clean = not any(lost.values())
     found = f"{cycle.cycles} cycles, " + ("no frame lost" if clean else _words(lost))
-    text = "" if clean else "see `canhaptic check` (bus load, host) and `canhaptic preflight`; try bus.realtime"
-    session.found(
-        0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, Verdict.AGREES if clean else Verdict.DIFFERS, text
-    )
+    text = "see `canhaptic check` (bus load, host) and `canhaptic preflight`; try bus.realtime"
+    session.judged(0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, good=clean, text=text)
     if session.experiment.pace == "free":
         session.found(0, "timing", "", "lock-step", Verdict.UNKNOWN, "simulated drives without a clock of their own")
         return
