@@ -1,7 +1,6 @@
 """`canhaptic replay` and `tools/replay.py`: the same arguments, the same work."""
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from rich.text import Text
 from canhaptic.replay.replay import replay
 from canhaptic.scene.load import load_scene
 from canhaptic.view.energy_table import energy_report, make_console
+from canhaptic.view.json_text import json_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def execute(arguments: argparse.Namespace) -> int:
     result = replay(arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync)
     console = make_console()
     if arguments.json:
-        console.file.write(json.dumps(result, indent=1) + "\n")
+        console.file.write(json_text(result))
     else:
         print_replay(result, console)
         if arguments.account:
