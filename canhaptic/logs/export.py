@@ -18,7 +18,7 @@ def export(log: EnergyLog, path: str | Path) -> None:
     Floats in CSV are the shortest text that reads back to the same bits.
 
     Raises:
-        InputError: Another suffix, or a library that is not installed.
+        InputError: Another suffix, a library that is not installed, or a file that cannot be written.
     """
     path = Path(path)
     writers = {".csv": _write_csv, ".parquet": _write_parquet, ".mat": _write_mat}
@@ -30,6 +30,8 @@ def export(log: EnergyLog, path: str | Path) -> None:
         raise InputError(
             f"{path}: {error.name} is not installed; install it with: pip install 'canhaptic[export]'"
         ) from error
+    except OSError as error:
+        raise InputError(f"{path}: the table cannot be written ({error}); name another file") from error
 
 
 def columns(log: EnergyLog) -> Iterator[tuple[str, str, Quantities, str]]:

@@ -1,7 +1,7 @@
 """What is whole of an energy log, and how it is packed: a kill or a full disk can come between two columns."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,16 +12,17 @@ _BLOCK: Final = 16 * PACKED_CHUNK  # rows copied at a time
 _EVENTS: Final = "events/"
 
 
-def columns_of_rows(file: Hdf5File) -> Iterator[Dataset]:
-    """Yields the columns that have one element per row: all but those of the events."""
-    return (dataset for path, dataset in file.datasets() if not path.startswith(_EVENTS))
+def least(file: Hdf5File, measure: Callable[[Dataset], int]) -> tuple[int, int]:
+    """Returns the least that a measure finds in the columns of the rows, and in those of the events; 0 for none."""
+    found: tuple[list[int], list[int]] = ([], [])
+    for path, dataset in file.datasets():
+        found[path.startswith(_EVENTS)].append(measure(dataset))
+    return min(found[0], default=0), min(found[1], default=0)
 
 
 def whole_lengths(file: Hdf5File) -> tuple[int, int]:
     """Returns (rows, events): how many of each every column of a file has."""
-    lengths = [(path.startswith(_EVENTS), len(dataset)) for path, dataset in file.datasets()]
-    rows, events = (min((n for is_event, n in lengths if is_event is wanted), default=0) for wanted in (False, True))
-    return rows, events
+    return least(file, len)
 
 
 def trim(file: Hdf5File) -> tuple[int, int]:
@@ -34,21 +35,20 @@ def trim(file: Hdf5File) -> tuple[int, int]:
     return rows, events
 
 
-def repack(source: Path, target: Path, attributes: dict[str, Any], limit: int | None = None) -> None:
-    """Writes a compact copy of a log with large chunks, whole rows only; `target` may be `source`.
+def repack(source: Path, target: Path, attributes: dict[str, Any], lengths: tuple[int, int] | None = None) -> None:
+    """Writes a compact copy of a log with large chunks; `target` may be `source`.
 
     Args:
         source: A log, also one that a kill left open.
         target: The copy.
         attributes: Attributes of the root to change.
-        limit: Rows to keep at most.
+        lengths: Rows and events to keep; all that are whole by default.
     """
     temporary = target.with_name(target.name + ".new")
     with Hdf5File(source, "live") as old, Hdf5File(temporary, "w") as new:
         for name, value in {**old.attributes, **attributes}.items():
             new.set_attribute(name, value)
-        rows, events = whole_lengths(old)
-        rows = rows if limit is None else min(rows, limit)
+        rows, events = whole_lengths(old) if lengths is None else lengths
         for path, dataset in old.datasets():
             _copy_column(dataset, new, path, events if path.startswith(_EVENTS) else rows)
     os.replace(temporary, target)

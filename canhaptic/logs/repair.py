@@ -6,7 +6,7 @@ from typing import Final
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Dataset, Hdf5File
-from canhaptic.logs.packing import columns_of_rows, repack
+from canhaptic.logs.packing import least, repack
 
 _STEP: Final = 512  # rows tried at a time
 
@@ -23,7 +23,7 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
 
     Raises:
         LogFormatError: Nothing can be read.
-        InputError: Source and target are the same file.
+        InputError: Source and target are the same file, or the copy cannot be written.
     """
     source, target = Path(source), Path(target)
     if target.exists() and source.samefile(target):
@@ -31,17 +31,21 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
     with EnergyLog.open(source) as log:
         status, rows = log.status, log.rows
     with Hdf5File(source, "live") as file:
-        readable = min((_readable(dataset, rows) for dataset in columns_of_rows(file)), default=0)
+        readable, events = least(file, _readable)
     note = "" if status == "complete" else f" (was: {status})"
-    repack(source, target, {"status": f"repaired{note}"}, readable)
+    try:
+        repack(source, target, {"status": f"repaired{note}"}, (readable, events))
+    except OSError as error:
+        raise InputError(f"{target}: the repaired copy cannot be written ({error}); name another file") from error
     return readable, rows - readable
 
 
-def _readable(dataset: Dataset, rows: int) -> int:
+def _readable(dataset: Dataset) -> int:
     """Returns how many elements at the start can be read."""
-    for start in range(0, rows, _STEP):
+    length = len(dataset)
+    for start in range(0, length, _STEP):
         try:
-            dataset.read(start, min(rows, start + _STEP))
+            dataset.read(start, min(length, start + _STEP))
         except (OSError, RuntimeError):
             return start
-    return rows
+    return length

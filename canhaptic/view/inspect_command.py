@@ -1,7 +1,6 @@
 """`canhaptic inspect` and `tools/inspect_energy.py`: the same arguments, the same work."""
 
 import argparse
-import json
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from canhaptic.view.compare import compare
 from canhaptic.view.energy_table import energy_report, make_console
 from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report
 from canhaptic.view.inspection import inspect
+from canhaptic.view.json_text import json_text
 from canhaptic.view.picture import draw_energy
 from canhaptic.view.recompute import recompute_all, scene_of
 
@@ -113,9 +113,11 @@ def _is_good(result: dict[str, Any]) -> bool:
 
 
 def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
-    for path in (arguments.csv, arguments.parquet, arguments.mat):
+    for suffix in ("csv", "parquet", "mat"):
+        path = getattr(arguments, suffix)
         if path is not None:
-            _suffix_fits(path, arguments)
+            if path.suffix != f".{suffix}":
+                raise InputError(f"--{suffix} {path}: expected a name that ends in .{suffix}")
             export(log, path)
     pictures = [path for path in (arguments.png, arguments.svg) if path is not None]
     if not pictures and arguments.html is None:
@@ -141,7 +143,7 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     result |= rederive(arguments.log, load_scene(arguments.config))
     result["checks"] = _checks(result, arguments)
     if arguments.json:
-        console.file.write(json.dumps(result, indent=1) + "\n")
+        console.file.write(json_text(result))
     else:
         console.print(energy_report(result))
         if result["checks"]:
@@ -149,15 +151,9 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
 
 
-def _suffix_fits(path: Path, arguments: argparse.Namespace) -> None:
-    for suffix in ("csv", "parquet", "mat"):
-        if getattr(arguments, suffix) is path and path.suffix != f".{suffix}":
-            raise InputError(f"--{suffix} {path}: expected a name that ends in .{suffix}")
-
-
 def _show(result: dict[str, Any], console: Console, as_json: bool) -> None:
     if as_json:
-        console.file.write(json.dumps(result, indent=1) + "\n")
+        console.file.write(json_text(result))
         return
     console.print(inspection_report(result))
     if "comparison" in result:

@@ -60,6 +60,13 @@ def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path) ->
         assert column.tobytes() == log.ports["handle"]["h_m"].tobytes()
 
 
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "mat"])
+def test_a_table_that_cannot_be_written_is_one_clear_error(path: Path, tmp_path: Path, suffix: str) -> None:
+    target = tmp_path / "no" / f"run.{suffix}"
+    with EnergyLog.open(path) as log, pytest.raises(InputError, match=rf"no/run\.{suffix}: "):
+        export(log, target)
+
+
 def test_another_suffix_is_refused_with_those_that_exist(path: Path, tmp_path: Path) -> None:
     with EnergyLog.open(path) as log, pytest.raises(InputError, match=r"\.csv, \.parquet, \.mat"):
         export(log, tmp_path / "run.xlsx")

@@ -172,20 +172,16 @@ def test_a_mat_file_holds_every_quantity(log: Path, tmp_path: Path, capsys: pyte
 
 def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
-    with EnergyLog.open(log) as opened, h5py.File(damaged, "w") as file:
-        with h5py.File(log) as source:
-            for name, value in source.attrs.items():
-                file.attrs[name] = value
-            source.copy("timing", file)
-            source.copy("events", file)
-            for name in opened.ports["handle"]:
-                data = source[f"ports/handle/{name}"]
-                copy = file.create_dataset(f"ports/handle/{name}", data=data[:], chunks=(500,), compression="gzip")
-                copy.attrs["unit"] = data.attrs["unit"]
-        place = file["ports/handle/h_i"].id.get_chunk_info(5)
-    content = bytearray(damaged.read_bytes())
-    content[place.byte_offset : place.byte_offset + place.size] = bytes(place.size)
-    damaged.write_bytes(content)
+    with EnergyLog.open(log) as opened, h5py.File(damaged, "w") as file, h5py.File(log) as source:
+        for name, value in source.attrs.items():
+            file.attrs[name] = value
+        source.copy("timing", file)
+        source.copy("events", file)
+        for name in opened.ports["handle"]:
+            data = source[f"ports/handle/{name}"]
+            copy = file.create_dataset(f"ports/handle/{name}", data=data[:], chunks=(500,), compression="gzip")
+            copy.attrs["unit"] = data.attrs["unit"]
+    break_chunk(damaged, "ports/handle/h_i", 5)
     assert command(damaged, "--repair", saved) == 0
     text = capsys.readouterr().out
     with EnergyLog.open(saved) as repaired, EnergyLog.open(log) as whole:
@@ -195,3 +191,37 @@ def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, caps
         assert repaired.status == "repaired"
     with pytest.raises(InputError, match="another name"):
         command(log, "--repair", log)
+
+
+def break_chunk(path: Path, name: str, number: int) -> None:
+    """Writes zeros over one chunk of a column."""
+    with h5py.File(path) as file:
+        place = file[name].id.get_chunk_info(number)
+    content = bytearray(path.read_bytes())
+    content[place.byte_offset : place.byte_offset + place.size] = bytes(place.size)
+    path.write_bytes(content)
+
+
+def test_repair_saves_every_row_of_a_log_whose_events_are_damaged(log: Path, tmp_path: Path) -> None:
+    damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
+    damaged.write_bytes(log.read_bytes())
+    break_chunk(damaged, "events/text", 0)
+    assert command(damaged, "--repair", saved, "--json") == 0
+    with EnergyLog.open(saved) as repaired:
+        assert (repaired.rows, repaired.events) == (4000, [])
+
+
+def test_a_repaired_copy_that_cannot_be_written_is_one_clear_error(log: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no/saved\.h5: the repaired copy cannot be written"):
+        command(log, "--repair", tmp_path / "no" / "saved.h5")
+
+
+def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "nan.h5"
+    path.write_bytes(log.read_bytes())
+    with h5py.File(path, "r+") as file:
+        file["ports/handle/h_m"][7] = math.nan
+        file["ports/handle/leak"][7] = math.inf
+    assert command(path, "--json") == 0
+    result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert result["ports"]["handle"]["leaked"] is None
