@@ -9,6 +9,7 @@ import can
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.bus_sink import CONVERTIBLE
+from canhaptic.logs.log_file import log_file
 
 _LINE: Final = re.compile(
     r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)(?:\s+([RTrt]))?\s*"
@@ -34,37 +35,36 @@ def read_bus_log(path: str | Path) -> Iterator[Frame]:
     Raises:
         LogFormatError: Missing, empty, or a line that is no frame; names file and line.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise LogFormatError(f"{path}: no such file")
-    if path.stat().st_size == 0:
-        raise LogFormatError(f"{path}: the file is empty")
+    path = log_file(path)
     return _read_with_python_can(path) if path.suffix.lower() in CONVERTIBLE else _read_candump(path)
 
 
 def _read_candump(path: Path) -> Iterator[Frame]:
-    with path.open(encoding="ascii", errors="replace") as file:
-        for number, line in enumerate(file, 1):
-            match = _LINE.fullmatch(line)
-            if match is not None and len(match[5]) % 2 == 0:
-                nanoseconds = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
-                is_rx = match[6] not in ("T", "t")
-                yield Frame(nanoseconds, int(match[4], 16), bytes.fromhex(match[5]), is_rx, number, match[3])
-            elif line.strip() and "#R" not in line.upper():
-                raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L")
+    try:
+        with path.open(encoding="ascii", errors="replace") as file:
+            for number, line in enumerate(file, 1):
+                match = _LINE.fullmatch(line)
+                if match is not None and len(match[5]) % 2 == 0:
+                    nanoseconds = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+                    is_rx = match[6] not in ("T", "t")
+                    yield Frame(nanoseconds, int(match[4], 16), bytes.fromhex(match[5]), is_rx, number, match[3])
+                elif line.strip() and "#R" not in line.upper():
+                    raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L")
+    except OSError as error:
+        raise LogFormatError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def _read_with_python_can(path: Path) -> Iterator[Frame]:
     binary = path.suffix.lower() == ".blf"
-    with path.open("rb" if binary else "r") as file:  # python-can leaves a file open that it cannot read
-        try:
+    try:
+        with path.open("rb" if binary else "r") as file:  # python-can leaves a file open that it cannot read
             for number, message in enumerate(_reader(path.suffix.lower(), file), 1):
                 if not (message.is_error_frame or message.is_remote_frame):
                     nanoseconds = round(message.timestamp * 1e6) * 1000
                     can_id, data = message.arbitration_id, bytes(message.data)
                     yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
-        except Exception as error:  # its readers raise whatever they stumble over in a damaged file
-            raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
+    except Exception as error:  # its readers raise whatever they stumble over in a damaged file
+        raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
 
 
 def _channel(path: Path, number: object) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.hdf5 import Array, Hdf5File
+from canhaptic.logs.log_file import log_file
 from canhaptic.logs.packing import whole_lengths
 from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
 
@@ -95,11 +96,7 @@ class EnergyLog:
         Raises:
             LogFormatError: Missing, empty, truncated, foreign or written by a newer version.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise LogFormatError(f"{path}: no such file")
-        if path.stat().st_size == 0:
-            raise LogFormatError(f"{path}: the file is empty")
+        path = log_file(path)
         try:
             file = Hdf5File(path, "live")
         except (OSError, RuntimeError) as error:  # h5py raises either for one kind of damage or another

@@ -9,6 +9,7 @@ from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.bus_sink import FRAME_RING, BusSink, aside_files
+from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import SharedArea, allocate, size_of
 
 FRAMES = [
@@ -164,6 +165,14 @@ def test_a_text_that_is_no_bus_log_is_one_clear_error(tmp_path: Path, text: byte
         list(read_bus_log(tmp_path / "a.log"))
 
 
+def test_a_folder_and_a_missing_file_are_told_apart(tmp_path: Path) -> None:
+    for read in (read_bus_log, EnergyLog.open):
+        with pytest.raises(LogFormatError, match="is a folder, expected a log"):
+            read(tmp_path)
+        with pytest.raises(LogFormatError, match="no such file"):
+            read(tmp_path / "a.log")
+
+
 def test_lines_of_candump_without_direction_and_remote_frames_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(1436509052.249713) vcan0 044#2A366C2BBA\n(1.5) vcan0 123#R\n\n(2.0) can1 7FF#\n")
     assert list(read_bus_log(tmp_path / "a.log")) == [
@@ -176,6 +185,21 @@ def test_a_damaged_blf_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "a.blf").write_bytes(b"LOGG" + bytes(100))
     with pytest.raises(LogFormatError, match="BLF"):
         list(read_bus_log(tmp_path / "a.blf"))
+
+
+@pytest.mark.parametrize("suffix", ["log", "blf", "trc", "asc"])
+def test_a_bus_log_that_may_not_be_read_is_one_clear_error(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / f"a.{suffix}"
+    path.write_text("(0.1) can0 080#\n")
+
+    def refuse(*_words: object, **_options: object) -> None:  # as for a user who may not; root may read anything
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(LogFormatError, match=rf"a\.{suffix}: cannot be read .*Permission denied"):
+        list(read_bus_log(path))
 
 
 def test_a_writer_killed_between_write_and_release_is_continued_behind_its_last_whole_line(tmp_path: Path) -> None:
