@@ -200,12 +200,19 @@ def describe(owner: str, error: ValidationError) -> str:
     lines = []
     for fault in error.errors():
         path = ".".join(str(part) for part in fault["loc"]) or "value"
-        lines.append(f"{owner}.{path}: got {_short(fault.get('input'))}, {fault['msg'][:1].lower()}{fault['msg'][1:]}")
+        lines.append(f"{owner}.{path}: got {shown(fault.get('input'))}, {fault['msg'][:1].lower()}{fault['msg'][1:]}")
     return "\n".join(lines)
 
 
-def _short(value: object) -> str:
-    text = "a mapping" if isinstance(value, Mapping) else repr(value)
+def shown(value: object) -> str:
+    """Returns a value as a message shows it: short, on one line."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, Mapping):
+        return "a mapping"
+    if isinstance(value, list | tuple):
+        return "a list"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -6,10 +6,10 @@ from typing import Annotated, Any, Final, NamedTuple
 from pydantic import Field
 
 from canhaptic.drive.parameters import BusParameters
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.parameters import Parameters, quantity, shown
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults
-from canhaptic.scene.section import read_mapping, read_section, shown
+from canhaptic.scene.section import read_mapping, read_section
 from canhaptic.tables import nearest
 
 BusName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^\S+$")]

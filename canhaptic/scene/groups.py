@@ -15,11 +15,11 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from canhaptic.haptics.kinematics import KINEMATICS
 from canhaptic.haptics.network import GROUP_ALGORITHMS, NETWORKS
-from canhaptic.parameters import Motion, Parameters
+from canhaptic.parameters import Motion, Parameters, shown
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.models import AxisScene, GroupMembership, GroupScene, Typed
-from canhaptic.scene.section import read_list, read_mapping, read_section, read_type, refuse_unknown_keys, shown
+from canhaptic.scene.section import read_list, read_mapping, read_section, read_type, refuse_unknown_keys
 from canhaptic.tables import nearest
 
 UnitT = TypeVar("UnitT", Motion, Motion | None)

@@ -9,7 +9,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Motion, Parameters, Unit, axis_motion
+from canhaptic.parameters import Motion, Parameters, Unit, axis_motion, shown
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark
 from canhaptic.tables import load, nearest
@@ -99,18 +99,6 @@ def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Fa
     for key in section:
         if key not in names:
             faults.add(section.keys_at[key], _unknown_key(key, names))
-
-
-def shown(value: object) -> str:
-    """Returns a value as a message shows it: short, on one line."""
-    if value is None:
-        return "nothing"
-    if isinstance(value, dict):
-        return "a mapping"
-    if isinstance(value, list | tuple):
-        return "a list"
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _unknown_key(key: str, names: Iterable[str]) -> str:
