@@ -23,12 +23,12 @@ from canhaptic.errors import CanHapticError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
-from canhaptic.scene.build import build_controllers, build_drive_group
+from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.bus import private_channel
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.nodes import describe_nodes
-from canhaptic.scene.parts import build_servo_drive
+from canhaptic.scene.parts import build_axis_controllers, build_servo_drive
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 FOLDER: Final = ROOT / "tests" / "recordings"
@@ -98,7 +98,9 @@ def record(plan: Plan, path: Path) -> str:
                 group.drives[0].inject_fault(_HARDWARE_FAULT)
 
         try:
-            run(Cycle(rig, build_controllers(scene)), round(plan.duration / scene.bus.sample_time), progress=inject)
+            run(
+                Cycle(rig, build_axis_controllers(scene)), round(plan.duration / scene.bus.sample_time), progress=inject
+            )
             ended = "completed"
         except CanHapticError as error:
             ended = f"{type(error).__name__}: {error}"

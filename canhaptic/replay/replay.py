@@ -18,11 +18,10 @@ from canhaptic.replay.recorded_side import RecordedSide, ReplayOverError
 from canhaptic.replay.recording import Recording
 from canhaptic.replay.roles import roles_of
 from canhaptic.result import run_result
-from canhaptic.scene.build import build_controllers
 from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import build_axis_groups, build_servo_drive
+from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_servo_drive
 
 _BUS: Final[dict[str, Any]] = {"interface": "virtual", "channel": None, "options": {}}
 
@@ -78,7 +77,7 @@ class _Replay:
         self._side = RecordedSide(far_buses, recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
         rig = self._rig([Link(bus, clock) for bus in near_buses])
-        self._cycle = Cycle(rig, build_controllers(scene), groups=build_axis_groups(scene))
+        self._cycle = Cycle(rig, build_axis_controllers(scene), groups=build_axis_groups(scene))
 
     def _rig(self, links: list[Link]) -> Rig:
         scene, side = self._scene, self._side

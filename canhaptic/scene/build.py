@@ -20,7 +20,6 @@ from canhaptic.drive.link import Link, Recorder
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
-from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.scene.bus import echoes, open_bus, private_channel, suffers, with_effects
 from canhaptic.scene.log_writers import open_bus_log, open_energy_log
@@ -79,9 +78,8 @@ class Experiment:
                 for n, (of, bus) in enumerate(zip(scene.buses, buses, strict=True))
             ]
             self.rig = _build_rig(scene, links)
-            self.cycle = Cycle(
-                self.rig, build_controllers(scene), self.energy_log, _truths(self.far_side), build_axis_groups(scene)
-            )
+            controllers, truths = build_axis_controllers(scene), _truths(self.far_side)
+            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, build_axis_groups(scene))
             if self._log_failure:  # before there was a cycle to stop
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
@@ -153,11 +151,6 @@ def build(
         )
     chosen: Pace = pace or ("free" if scene.simulated else "real")
     return Experiment(_with_accuracy(scene), chosen, _path(energy_log, scene.log.energy), _path(bus_log, scene.log.bus))
-
-
-def build_controllers(scene: Scene) -> list[Controller]:
-    """Returns one controller for each axis that renders by itself; those of groups are in `build_axis_groups`."""
-    return build_axis_controllers(scene)
 
 
 def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> DriveGroup:

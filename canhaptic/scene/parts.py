@@ -49,7 +49,7 @@ def build_axis_controller(axis: AxisScene) -> Controller:
 
 
 def build_axis_controllers(scene: Scene) -> list[Controller]:
-    """Returns one controller for each axis that is in no group, in the order of the axes."""
+    """Returns one controller for each axis that renders by itself; those of groups are in `build_axis_groups`."""
     return [build_axis_controller(axis) for axis in scene.axes if not axis.group]
 
 

@@ -5,8 +5,9 @@ from collections.abc import Callable, Sequence
 from canhaptic.cycle import Cycle, run
 from canhaptic.errors import InputError, RigError
 from canhaptic.haptics.balance import EnergyBalance, LedgerSummary
-from canhaptic.scene.build import build, build_controllers
+from canhaptic.scene.build import build
 from canhaptic.scene.models import Scene
+from canhaptic.scene.parts import build_axis_controllers
 from canhaptic.signals import CycleTiming, Sample, Truth
 from canhaptic.study.loop import LoopRun, Recorder
 
@@ -54,7 +55,7 @@ def walk_over_can(scene: Scene, cycles: int, take: Take) -> list[LedgerSummary]:
         far_side = experiment.far_side
         assert far_side is not None
         drives = far_side.drives
-        cycle = Cycle(experiment.rig, build_controllers(scene), _Tap(take), lambda: [d.truth() for d in drives])
+        cycle = Cycle(experiment.rig, build_axis_controllers(scene), _Tap(take), lambda: [d.truth() for d in drives])
         run(cycle, cycles)
     return [ledger.summary() for ledger in cycle.ledgers]
 

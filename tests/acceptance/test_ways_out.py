@@ -17,7 +17,7 @@ from bus_frames import DEMO, IN_CONTACT, Frame, commands, read_log, reports
 from canhaptic.cli.main import main
 from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.haptics.passivity.protocol import Controller
-from canhaptic.scene import build
+from canhaptic.scene import build, parts
 
 CYCLE = 50  # in which it happens
 RAMP = 20  # cycles of the operator's stop: stop_ramp of 20 ms at 1 kHz
@@ -79,8 +79,8 @@ ENDINGS = {
 
 
 def run_with(controller_of: Callable[[Controller], Controller], bus_log: Path, monkeypatch: pytest.MonkeyPatch) -> int:
-    original = build.build_controllers
-    monkeypatch.setattr(build, "build_controllers", lambda scene: [controller_of(c) for c in original(scene)])
+    original = parts.build_axis_controllers
+    monkeypatch.setattr(build, "build_axis_controllers", lambda scene: [controller_of(c) for c in original(scene)])
     return main(["run", str(DEMO), "--duration", "0.5", "--json", "--bus-log", str(bus_log), *IN_CONTACT])
 
 
