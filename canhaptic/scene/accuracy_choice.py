@@ -39,7 +39,6 @@ class Setting:
     accuracy: AccuracyParameters
     error: MotionError
     products: int
-    events: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,20 +73,18 @@ def with_chosen_accuracy(scene: Scene) -> Scene:
     axes, choices = [], {}
     for axis in scene.axes:
         require_own_axis(axis, scene)
-        choice, simulation = choose(axis, scene), simulation_of(axis)
+        choice, simulation = choose(axis, scene, scene.accuracy_tolerance), simulation_of(axis)
         axes.append(replace(axis, simulation=replace(simulation, accuracy=choice.setting.accuracy)))
         choices[axis.parameters.name] = choice.as_plain()
     return replace(scene, axes=tuple(axes), accuracy_choices=choices)
 
 
-def choose(axis: AxisScene, scene: Scene) -> AccuracyChoice:
-    """Returns the cheapest accuracy of one axis that keeps the tolerance of its scene.
+def choose(axis: AxisScene, scene: Scene, tolerance: float) -> AccuracyChoice:
+    """Returns the cheapest accuracy of one axis whose position errs by no more than a tolerance [m or rad].
 
     Raises:
         InputError: scipy is missing, or no setting keeps the tolerance.
     """
-    tolerance = scene.accuracy_tolerance
-    assert tolerance is not None
     torques = torque_history(axis, scene, holds_of(scene))
     simulation, period = simulation_of(axis), scene.bus.sample_time_ns
     exact = reference(textbook_model(simulation), torques, period)
@@ -140,7 +137,7 @@ def tried_setting(
     plant = build_plant(replace(simulation, accuracy=accuracy, compiled=False), sample_time_ns)
     motion = observed(plant, torques)
     error = difference(motion, exact, simulation.plant.mass, sample_time_ns * 1e-9)
-    return Setting(accuracy, error, plant.products, plant.events)
+    return Setting(accuracy, error, plant.products)
 
 
 def observed(plant: Plant, torques: Sequence[float]) -> Motion:

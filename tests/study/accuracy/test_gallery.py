@@ -125,8 +125,8 @@ def test_the_advised_line_keeps_the_tolerance_when_it_is_pasted_into_the_scene(n
 @pytest.mark.parametrize("name", ["paper_wall", "delayed_bus", pytest.param("stick_slip", marks=pytest.mark.slow)])
 def test_auto_chooses_what_the_study_advises(name):
     golden = committed(name)
-    scene = load_scene(FOLDER / f"{name}.yaml", [f"accuracy={{auto: {golden['tolerance']!r}}}"])
-    choice = choose(scene.axes[0], scene)
+    scene = load_scene(FOLDER / f"{name}.yaml")
+    choice = choose(scene.axes[0], scene, golden["tolerance"])
     chosen = choice.setting.accuracy.model_dump(include={"event_bits", "substeps"})
     assert line(chosen) == golden["advice"]["dependable_line"]
     assert choice.setting.products == pytest.approx(golden["advice"]["dependable"]["evaluations"], rel=0.02)
