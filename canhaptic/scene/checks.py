@@ -59,9 +59,8 @@ def _check_somebody_answers(scene: Scene, sections: MarkedMapping, faults: Fault
     for index, (_, bus) in enumerate(scene.buses):
         if bus.interface != "virtual" or scene.simulation is not None or bus.channel is not None:
             continue
-        at: Mark = bus_section(sections, index).value_at("interface")
         faults.add(
-            at,
+            bus_section(sections, index).value_at("interface"),
             "interface 'virtual' reaches no drive outside this process, and the scene has no `simulation`; "
             "add one, or name the interface and channel of the real bus (interface: socketcan, channel: can0)",
         )

@@ -16,7 +16,7 @@ from canhaptic.scene.models import AxisScene, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
 """Algorithms that certain damping of the device certifies."""
-_LINEAR_ROTARY = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "N*m*s/rad"), "speed": ("m/s", "rad/s")}
+_LINEAR_ROTARY: Final = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "N*m*s/rad"), "speed": ("m/s", "rad/s")}
 
 
 class Hint(NamedTuple):

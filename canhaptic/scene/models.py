@@ -151,7 +151,7 @@ class Scene:
         """Returns the configuration in effect, defaults and overrides included, as plain values."""
         return {
             "bus": self._buses(),
-            "axes": {axis.parameters.name: {**_axis(axis), **_bus_of(axis)} for axis in self.axes},
+            "axes": {axis.parameters.name: _axis(axis) for axis in self.axes},
             "log": _plain(self.log),
             "run": _plain(self.run),
             "simulation": self.simulation and {**_plain(self.simulation), **self._bus_effects(), **self._mechanisms()},
@@ -205,10 +205,6 @@ def _typed(selector: str, typed: Typed) -> dict[str, Any]:
     return {selector: typed.name, **_plain(typed.parameters)}
 
 
-def _bus_of(axis: AxisScene) -> dict[str, str]:
-    return {"bus": axis.bus} if axis.bus else {}
-
-
 def _group(group: GroupScene) -> dict[str, Any]:
     return {
         "axes": list(group.axes),
@@ -228,21 +224,19 @@ def _mechanism(of: MechanismScene) -> dict[str, Any]:
 
 
 def _axis(axis: AxisScene) -> dict[str, Any]:
-    if axis.simulated_drive is not None:
-        return {**_rendered(axis), "simulation": {"drive": _plain(axis.simulated_drive)}}
-    return {**_rendered(axis), "simulation": _far_side(axis)}
-
-
-def _rendered(axis: AxisScene) -> dict[str, Any]:
     return {
         **_plain(axis.parameters),
         "environment": _typed("type", axis.environment),
         "passivity": _typed("algorithm", axis.passivity),
         "loop": _plain(axis.loop),
+        "simulation": _far_side(axis),
+        **({"bus": axis.bus} if axis.bus else {}),
     }
 
 
 def _far_side(axis: AxisScene) -> dict[str, Any] | None:
+    if axis.simulated_drive is not None:
+        return {"drive": _plain(axis.simulated_drive)}
     simulation = axis.simulation
     if simulation is None:
         return None
