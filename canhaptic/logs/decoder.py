@@ -14,6 +14,7 @@ from canhaptic.drive.cia402 import drive_state
 from canhaptic.logs.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
 from canhaptic.logs.pdo_decoder import Field, PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
+from canhaptic.parameters import effort_unit
 
 _TORQUES: Final = {
     od.TARGET_TORQUE: "target torque",
@@ -163,7 +164,7 @@ class _Node:
         if field.object_index == od.POSITION_ACTUAL and known.counts_per_unit:
             return f"{field.raw / known.counts_per_unit:.9g} {known.unit}"
         if field.object_index in _TORQUES and known.rated_torque:
-            return f"{field.raw * known.rated_torque / 1000.0:.6g} {'N' if known.unit == 'm' else 'N*m'}"
+            return f"{field.raw * known.rated_torque / 1000.0:.6g} {effort_unit(known.unit)}"
         return ""
 
 

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from canhaptic.haptics.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
-from canhaptic.parameters import Motion
+from canhaptic.parameters import Motion, damping_unit, effort_unit
 from canhaptic.signals import CycleTiming, PlantEnergy, Sample
 
 FORMAT_VERSION: Final = 1
@@ -17,8 +17,6 @@ Attribute = str | int | float
 GROUP_AXES: Final = "group_axes"
 """`NAME.group_axes`: of a port that is a group, the names of its axes (JSON). It has the account and no position."""
 
-_EFFORT: Final[dict[Motion, str]] = {"m": "N", "rad": "N*m"}
-_DAMPING: Final[dict[Motion, str]] = {"m": "N*s/m", "rad": "N*m*s/rad"}
 _INTEGERS: Final = {"statusword": "u2", "fresh": "u1", "branch": "u1", "certificate": "u1"}
 _BALANCE_NAMES: Final = {"torque": "torque_command"}
 _MEANINGS: Final = {
@@ -114,7 +112,7 @@ class LogSchema:
 
 
 def _sample_columns(port: PortDescription) -> list[Column]:
-    units = {"position": port.unit, "torque_applied": _EFFORT[port.unit]}
+    units = {"position": port.unit, "torque_applied": effort_unit(port.unit)}
     return [
         Column("", "1", "i8")  # the SYNC index is in /timing, once for all ports
         if name == "sync_index"
@@ -125,8 +123,8 @@ def _sample_columns(port: PortDescription) -> list[Column]:
 
 def _balance_columns(port: PortDescription) -> list[Column]:
     units = {
-        "torque": _EFFORT[port.unit],
-        "damping_rendered": _DAMPING[port.unit],
+        "torque": effort_unit(port.unit),
+        "damping_rendered": damping_unit(port.unit),
         "state": port.state_unit or port.unit,
         "branch": "1",
         "certificate": "1",

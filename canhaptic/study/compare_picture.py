@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.errors import InputError
+from canhaptic.parameters import effort_unit
 from canhaptic.study.compare import AxisComparison, Comparison
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference import Reference
@@ -73,9 +74,7 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: Any) -> Non
         _draw_force(force, run, reference, period, scales[1])
         _draw_energy(energy, run, period, scales[2])
         _write_error(position, accounts[name], unit)
-    for row, (what, symbol) in enumerate(
-        (("position", unit), ("force", "N" if unit == "m" else "N*m"), ("energy", "J"))
-    ):
+    for row, (what, symbol) in enumerate((("position", unit), ("force", effort_unit(unit)), ("energy", "J"))):
         scale, prefix, (low, high) = scales[row]
         panels[row, 0].set_ylim(low / scale, high / scale)
         panels[row, 0].set_ylabel(f"{what} [{prefix}{symbol}]")

@@ -8,6 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.parameters import effort_unit
 from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 
@@ -91,7 +92,7 @@ def _length(value: float, unit: str) -> str:
 
 
 def _force(value: float, unit: str) -> str:
-    return si(value, "N" if unit == "m" else "N*m", 3)
+    return si(value, effort_unit(unit), 3)
 
 
 def _joule(value: float, _unit: str) -> str:

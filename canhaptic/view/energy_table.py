@@ -9,6 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.parameters import damping_unit
 from canhaptic.view.si import si
 
 PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
@@ -146,7 +147,7 @@ def _passive(port: Result) -> Text:
 
 def _damping(port: Result) -> str:
     rendered = port["damping_rendered"]
-    unit = {"m": "N*s/m", "rad": "N*m*s/rad"}.get(port.get("unit", ""), "SI")
+    unit = damping_unit(port["unit"])
     least, most = rendered["least"], rendered["most"]
     return f"{least:.4g} {unit}" if least == most else f"{least:.3g}..{most:.3g} {unit}"
 

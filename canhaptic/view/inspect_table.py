@@ -8,6 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.parameters import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
 
@@ -44,7 +45,6 @@ def _table(title: str) -> Table:
 
 
 def _contacts_table(name: str, contacts: list[Result], unit: str, depth_unit: str) -> Table:
-    effort = "N" if unit == "m" else "N*m"
     hardest = sorted(contacts, key=lambda contact: -float(contact["peak_torque"]))[:CONTACTS_SHOWN]
     shown = f", the {CONTACTS_SHOWN} hardest" if len(contacts) > CONTACTS_SHOWN else ""
     table = _table(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}")
@@ -55,7 +55,7 @@ def _contacts_table(name: str, contacts: list[Result], unit: str, depth_unit: st
             f"{contact['start']:.4f} s",
             si(contact["duration"], "s"),
             si(contact["depth"], depth_unit),
-            si(contact["peak_torque"], effort),
+            si(contact["peak_torque"], effort_unit(unit)),
             energy(contact["energy"]),
         )
     return table

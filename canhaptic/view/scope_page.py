@@ -9,9 +9,10 @@ from bokeh.models import ColumnDataSource, DataRange1d, Div, HoverTool
 from bokeh.plotting import figure
 
 from canhaptic.drive.cia402 import drive_state
+from canhaptic.parameters import effort_unit
 from canhaptic.view.decimate import decimate
-from canhaptic.view.html_panels import BLUE, GREEN, GREY, ORANGE, VERMILION
 from canhaptic.view.live_log import LiveLog, News
+from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
 from canhaptic.view.si import si
 
 _POINTS: Final = 6000  # kept per line
@@ -74,11 +75,10 @@ class ScopePage:
         panels = []
         for name, source in self._sources.items():
             unit = news.units[name]
-            effort = "N" if unit == "m" else "N*m"
             if name not in news.groups:
                 panels.append(self._panel(f"{name}: position", unit, source, {"position": BLUE}))
             torques = {"torque_command": ORANGE, "torque_applied": BLUE}
-            panels.append(self._panel(f"{name}: torque", effort, source, torques))
+            panels.append(self._panel(f"{name}: torque", effort_unit(unit), source, torques))
             if name not in news.members:
                 panels.append(self._energy(source))
         panels.append(self._panel("cycle time", "us", self._timing, {"cycle_time": GREY}))

@@ -16,6 +16,7 @@ from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.pdo_map import AxisMap, choose_map
 from canhaptic.errors import ParameterError
 from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.parameters import effort_unit
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant import AccuracyParameters
@@ -127,7 +128,7 @@ def _torques(base: Variant) -> list[Variant]:
     quantum = base.case.torque_quantum
     if quantum is None:
         return []
-    unit = "N" if base.axis.parameters.unit == "m" else "N*m"
+    unit = effort_unit(base.axis.parameters.unit)
     found = []
     for factor in (0.1, 10.0, None):
         step = None if factor is None else quantum * factor

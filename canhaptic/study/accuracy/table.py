@@ -8,6 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.parameters import effort_unit
 from canhaptic.study.accuracy.advice import FLOOR
 from canhaptic.view.si import si
 
@@ -218,7 +219,7 @@ def _loop_cells(row: Row, unit: str) -> list[str]:
 
 
 def _force(value: float, unit: str) -> str:
-    return si(value, "N" if unit == "m" else "N*m", 3)
+    return si(value, effort_unit(unit), 3)
 
 
 def _fixed(value: float | None, digits: int) -> str:
