@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -11,6 +10,7 @@ from rich.text import Text
 from canhaptic.parameters import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
+from canhaptic.view.tables import plain_table
 
 CONTACTS_SHOWN: Final = 8
 _EVENTS_SHOWN: Final = 20
@@ -40,14 +40,10 @@ def _header(result: Result) -> Text:
     return Text(f" {result['file']}   {si(result['rate'], 'Hz', 3)}   {result['from']:.6g} s to {result['to']:.6g} s")
 
 
-def _table(title: str) -> Table:
-    return Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold")
-
-
 def _contacts_table(name: str, contacts: list[Result], unit: str, depth_unit: str) -> Table:
     hardest = sorted(contacts, key=lambda contact: -float(contact["peak_torque"]))[:CONTACTS_SHOWN]
     shown = f", the {CONTACTS_SHOWN} hardest" if len(contacts) > CONTACTS_SHOWN else ""
-    table = _table(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}")
+    table = plain_table(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}")
     for column in ("start", "duration", "depth", "peak", "energy taken in"):
         table.add_column(column, justify="right", no_wrap=True)
     for contact in sorted(hardest, key=lambda contact: float(contact["start"])):
@@ -63,7 +59,7 @@ def _contacts_table(name: str, contacts: list[Result], unit: str, depth_unit: st
 
 def _events_table(events: list[Result]) -> Table:
     more = f", the first {_EVENTS_SHOWN}" if len(events) > _EVENTS_SHOWN else ""
-    table = _table(f" {len(events)} event{'s' if len(events) != 1 else ''}{more}")
+    table = plain_table(f" {len(events)} event{'s' if len(events) != 1 else ''}{more}")
     table.add_column("time", justify="right", no_wrap=True)
     table.add_column("cycle", justify="right", no_wrap=True)
     for column in ("kind", "port", "what"):
@@ -76,9 +72,7 @@ def _events_table(events: list[Result]) -> Table:
 
 def checks_table(checks: list[Result]) -> Table:
     """Returns the outcome of every check."""
-    table = _table(" checks")
-    for column in ("check", "value of", "is", ""):
-        table.add_column(column, overflow="fold")
+    table = plain_table(" checks", "check", "value of", "is", "")
     for check in checks:
         verdict = Text("holds", style="green") if check["holds"] else Text("FAILS", style="bold red")
         table.add_row(check["check"], check["name"], f"{check['value']:.9g}", verdict)
@@ -123,8 +117,7 @@ def comparison_report(comparison: Result) -> RenderableType:
 
 
 def _differences_table(title: str, comparison: Result) -> Table:
-    table = _table(title)
-    table.add_column("quantity", overflow="fold")
+    table = plain_table(title, "quantity")
     for column in ("first at cycle", "first log", "second log", "largest difference"):
         table.add_column(column, justify="right", no_wrap=True)
     for difference in comparison["differences"]:

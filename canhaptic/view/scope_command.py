@@ -3,15 +3,16 @@
 import argparse
 import socket
 from pathlib import Path
+from typing import Final
 
 from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.live_log import LiveLog
+from canhaptic.view.page import require_bokeh
 
-_MISSING = "the scope needs Bokeh; install it with: pip install 'canhaptic[report]'"
-_HOST = "127.0.0.1"  # nobody else may look at, or load, a machine that moves
-_PERIOD = 0.2  # [s] between two looks, about what the writer puts into one chunk
+_HOST: Final = "127.0.0.1"  # nobody else may look at, or load, a machine that moves
+_PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into one chunk
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,12 +33,11 @@ def execute(arguments: argparse.Namespace) -> int:
     path = _log_of(arguments)
     if not 0.0 < arguments.window <= 3600.0:
         raise InputError(f"--window {arguments.window:g}: expected 0 < seconds <= 3600")
-    try:
-        from bokeh.server.server import Server
+    require_bokeh()
+    from bokeh.server.server import Server
 
-        from canhaptic.view.scope_page import ScopePage
-    except ImportError as error:
-        raise InputError(_MISSING) from error
+    from canhaptic.view.scope_page import ScopePage
+
     port = arguments.port or _free_port()
     try:
         server = Server(
