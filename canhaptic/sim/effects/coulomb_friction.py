@@ -3,82 +3,26 @@
 Sliding: F = -kinetic * sign(v). At rest the body is held, exactly, until the other forces exceed `static`.
 States added: none. Exact: breakaway and sticking are bracketed to one tick. Energy: kinetic friction times path is
 dissipated, and so is the kinetic energy left when the body sticks. Typical: 0.01..2 N.
-Source: Karnopp, ASME J. Dynamic Systems 107, 1985 (stuck as a mode of its own instead of a steep slope, which creeps).
+Source: Karnopp, ASME J. Dynamic Systems 107, 1985; see `canhaptic.sim.dry_friction`.
 """
 
-from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
-import numpy as np
-from pydantic import model_validator
-
-from canhaptic.parameters import Parameters, quantity
-from canhaptic.sim.assembly import MOTOR, Guard, Rows, Scene
+from canhaptic.sim.assembly import MOTOR, Scene
+from canhaptic.sim.dry_friction import DryFriction, StickSlip
 
 
-class StickSlip:
-    """The part: dry friction on a body, the motor's by default, with a level for sliding and one for breaking away.
-
-    Args:
-        name: Of the part and of the work it books.
-        kinetic: Friction while sliding [N or N*m].
-        static: Force at which it breaks away [N or N*m].
-        velocity: At the start, for the first mode.
-        body: Index of the body.
-    """
-
-    has_guards = True
-
-    def __init__(self, name: str, kinetic: float, static: float, velocity: float, body: int = MOTOR) -> None:
-        self.name = name
-        self._body = body
-        self._kinetic, self._static = kinetic, static
-        first = "stuck" if velocity == 0.0 else "forward" if velocity > 0.0 else "backward"
-        self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
-
-    def assemble(self, rows: Rows, mode: str) -> None:
-        """Adds the friction of a sliding mode."""
-        if mode != "stuck":
-            friction = rows.row(one=self._kinetic if mode == "forward" else -self._kinetic)
-            rows.forces[self._body] -= friction
-            rows.add_power(self.name, friction, rows.velocity(self._body))
-
-    def constrain(self, rows: Rows, mode: str) -> None:
-        """Holds the body when it is stuck."""
-        if mode == "stuck":
-            rows.hold_still(self._body)
-
-    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Returns breakaway when stuck, sticking when the velocity reverses."""
-        velocity = rows.velocity(self._body)
-        if mode == "stuck":
-            force, static = rows.forces[self._body], rows.row(one=self._static)
-            return Guard(static - force, "forward"), Guard(static + force, "backward")
-        stop = ((rows.index[rows.scene.bodies[self._body].velocity], np.zeros(rows.size)),)
-        return (Guard(velocity if mode == "forward" else -velocity, "stuck", stop),)
-
-
-class CoulombFriction(Parameters):
+class CoulombFriction(DryFriction):
     """Dry friction with stiction."""
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 1
 
     type: Literal["coulomb_friction"] = "coulomb_friction"
-    kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
-    """Friction while it slides."""
-    static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
-    """Force at which it breaks away; at least `kinetic`."""
-
-    @model_validator(mode="after")
-    def _static_is_not_below_kinetic(self) -> "CoulombFriction":
-        if self.static < self.kinetic:
-            raise ValueError(f"static {self.static} is below kinetic {self.kinetic}, expected static >= kinetic")
-        return self
 
     def add_to(self, scene: Scene) -> None:
         """Adds the part with its three modes."""
         scene.claim("friction model", self.type)
         scene.works[self.type] = "dissipated"
         velocity = scene.states[scene.bodies[MOTOR].velocity]
-        scene.parts.append(StickSlip(self.type, self.kinetic, self.static, velocity))
+        scene.parts.append(StickSlip(self.type, self, velocity))

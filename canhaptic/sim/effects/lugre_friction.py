@@ -14,23 +14,18 @@ Source: Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Contro
 import math
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import model_validator
-
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.parameters import quantity
 from canhaptic.sim.assembly import Account, Scene
+from canhaptic.sim.dry_friction import DryFriction
 
 
-class LuGreFriction(Parameters):
+class LuGreFriction(DryFriction):
     """Dry friction with pre-sliding displacement."""
 
     order: ClassVar[int | None] = 2
     rank: ClassVar[int] = 1
 
     type: Literal["lugre_friction"] = "lugre_friction"
-    kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
-    """Friction of a fast slide."""
-    static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
-    """Friction of a slow slide; at least `kinetic`."""
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
     bristle_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
@@ -39,12 +34,6 @@ class LuGreFriction(Parameters):
     """Of the bristles."""
     viscous: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Viscous friction beside the bristles."""
-
-    @model_validator(mode="after")
-    def _static_is_not_below_kinetic(self) -> "LuGreFriction":
-        if self.static < self.kinetic:
-            raise ValueError(f"static {self.static} is below kinetic {self.kinetic}, expected static >= kinetic")
-        return self
 
     def add_to(self, scene: Scene) -> None:
         """Adds the bristle as an effort."""

@@ -10,39 +10,27 @@ Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 import math
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import model_validator
-
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.parameters import quantity
 from canhaptic.sim.assembly import MOTOR, Account, Scene
-from canhaptic.sim.effects.coulomb_friction import StickSlip
+from canhaptic.sim.dry_friction import DryFriction, StickSlip
 
 
-class StribeckFriction(Parameters):
+class StribeckFriction(DryFriction):
     """Dry friction with a falling characteristic; the cause of stick-slip."""
 
     order: ClassVar[int | None] = 2
     rank: ClassVar[int] = 1
 
     type: Literal["stribeck_friction"] = "stribeck_friction"
-    kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
-    """Friction of a fast slide."""
-    static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
-    """Force at which it breaks away; at least `kinetic`."""
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
-
-    @model_validator(mode="after")
-    def _static_is_not_below_kinetic(self) -> "StribeckFriction":
-        if self.static < self.kinetic:
-            raise ValueError(f"static {self.static} is below kinetic {self.kinetic}, expected static >= kinetic")
-        return self
 
     def add_to(self, scene: Scene) -> None:
         """Adds the modes of dry friction and the effort of the falling part."""
         scene.claim("friction model", self.type)
         scene.works[self.type] = "dissipated"
         velocity = scene.states[scene.bodies[MOTOR].velocity]
-        scene.parts.append(StickSlip(self.type, self.kinetic, self.static, velocity))
+        scene.parts.append(StickSlip(self.type, self, velocity))
         scene.efforts.append(FallingFriction(self.static - self.kinetic, self.stribeck_velocity))
 
 

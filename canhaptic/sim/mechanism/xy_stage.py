@@ -9,11 +9,10 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import model_validator
-
 from canhaptic.parameters import Motion, Parameters, quantity
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.assembly import Body, LinearPart, Rows, Scene
+from canhaptic.sim.dry_friction import DryFriction, StickSlip
 from canhaptic.sim.machine import Machine
 from canhaptic.sim.mechanism.sample_clock import SampleClock
 from canhaptic.sim.mechanism.task_hand import Length, TaskHand
@@ -22,21 +21,6 @@ from canhaptic.sim.propagator import LEVELS, TICKS
 _NAMES: Final = ("x", "y")
 _TIDY: Final = TICKS << 10
 _MAX_EVENTS: Final = 1000  # in one hold
-
-
-class DryFriction(Parameters):
-    """Coulomb friction with stiction of one guide; exact."""
-
-    kinetic: Annotated[float, quantity("N", gt=0.0, le=1e6)]
-    """Friction while it slides."""
-    static: Annotated[float, quantity("N", gt=0.0, le=1e6)]
-    """Force at which it breaks away; at least `kinetic`."""
-
-    @model_validator(mode="after")
-    def _static_is_not_below_kinetic(self) -> "DryFriction":
-        if self.static < self.kinetic:
-            raise ValueError(f"static {self.static} is below kinetic {self.kinetic}, expected static >= kinetic")
-        return self
 
 
 class XYStage(Parameters):
@@ -194,10 +178,8 @@ def _add_guide(scene: Scene, body: int, name: str, damping: float) -> None:
 
 
 def _add_friction(scene: Scene, body: int, name: str, friction: DryFriction) -> None:
-    from canhaptic.sim.effects.coulomb_friction import StickSlip
-
     scene.works[name] = "dissipated"
-    scene.parts.append(StickSlip(name, friction.kinetic, friction.static, 0.0, body))
+    scene.parts.append(StickSlip(name, friction, 0.0, body))
 
 
 def _add_hand(scene: Scene, hand: TaskHand) -> None:

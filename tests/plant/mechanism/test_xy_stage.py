@@ -76,16 +76,13 @@ def imported(friction: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_dry_friction_is_imported_only_where_it_is_named_and_the_far_side_stays_alone():
-    bare = imported("")
-    assert not {n for n in bare if n.startswith("canhaptic.sim.effects.")}
-    assert "canhaptic.sim.mechanism.five_bar" not in bare
-    assert not {n for n in bare if n.startswith(("canhaptic.haptics", "canhaptic.drive")) or "." not in n} - {
+@pytest.mark.parametrize("friction", ["", ", friction_x={'kinetic': 0.1, 'static': 0.2}"])
+def test_a_stage_imports_no_effect_of_an_axis_no_other_mechanism_and_nothing_of_the_other_side(friction):
+    modules = imported(friction)
+    assert "canhaptic.sim.mechanism.xy_stage" in modules
+    assert not {n for n in modules if n.startswith(("canhaptic.sim.effects.", "canhaptic.sim.mechanism.five_bar"))}
+    assert not {n for n in modules if n.startswith(("canhaptic.haptics", "canhaptic.drive")) or "." not in n} - {
         "canhaptic"
-    }
-    named = imported(", friction_x={'kinetic': 0.1, 'static': 0.2}")
-    assert {n for n in named - bare if n.startswith("canhaptic.sim.effects.")} == {
-        "canhaptic.sim.effects.coulomb_friction"
     }
 
 
