@@ -23,12 +23,8 @@ class Detents(Parameters):
     position: Annotated[float, quantity("m", "rad")] = 0.0
     """Any one of the resting positions."""
 
+    linear_stiffness: ClassVar[None] = None
     relaxes: ClassVar[bool] = False
-
-    @property
-    def linear_stiffness(self) -> None:
-        """None: a sine is no linear spring."""
-        return
 
     def contact(self, position: float) -> int:
         """Returns an odd number for every stretch between two resting positions, 0 exactly on one."""

@@ -1,0 +1,34 @@
+"""What environments with a linear spring share: its stored energy, its effort, and the damper beside it."""
+
+from math import copysign, sqrt
+from typing import Annotated
+
+from canhaptic.parameters import Parameters, quantity
+
+
+class LinearSpring(Parameters):
+    """A spring with the stored energy k x^2 / 2, and a damper beside it."""
+
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    """Of the spring."""
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Of the damper beside the spring; it acts in contact only."""
+
+    @property
+    def linear_stiffness(self) -> float:
+        """Stiffness k [N/m or N*m/rad]."""
+        return self.stiffness
+
+    def stored_energy(self, state: float) -> float:
+        """Returns k x^2 / 2 [J]."""
+        return 0.5 * self.stiffness * state * state
+
+    def effort(self, state: float) -> float:
+        """Returns k x [N or N*m]."""
+        return self.stiffness * state
+
+    def state_of_energy(self, energy: float, like: float) -> float:
+        """Returns sqrt(2 H / k) with the sign of `like`; eq. 18 prints it positive, where contact has x < 0."""
+        if self.stiffness == 0.0:
+            return 0.0
+        return copysign(sqrt(2.0 * energy / self.stiffness) if energy > 0.0 else 0.0, like)
