@@ -1,13 +1,11 @@
 """Opening and closing the books of one hold: what came in, and what the next command is made of."""
 
-import math
 from typing import NamedTuple
 
 from canhaptic.haptics.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.haptics.passivity.in_flight import CommandsInFlight
 from canhaptic.haptics.passivity.storage import Account
 from canhaptic.haptics.port import interaction_energy
-from canhaptic.haptics.recovery import modulated_damping
 from canhaptic.haptics.velocity import AdaptiveWindow
 
 _HELD = Branch.HELD.value
@@ -25,17 +23,14 @@ class Hold(NamedTuple):
 
 
 class Books:
-    """The surplus of one axis, its modulated damper and its commands in flight.
+    """The surplus of one axis and its commands in flight.
 
     Attributes:
         h_dis: Surplus still to be dissipated [J].
     """
 
     __slots__ = (
-        "_alpha",
-        "_cap",
         "_certificate",
-        "_damping",
         "_estimator",
         "_in_flight",
         "_last",
@@ -49,9 +44,6 @@ class Books:
         delay: int,
         sample_time: float,
         certificate: int,
-        damping: float = 0.0,
-        damping_cap: float = math.inf,
-        alpha: float = 0.0,
         estimator: AdaptiveWindow | None = None,
     ) -> None:
         """Opens the books of one axis.
@@ -60,16 +52,10 @@ class Books:
             delay: Whole holds between computation and action.
             sample_time: [s].
             certificate: What the algorithm promises (`Certificate`).
-            damping: Of the model, rendered in contact [N*s/m or N*m*s/rad]; `close` only.
-            damping_cap: Of model and modulated damper together; `close` only.
-            alpha: Of the modulated damper [s/m^2 or s/rad^2]; `close` only.
             estimator: Of the velocity that the damper uses; None for that of the last hold.
         """
         self._in_flight = CommandsInFlight(delay)
         self._sample_time = sample_time
-        self._damping = damping
-        self._cap = damping_cap
-        self._alpha = alpha
         self._certificate = certificate
         self._estimator = estimator
         self.reset()
@@ -119,31 +105,6 @@ class Books:
         """Torques computed earlier whose hold has not ended [N or N*m], the next to act first."""
         return self._in_flight.torques
 
-    def close(
-        self, hold: Hold, account: Account, contact: bool, spring: float, velocity: float, state: float, h_s: float
-    ) -> EnergyBalance:
-        """Sends spring, damper and the modulated damper of eq. 19, and returns the balance of the hold.
-
-        Args:
-            hold: As it was opened.
-            account: What the algorithm did with it.
-            contact: Whether the next command carries a torque.
-            spring: Effort of the storage [N or N*m].
-            velocity: Of the model's damper [m/s or rad/s].
-            state: Displacement of the storage [m or rad].
-            h_s: Energy stored there [J].
-        """
-        if not contact:
-            return self.send(hold, account, (0.0, 0.0, 0.0), 0.0, state, h_s)
-        rendered = self._damping
-        damper, modulated = rendered * velocity, 0.0
-        if self._alpha > 0.0:
-            surplus = self._surplus_after(hold, account)[0]
-            extra = modulated_damping(self._alpha, surplus, rendered, self._cap, hold.displacement, hold.elapsed)
-            modulated = extra * hold.displacement / hold.elapsed
-            rendered += extra
-        return self.send(hold, account, (spring, damper, modulated), rendered, state, h_s)
-
     def send(
         self,
         hold: Hold,
@@ -165,7 +126,7 @@ class Books:
         """
         h_i, h_pas = hold.h_i, hold.h_pas
         branch, h_r, gen, deficit, leak = account
-        self.h_dis, paid = self._surplus_after(hold, account)
+        self.h_dis, paid = self.surplus_after(hold, account)
         spring, damper, modulated = efforts
         torque = -spring - damper - modulated
         self._in_flight.send(torque, damper, modulated)
@@ -188,7 +149,7 @@ class Books:
         )
         return balance
 
-    def _surplus_after(self, hold: Hold, account: Account) -> tuple[float, float]:
+    def surplus_after(self, hold: Hold, account: Account) -> tuple[float, float]:
         """Returns (surplus, part of the leak that paid for it) after a hold [J]."""
         _, _, gen, deficit, leak = account
         surplus = self.h_dis + gen + deficit - hold.h_pas

@@ -22,25 +22,21 @@ Kept as printed: every start creates k x^2 / 2, and the state creeps away from t
 import math
 from typing import ClassVar, Final
 
-from canhaptic.haptics.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.haptics.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.passivity.books import Books, Hold
+from canhaptic.haptics.passivity.books import Hold
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.haptics.passivity.root import solve_balance, solve_balance_nonlinear
-from canhaptic.haptics.passivity.storage import UNTOUCHED, Account, Storage
-from canhaptic.haptics.recovery import Alpha, damping_cap
-from canhaptic.haptics.velocity import DamperVelocity
+from canhaptic.haptics.passivity.storage import UNTOUCHED, Account
+from canhaptic.haptics.passivity.stored_model import StoredModel, StoredModelParameters
 from canhaptic.parameters import Parameters
 
 _ROUNDING: Final = 2.5e-16  # of the stored energy: what a difference of two energies can resolve
 _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
 
 
-class InternalDissipationParameters(DamperVelocity):
+class InternalDissipationParameters(StoredModelParameters):
     """What the paper leaves to choose."""
-
-    alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
 
 
 class InternalDissipation:
@@ -51,54 +47,37 @@ class InternalDissipation:
     def __init__(
         self, environment: Environment, parameters: InternalDissipationParameters, loop: LoopProperties
     ) -> None:
-        cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
         self._environment = environment
         self._stiffness = environment.linear_stiffness
-        self._damping = min(environment.damping, cap)
-        self._windowed = parameters.velocity == "windowed"
-        self._stores = environment.linear_stiffness != 0.0
         self._delay = loop.delay
-        self._storage = Storage(environment, loop.sample_time)
-        self._books = Books(
-            delay=loop.delay,
-            sample_time=loop.sample_time,
-            damping=self._damping,
-            damping_cap=cap,
-            alpha=parameters.alpha,
-            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
-            certificate=Certificate.NONE.value,
-        )
+        self._model = StoredModel(environment, parameters, loop)
+        self._storage = self._model.storage
         self.reset()
 
     def reset(self) -> None:
         """Forgets everything: nothing stored, no torque in flight, no last position."""
-        self._books.reset()
-        self._storage.reset()
+        self._model.reset()
         self._blind = 0
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Books the hold that ended; see `Controller.step`."""
-        hold = self._books.open(position, torque_applied)
-        storage = self._storage
-        if hold is None:
-            storage.begin(position)
+        opened = self._model.open(position, torque_applied)
+        if opened is None:
             self._blind = 0
             return AT_REST
-        changed = storage.follow(position, hold.displacement, hold.elapsed)
+        hold, changed = opened
+        storage = self._storage
         if storage.zone:
             account = self._touch(hold, changed)
         elif changed or hold.h_i != 0.0:
             account = storage.leave(self._exchange(hold))
         else:
             account = UNTOUCHED
-        effort = self._environment.effort(storage.state)
-        measured = self._windowed and not (self._stores and storage.deadlocked)
-        velocity = hold.velocity if measured else storage.velocity
-        return self._books.close(hold, account, storage.zone != 0, effort, velocity, storage.state, storage.h_s)
+        return self._model.close(hold, account)
 
     def hold(self) -> EnergyBalance:
         """Repeats the last command for want of a position; see `Controller.hold`."""
-        return self._books.repeat()
+        return self._model.repeat()
 
     def _touch(self, hold: Hold, entered: bool) -> Account:
         """Books a hold that ended in contact.
@@ -124,8 +103,7 @@ class InternalDissipation:
             damper = 0.0
             change = self._solve(hold.displacement, 0.0, h_m)
         if change is None:
-            damping = self._damping
-            return storage.approximate(hold.elapsed * hold.damper**2 / damping if damping else 0.0, h_m)
+            return storage.approximate(self._model.dissipation(hold), h_m)
         furthest = 2.0 * abs(hold.displacement)
         limited = h_m > 0.0 and (abs(change) > furthest or self._stiffness is None)
         if limited and abs(change) > furthest:

@@ -23,21 +23,18 @@ applied in that very hold; holds are booked to the end as in `internal_dissipati
 
 from typing import ClassVar, Literal
 
-from canhaptic.haptics.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.haptics.balance import AT_REST, EnergyBalance
 from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.passivity.books import Books, Hold
+from canhaptic.haptics.passivity.books import Hold
 from canhaptic.haptics.passivity.protocol import LoopProperties
-from canhaptic.haptics.passivity.storage import UNTOUCHED, Account, Storage
-from canhaptic.haptics.recovery import Alpha, damping_cap
-from canhaptic.haptics.velocity import DamperVelocity
+from canhaptic.haptics.passivity.storage import UNTOUCHED, Account
+from canhaptic.haptics.passivity.stored_model import StoredModel, StoredModelParameters
 from canhaptic.parameters import Parameters
 
 
-class OriginalParameters(DamperVelocity):
+class OriginalParameters(StoredModelParameters):
     """What ref. [12] leaves to choose."""
 
-    alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
     rearm: Literal["printed", "displacement"] = "printed"
     """Velocity of the start after the store emptied in contact: x / T as printed (eq. 14), or from the displacement."""
 
@@ -48,53 +45,35 @@ class Original:
     parameters_type: ClassVar[type[Parameters]] = OriginalParameters
 
     def __init__(self, environment: Environment, parameters: OriginalParameters, loop: LoopProperties) -> None:
-        cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
-        self._environment = environment
-        self._damping = min(environment.damping, cap)
-        self._windowed = parameters.velocity == "windowed"
-        self._stores = environment.linear_stiffness != 0.0
+        self._model = StoredModel(environment, parameters, loop)
+        self._storage = self._model.storage
         self._rearm_as_printed = parameters.rearm == "printed"
-        self._storage = Storage(environment, loop.sample_time)
-        self._books = Books(
-            delay=loop.delay,
-            sample_time=loop.sample_time,
-            damping=self._damping,
-            damping_cap=cap,
-            alpha=parameters.alpha,
-            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
-            certificate=Certificate.NONE.value,
-        )
         self.reset()
 
     def reset(self) -> None:
         """Forgets everything: nothing stored, no torque in flight, no last position."""
-        self._books.reset()
-        self._storage.reset()
+        self._model.reset()
         self._met = False
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Books the hold that ended; see `Controller.step`."""
-        hold = self._books.open(position, torque_applied)
-        storage = self._storage
-        if hold is None:
-            storage.begin(position)
+        opened = self._model.open(position, torque_applied)
+        if opened is None:
             self._met = False
             return AT_REST
-        changed = storage.follow(position, hold.displacement, hold.elapsed)
+        hold, changed = opened
+        storage = self._storage
         if storage.zone:
             account = self._touch(hold, changed)
         elif changed or hold.h_i != 0.0:
             account = storage.leave(self._update(hold))
         else:
             account = UNTOUCHED
-        effort = self._environment.effort(storage.state)
-        measured = self._windowed and not (self._stores and storage.deadlocked)
-        velocity = hold.velocity if measured else storage.velocity
-        return self._books.close(hold, account, storage.zone != 0, effort, velocity, storage.state, storage.h_s)
+        return self._model.close(hold, account)
 
     def hold(self) -> EnergyBalance:
         """Repeats the last command for want of a position; see `Controller.hold`."""
-        return self._books.repeat()
+        return self._model.repeat()
 
     def _touch(self, hold: Hold, entered: bool) -> Account:
         """Books a hold that ended in contact."""
@@ -109,9 +88,7 @@ class Original:
 
     def _update(self, hold: Hold) -> Account:
         """Dissipates what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
-        damping = self._damping
-        dissipation = hold.elapsed * hold.damper**2 / damping if damping else 0.0
-        account = self._storage.approximate(dissipation, hold.h_i - hold.h_pas)
+        account = self._storage.approximate(self._model.dissipation(hold), hold.h_i - hold.h_pas)
         if self._storage.h_s == 0.0:
             self._storage.empty()
         return account
