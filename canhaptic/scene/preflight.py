@@ -94,80 +94,99 @@ def inspect_interface(channel: str, bus: BusParameters, axes: int, run: Runner) 
 
 def judge_link(channel: str, link: Mapping[str, Any], bus: BusParameters, axes: int) -> list[PreflightFinding]:
     """Returns what one entry of `ip -json` says of an interface, judged."""
-    findings: list[PreflightFinding] = []
-
-    def find(item: str, seen: object, severity: Severity = "well", text: str = "") -> None:
-        findings.append(PreflightFinding(channel, item, str(seen), severity, text))
-
+    judged = _Judged(channel)
     if link.get("link_type") != "can":
-        find("link type", link.get("link_type"), "refused", "expected can; name a CAN interface in bus.channel")
-        return findings
+        judged.refuse("link type", link.get("link_type"), "expected can; name a CAN interface in bus.channel")
+        return judged.findings
     info = link.get("linkinfo") or {}
     if "UP" not in link.get("flags", []):
         command = f"ip link set {channel} up type can bitrate {bus.bitrate}"
-        find("link", "down", "refused", f"expected up; {command}")
+        judged.refuse("link", "down", f"expected up; {command}")
     else:
-        find("link", "up")
-    _judge_queue(link, axes, channel, find)
+        judged.well("link", "up")
+    _judge_queue(link, axes, judged)
     if info.get("info_kind") == _REAL_CONTROLLERS:
-        _judge_controller(info.get("info_data") or {}, info.get("info_xstats") or {}, channel, bus, find)
+        _judge_controller(info.get("info_data") or {}, info.get("info_xstats") or {}, bus, judged)
     else:
-        find("controller", f"none ({info.get('info_kind')})")
-    return findings
+        judged.well("controller", f"none ({info.get('info_kind')})")
+    return judged.findings
 
 
-_Find = Callable[..., None]
+class _Judged:
+    """Takes what was found of one interface."""
+
+    def __init__(self, channel: str) -> None:
+        self.channel = channel
+        self.findings: list[PreflightFinding] = []
+
+    def well(self, item: str, seen: object, text: str = "") -> None:
+        """Takes a property that is as it should be."""
+        self._add(item, seen, "well", text)
+
+    def note(self, item: str, seen: object, text: str) -> None:
+        """Takes one that is unwise, or cannot be told."""
+        self._add(item, seen, "note", text)
+
+    def refuse(self, item: str, seen: object, text: str) -> None:
+        """Takes one that forbids a run."""
+        self._add(item, seen, "refused", text)
+
+    def _add(self, item: str, seen: object, severity: Severity, text: str) -> None:
+        self.findings.append(PreflightFinding(self.channel, item, str(seen), severity, text))
 
 
-def _judge_queue(link: Mapping[str, Any], axes: int, channel: str, find: _Find) -> None:
+def _judge_queue(link: Mapping[str, Any], axes: int, judged: _Judged) -> None:
     """Judges the transmit queue: one that is shorter than two cycles refuses frames (ENOBUFS) at the first delay."""
     length, needed = link.get("txqlen"), 2 * (axes + _FRAMES_BESIDE_RPDOS)
     if not isinstance(length, int):
         return
     if length < needed:
-        text = f"expected {needed} at least (two cycles of {axes} axes); ip link set {channel} txqueuelen {4 * needed}"
-        find("txqueuelen", length, "note", text)
+        command = f"ip link set {judged.channel} txqueuelen {4 * needed}"
+        text = f"expected {needed} at least (two cycles of {axes} axes); {command}"
+        judged.note("txqueuelen", length, text)
     else:
-        find("txqueuelen", length)
+        judged.well("txqueuelen", length)
 
 
 def _judge_controller(
-    data: Mapping[str, Any], statistics: Mapping[str, Any], channel: str, bus: BusParameters, find: _Find
+    data: Mapping[str, Any], statistics: Mapping[str, Any], bus: BusParameters, judged: _Judged
 ) -> None:
     bitrate = (data.get("bittiming") or {}).get("bitrate", data.get("bittiming_bitrate"))
     if bitrate is None:
-        find("bit rate", "not told", "note", f"cannot be compared with bus.bitrate {bus.bitrate}")
+        judged.note("bit rate", "not told", f"cannot be compared with bus.bitrate {bus.bitrate}")
     elif bitrate != bus.bitrate:
-        command = f"ip link set {channel} down; ip link set {channel} up type can bitrate {bus.bitrate}"
-        find("bit rate", bitrate, "refused", f"expected {bus.bitrate} as bus.bitrate says; correct it, or: {command}")
+        name = judged.channel
+        command = f"ip link set {name} down; ip link set {name} up type can bitrate {bus.bitrate}"
+        judged.refuse("bit rate", bitrate, f"expected {bus.bitrate} as bus.bitrate says; correct it, or: {command}")
     else:
-        find("bit rate", bitrate)
-    _judge_state(str(data.get("state", "not told")), channel, find)
-    _judge_modes(data.get("ctrlmode") or [], channel, find)
-    _judge_restart(data.get("restart_ms"), channel, bus, find)
-    _judge_errors(data.get("berr_counter") or {}, statistics, find)
+        judged.well("bit rate", bitrate)
+    _judge_state(str(data.get("state", "not told")), judged)
+    _judge_modes(data.get("ctrlmode") or [], judged)
+    _judge_restart(data.get("restart_ms"), bus, judged)
+    _judge_errors(data.get("berr_counter") or {}, statistics, judged)
 
 
-def _judge_state(state: str, channel: str, find: _Find) -> None:
+def _judge_state(state: str, judged: _Judged) -> None:
     if state == "BUS-OFF":
         text = (
             "expected ERROR-ACTIVE; find the cause (cable, termination, a node with another bit rate), then: "
-            f"ip link set {channel} type can restart"
+            f"ip link set {judged.channel} type can restart"
         )
-        find("state", state, "refused", text)
+        judged.refuse("state", state, text)
     elif state in ("STOPPED", "SLEEPING"):
-        find("state", state, "refused", f"expected ERROR-ACTIVE; ip link set {channel} up")
+        judged.refuse("state", state, f"expected ERROR-ACTIVE; ip link set {judged.channel} up")
     elif state == "ERROR-ACTIVE":
-        find("state", state)
+        judged.well("state", state)
     else:
-        find("state", state, "note", "expected ERROR-ACTIVE; nobody acknowledges, or cable and termination are bad")
+        judged.note("state", state, "expected ERROR-ACTIVE; nobody acknowledges, or cable and termination are bad")
 
 
-def _judge_modes(modes: list[str], channel: str, find: _Find) -> None:
+def _judge_modes(modes: list[str], judged: _Judged) -> None:
     for mode, name in (("LISTEN-ONLY", "listen-only"), ("LOOPBACK", "loopback"), ("ONE-SHOT", "one-shot")):
         if mode in modes:
-            down, up = f"ip link set {channel} down", f"ip link set {channel} up type can {name} off"
-            find("mode", mode, "refused", f"expected an ordinary controller; {down}; {up}")
+            link = f"ip link set {judged.channel}"
+            text = f"expected an ordinary controller; {link} down; {link} up type can {name} off"
+            judged.refuse("mode", mode, text)
 
 
 def least_restart(bus: BusParameters) -> int:
@@ -175,33 +194,33 @@ def least_restart(bus: BusParameters) -> int:
     return math.ceil(bus.stop_cycles * bus.sample_time * 1e3)
 
 
-def _judge_restart(restart: object, channel: str, bus: BusParameters, find: _Find) -> None:
+def _judge_restart(restart: object, bus: BusParameters, judged: _Judged) -> None:
     if not isinstance(restart, int):
-        find("restart-ms", "not told", "note", "cannot be checked; `restart-ms 0` is what a rig wants")
+        judged.note("restart-ms", "not told", "cannot be checked; `restart-ms 0` is what a rig wants")
         return
     if restart == 0:
-        find("restart-ms", "0 (by hand)")
+        judged.well("restart-ms", "0 (by hand)")
     elif restart < least_restart(bus):
         text = (
             f"expected 0, or at least {least_restart(bus)} ms ({bus.stop_cycles} sample times, after which the rig has "
             "stopped), so that a bus-off ends the run and does not go unseen; "
-            f"ip link set {channel} type can restart-ms 0"
+            f"ip link set {judged.channel} type can restart-ms 0"
         )
-        find("restart-ms", f"{restart} ms", "refused", text)
+        judged.refuse("restart-ms", f"{restart} ms", text)
     else:
-        find("restart-ms", f"{restart} ms", "well", "after a bus-off the interface comes back, the run does not")
+        judged.well("restart-ms", f"{restart} ms", "after a bus-off the interface comes back, the run does not")
 
 
-def _judge_errors(counters: Mapping[str, Any], statistics: Mapping[str, Any], find: _Find) -> None:
+def _judge_errors(counters: Mapping[str, Any], statistics: Mapping[str, Any], judged: _Judged) -> None:
     worst = max((int(counters.get(side, 0)) for side in ("tx", "rx")), default=0)
     seen = f"tx {counters.get('tx', '?')}, rx {counters.get('rx', '?')}"
     if worst >= _ALARMING_ERRORS:
-        find("error counters", seen, "note", f"expected below {_ALARMING_ERRORS}; check cable, termination, bit rate")
+        judged.note("error counters", seen, f"expected below {_ALARMING_ERRORS}; check cable, termination, bit rate")
     else:
-        find("error counters", seen)
+        judged.well("error counters", seen)
     offs = statistics.get("bus_off", 0)
     if offs:
-        find("bus-offs so far", offs, "note", "expected none since the interface came up; find the cause")
+        judged.note("bus-offs so far", offs, "expected none since the interface came up; find the cause")
 
 
 def _run(command: list[str]) -> "subprocess.CompletedProcess[str]":
