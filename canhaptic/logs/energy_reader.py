@@ -130,6 +130,11 @@ class EnergyLog:
         return {name.removesuffix(suffix): tuple(json.loads(str(text))) for name, text in found.items()}
 
     @property
+    def group_of(self) -> dict[str, str]:
+        """The group of each axis that is in one."""
+        return {axis: group for group, axes in self.groups.items() for axis in axes}
+
+    @property
     def sample_time(self) -> float:
         """Sample time [s]."""
         return self.sample_time_ns * 1e-9

@@ -22,34 +22,30 @@ def compare(first: EnergyLog, second: EnergyLog) -> dict[str, Any]:
     groups = _groups(first), _groups(second)
     names = [{f"{group}/{name}" for group, columns in side.items() for name in columns} for side in groups]
     shared = min(first.rows, second.rows)
-    sync_index = first.timing["sync_index"]
     differences = []
     for path in sorted(names[0] & names[1]):
         group, _, name = path.rpartition("/")
         left, right = groups[0][group][name][:shared], groups[1][group][name][:shared]
         unequal = _unequal(left, right)
         if len(unequal):
-            row = int(unequal[0])
-            differences.append(
-                {
-                    "name": path,
-                    "unit": groups[0][group].unit(name),
-                    "cycle": int(sync_index[row]),
-                    "first": left[row].item(),
-                    "second": right[row].item(),
-                    "largest": float(np.abs(left[unequal].astype(float) - right[unequal].astype(float)).max()),
-                }
-            )
+            cycle = int(first.timing["sync_index"][unequal[0]])
+            known = {"name": path, "unit": groups[0][group].unit(name), "cycle": cycle}
+            differences.append(known | _difference(left[unequal], right[unequal]))
     one_sided = set(groups[0]) ^ set(groups[1])
     single = {path for path in names[0] ^ names[1] if path.rpartition("/")[0] not in one_sided}
     missing = sorted(one_sided | single)
-    identical = not differences and not missing and first.rows == second.rows
     return {
-        "identical": identical,
+        "identical": not differences and not missing and first.rows == second.rows,
         "rows": [first.rows, second.rows],
         "missing": missing,
         "differences": sorted(differences, key=lambda difference: int(difference["cycle"])),
     }
+
+
+def _difference(left: NDArray[Any], right: NDArray[Any]) -> dict[str, float]:
+    """Returns what is said of the rows that differ, by the values of both logs in them."""
+    largest = float(np.abs(left.astype(float) - right.astype(float)).max())
+    return {"first": left[0].item(), "second": right[0].item(), "largest": largest}
 
 
 def _groups(log: EnergyLog) -> dict[str, Quantities]:

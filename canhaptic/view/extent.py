@@ -27,6 +27,17 @@ def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> sli
     return slice(first, last)
 
 
+def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> slice:
+    """Returns the same rows, of a log that holds any.
+
+    Raises:
+        InputError: It holds no cycle, or none between them.
+    """
+    if log.rows == 0:
+        raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
+    return rows_between(log, start, stop)
+
+
 def contacts(branch: NDArray[Any]) -> list[tuple[int, int]]:
     """Returns (first, last) row of every stretch in which a hold was booked by another branch than `free`."""
     touching = np.concatenate(([False], branch != Branch.FREE.value, [False]))

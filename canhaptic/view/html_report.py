@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import CycleTiming
 from canhaptic.view.decimate import decimate
-from canhaptic.view.extent import rows_between
+from canhaptic.view.extent import rows_between, rows_to_draw
 from canhaptic.view.page import require_bokeh, write_page
 from canhaptic.view.series import PortSeries
 from canhaptic.view.si import si
@@ -53,20 +52,17 @@ def write_html(
     Raises:
         InputError: The log holds no cycle there, Bokeh is not installed, or the page cannot be written.
     """
-    if log.rows == 0:
-        raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
+    rows = rows_to_draw(log, start, stop)
     require_bokeh()
     from canhaptic.view.html_panels import Panels
 
-    rows = rows_between(log, start, stop)
     panels = Panels(float(result["from"]), float(result["to"]))
+    further = rows_between(other, start, stop) if other is not None and other.rows else None
     tabs = []
     for name in log.ports:
-        series = PortSeries(log, name, rows)
-        second = None
-        if other is not None and name in other.ports and other.rows:
-            second = PortSeries(other, name, rows_between(other, start, stop))
-        tabs.append(panels.port(series, second, log.attributes.get(f"{name}.wall_position")))
+        second = PortSeries(other, name, further) if other and further and name in other.ports else None
+        wall = log.attributes.get(f"{name}.wall_position")
+        tabs.append(panels.port(PortSeries(log, name, rows), second, wall))
     common = [_timing(log, rows, panels), _link(log, rows, panels)]
     page = panels.page(_heading(log, result, other), tabs, [panel for panel in common if panel is not None])
     write_page(page, f"{log.path.name} - canhaptic", path)

@@ -43,7 +43,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "truth": {name: _truth(log, name, rows) for name in log.truth},
         "timing": _timing(log, rows),
         "link": _link(log, rows, sync_index),
-        "contacts": {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in _group_of(log)},
+        "contacts": {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of},
         "events": [event._asdict() | {"time": event.sync_index * log.sample_time} for event in log.events],
     }
 
@@ -74,15 +74,10 @@ def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
     return {"unit": port.unit("position")} | _flows(log, column, rows) | _use(column)
 
 
-def _group_of(log: EnergyLog) -> dict[str, str]:
-    """Returns the group of each axis that is in one."""
-    return {axis: group for group, axes in log.groups.items() for axis in axes}
-
-
 def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
     """The account of each port; of an axis in a group what came in and went out by it."""
-    accounts, group_of = {name: _port(log, port, rows) for name, port in log.ports.items()}, _group_of(log)
-    for name, group in group_of.items():
+    accounts = {name: _port(log, port, rows) for name, port in log.ports.items()}
+    for name, group in log.group_of.items():
         accounts[name] = part_in_group(accounts[name], group)
     for group, axes in log.groups.items():
         accounts[group] |= {"axes": list(axes), "state_unit": log.ports[group].unit("state")}

@@ -32,12 +32,12 @@ class News(NamedTuple):
     units: dict[str, str]  # of each port's position
     events: list[Event]  # all so far
     fresh_share: float  # TPDOs that came, of all expected, since the beginning
-    groups: dict[str, tuple[str, ...]]  # ports that are groups, and their axes
+    group_of: dict[str, str]  # of each axis in a group, whose account is the group's
 
     @property
-    def members(self) -> frozenset[str]:
-        """Axes in groups: their accounts are the groups'."""
-        return frozenset(axis for axes in self.groups.values() for axis in axes)
+    def groups(self) -> frozenset[str]:
+        """Ports that are groups, which have no position."""
+        return frozenset(self.group_of.values())
 
 
 class LiveLog:
@@ -89,7 +89,7 @@ class LiveLog:
             {name: port.unit("position") for name, port in log.ports.items()},
             log.events,
             1.0 - self._missed / self._expected if self._expected else 1.0,
-            log.groups,
+            log.group_of,
         )
 
     def _port(self, log: EnergyLog, name: str, start: int, stop: int) -> dict[str, Array]:

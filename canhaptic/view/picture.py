@@ -13,10 +13,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.view.decimate import decimate
-from canhaptic.view.extent import contacts, rows_between
+from canhaptic.view.extent import contacts, rows_between, rows_to_draw
 from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
 from canhaptic.view.picture_style import STYLE, axis_scale, matplotlib_figure, save_picture
 from canhaptic.view.series import faults_of
@@ -62,13 +61,10 @@ def draw_energy(
         with EnergyLog.open(log) as opened:
             draw_energy(opened, path, start, stop, other)
         return
-    if log.rows == 0:
-        raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
-    rows = rows_between(log, start, stop)
+    rows = rows_to_draw(log, start, stop)
     mpl, figure_type = matplotlib_figure()
     with mpl.rc_context(STYLE):
-        grouped = {axis for axes in log.groups.values() for axis in axes}
-        shown = {name: port for name, port in log.ports.items() if name not in grouped}
+        shown = {name: port for name, port in log.ports.items() if name not in log.group_of}
         figure: Any = figure_type(figsize=(2.0 + 6.5 * len(shown), 9.0), dpi=120, layout="constrained")
         figure.get_layout_engine().set(hspace=0.04, h_pad=0.06)
         panels: Any = figure.subplots(4, len(shown), sharex=True, squeeze=False, height_ratios=(3, 3, 4, 2))

@@ -4,7 +4,7 @@ What the drives sent is decoded here with the maps and rated torques told in the
 codecs and its record of the run take no part, so the account can be held against the one that was logged.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -162,17 +162,23 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         cycles += 1
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
-    units = [axis.parameters.unit for axis in scene.axes] + [
-        scene.axis(g.axes[0]).parameters.unit for g in scene.groups
-    ]
+    result = {"cycles": cycles, "ports": _accounts(scene, ledgers)}
+    if log is not None:
+        result["differences"] = [judge.difference for judge in judges if judge.difference is not None]
+    return result
+
+
+def _accounts(scene: Scene, ledgers: Sequence[Ledger]) -> dict[str, Any]:
+    """Returns the accounts of the axes, then of the groups; of an axis in a group what came in and went out by it."""
+    units: dict[str, str] = {axis.parameters.name: axis.parameters.unit for axis in scene.axes}
+    units |= {group.name: units[group.axes[0]] for group in scene.groups}
     ports = {
         name: {"unit": unit, **ledger.summary().as_json(scene.bus.sample_time)}
-        for name, unit, ledger in zip(names, units, ledgers, strict=True)
+        for (name, unit), ledger in zip(units.items(), ledgers, strict=True)
     }
     for group in scene.groups:
         ports.update({name: part_in_group(ports[name], group.name) for name in group.axes})
-    differences = [judge.difference for judge in judges if judge.difference is not None]
-    return {"cycles": cycles, "ports": ports, **({} if log is None else {"differences": differences})}
+    return ports
 
 
 class _Judge:

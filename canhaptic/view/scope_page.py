@@ -79,7 +79,7 @@ class ScopePage:
                 panels.append(self._panel(f"{name}: position", unit, source, {"position": BLUE}))
             torques = {"torque_command": ORANGE, "torque_applied": BLUE}
             panels.append(self._panel(f"{name}: torque", effort_unit(unit), source, torques))
-            if name not in news.members:
+            if name not in news.group_of:
                 panels.append(self._energy(source))
         panels.append(self._panel("cycle time", "us", self._timing, {"cycle_time": GREY}))
         self._document.roots[0].children = [self._status, *panels]
@@ -113,7 +113,7 @@ def _status(news: News) -> str:
         f"link {100.0 * news.fresh_share:.4g} %",
     ]
     for name, rows in news.ports.items():
-        if len(rows["margin"]) and name not in news.members:
+        if len(rows["margin"]) and name not in news.group_of:
             state = drive_state(int(rows["statusword"][-1])).value
             margin = si(float(rows["margin"][-1]), "J")
             facts.append(f"{html.escape(name)}: {state.lower()}, margin {margin}, surplus {si(rows['h_dis'][-1], 'J')}")

@@ -40,7 +40,7 @@ class PortSeries:
     def __init__(self, log: EnergyLog, name: str, rows: slice) -> None:
         self.name = name
         self.is_group = name in log.groups
-        self.is_member = any(name in axes for axes in log.groups.values())
+        self.is_member = name in log.group_of
         self.sample_time = log.sample_time
         self._rows = rows
         self._port = log.ports[name]
