@@ -13,6 +13,7 @@ from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
+from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.method import method_line
@@ -55,7 +56,8 @@ def execute(arguments: argparse.Namespace) -> int:
         if error is None and arguments.png is not None and energy_log is not None:
             from canhaptic.view.picture import draw_energy
 
-            draw_energy(energy_log, arguments.png)
+            with EnergyLog.open(energy_log) as log:
+                draw_energy(log, arguments.png)
     _report(result, error, arguments)
     return stop.exit_status if error is None else error.exit_status
 

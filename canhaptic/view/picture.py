@@ -37,7 +37,7 @@ Array = NDArray[Any]
 
 
 def draw_energy(
-    log: EnergyLog | str | Path,
+    log: EnergyLog,
     path: str | Path,
     start: float | None = None,
     stop: float | None = None,
@@ -48,7 +48,7 @@ def draw_energy(
     The wall is drawn where the log's attributes `NAME.wall_position` and `NAME.wall_side` say so.
 
     Args:
-        log: An open energy log, or the path of one.
+        log: An open energy log.
         path: The picture.
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.
@@ -57,10 +57,6 @@ def draw_energy(
     Raises:
         InputError: The log holds no cycle there, matplotlib is not installed, or the file cannot be written.
     """
-    if not isinstance(log, EnergyLog):
-        with EnergyLog.open(log) as opened:
-            draw_energy(opened, path, start, stop, other)
-        return
     rows = rows_to_draw(log, start, stop)
     mpl, figure_type = matplotlib_figure()
     with mpl.rc_context(STYLE):

@@ -63,7 +63,8 @@ def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
 
 
 def test_the_picture_has_one_column_for_the_group(path: Path, tmp_path: Path) -> None:
-    draw_energy(path, tmp_path / "run.svg")
+    with EnergyLog.open(path) as log:
+        draw_energy(log, tmp_path / "run.svg")
     text = (tmp_path / "run.svg").read_text()
     assert text.count("<!-- stage: position -->") == 1
     assert "<!-- x -->" in text

@@ -51,7 +51,8 @@ def test_a_run_is_drawn_into_the_kind_of_file_its_suffix_names(
 ) -> None:
     write_run(tmp_path / "run.h5", 1500, ports)
     picture = tmp_path / f"run.{suffix}"
-    draw_energy(tmp_path / "run.h5", picture)
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        draw_energy(log, picture)
     content = picture.read_bytes()
     assert content.startswith(b"\x89PNG" if suffix == "png" else b"<?xml")
     assert len(content) > 20_000
@@ -59,7 +60,8 @@ def test_a_run_is_drawn_into_the_kind_of_file_its_suffix_names(
 
 def test_a_run_without_contact_is_drawn_too(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", 300)
-    draw_energy(tmp_path / "run.h5", tmp_path / "run.png")
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        draw_energy(log, tmp_path / "run.png")
     assert (tmp_path / "run.png").stat().st_size > 20_000
 
 
