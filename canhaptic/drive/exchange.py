@@ -123,12 +123,14 @@ class Exchange:
         self.beat()
 
     def beat(self, *, at_once: bool = False) -> None:
-        """Sends the master's heartbeat when its number of cycles has gone by, or at once.
+        """Sends the master's heartbeat when its number of periods has gone by, or at once.
+
+        Skipped SYNCs count: a master that runs late must not seem dead to drives that time its heartbeat.
 
         Raises:
             LinkError: It could not be sent.
         """
-        self._since_heartbeat += 1
+        self._since_heartbeat += self.periods
         if at_once or self._since_heartbeat >= self._heartbeat_cycles:
             self._since_heartbeat = 0
             failure: LinkError | None = None

@@ -244,6 +244,18 @@ def test_the_master_heartbeat_is_sent_by_the_count_of_syncs(bench: MakeBench) ->
     assert b.drives[0].state is DriveState.OPERATION_ENABLED
 
 
+def test_a_master_that_runs_late_still_sends_its_heartbeat_in_time(bench: MakeBench) -> None:
+    """On a busy host each cycle oversleeps by six periods: 20 cycles would be 120 ms, and the drive waits for 100."""
+    b = started(bench)
+    before = len(b.sent(0x77E))
+    for _ in range(60):
+        b.clock.wait_until(b.clock.now() + 6 * b.rig.bus.sample_time_ns)
+        b.run(1)
+    assert b.rig.skipped_syncs >= 250
+    assert len(b.sent(0x77E)) - before >= 15
+    assert b.drives[0].state is DriveState.OPERATION_ENABLED
+
+
 def test_two_runs_give_the_same_frames_at_the_same_times(bench: MakeBench) -> None:
     runs = []
     for _ in range(2):
