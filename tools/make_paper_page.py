@@ -17,15 +17,12 @@ from textwrap import fill
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.view.si import si
-from tools.fill_numbers import value_at
+from tools.fill_numbers import value_at, written
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 SOURCE: Final = ROOT / "tools" / "paper_page.md"
 PAGE: Final = ROOT / "docs" / "paper.md"
 _MARK: Final = re.compile(r"\[\[(.+?)\]\]")
-_DIGITS: Final = 3
-_ROUNDING: Final = 1e-15  # [J]
 _WIDTH: Final = 120
 _AS_WRITTEN: Final = ("|", "#", "!", "```")
 """How blocks begin that are not a paragraph."""
@@ -51,14 +48,8 @@ def number(place: str) -> float:
 
 def _shown(mark: str) -> str:
     place, _, unit = mark.partition("|")
-    value = number(place)
-    if unit == "%":
-        return f"{100.0 * value:.{_DIGITS}g} %"
-    if unit == "J" and abs(value) < _ROUNDING:
-        return "0 J"
-    if isinstance(value, int):
-        return f"{value}"
-    return si(value, unit, _DIGITS) if unit else f"{value:#.{_DIGITS}g}"
+    number(place)  # a text would be written as it is
+    return written(f"{place} @ {unit}" if unit else place)
 
 
 def _named(kind: str, mark: str) -> str:
