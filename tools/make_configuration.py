@@ -10,7 +10,7 @@ import typing
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import Any, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -37,8 +37,8 @@ from canhaptic.sim.user import UserParameters
 from canhaptic.tables import load
 from tools.field_words import first_sentence, words_of
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"
-_INTRODUCTION = """\
+PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"
+_INTRODUCTION: Final = """\
 # Configuration
 
 Every key of a scene file. This page is made from the models by `python -m tools.make_configuration`.
@@ -51,9 +51,11 @@ command line: `--set environment.stiffness="500 N/m"`, `--set axes.0.node_id=5`.
 
 `canhaptic schema` prints the same as JSON Schema, for editors.
 """
-_HEAD = "| key | unit | value | default | |\n|---|---|---|---|---|"
-_REQUIRED = "required"
-_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+_HEAD: Final = "| key | unit | value | default | |\n|---|---|---|---|---|"
+_REQUIRED: Final = "required"
+_OWN_LOOP: Final = "Keys of the section `passivity` for this axis alone, laid over it."
+_NAMES: Final = "list of names"
+_SIGNS: Final = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 Row = tuple[str, str, str, str, str]  # key, unit, value, default, words
 
@@ -91,10 +93,6 @@ def _sections() -> list[_Section]:
 
 def _key(name: str, value: str, default: str, words: str) -> Row:
     return name, "", value, default, words
-
-
-_OWN_LOOP = "Keys of the section `passivity` for this axis alone, laid over it."
-_NAMES = "list of names"
 
 
 def _of_the_rig() -> list[_Section]:
@@ -138,8 +136,8 @@ def _of_the_rig() -> list[_Section]:
     ]
 
 
-_FROM_BUS = {"sample_time": "from `bus.rate`", "delay": "from `bus.rpdo`"}
-_TOP = (
+_FROM_BUS: Final = {"sample_time": "from `bus.rate`", "delay": "from `bus.rpdo`"}
+_TOP: Final = (
     _key("bus", "keys or list", _REQUIRED, "The CAN bus, or several: [below](#bus)."),
     _key("axes", "list", _REQUIRED, "The drives and what they move: [below](#axes)."),
     _key("environment", "keys", "", "What is rendered on an axis: [below](#environment)."),
@@ -197,21 +195,14 @@ def _of_the_simulation() -> list[_Section]:
         _key("bus", "keys", "", "What the simulated bus does to its frames; below."),
         _key("mechanisms", "list", "", "What several drives move together: [below](#simulationmechanisms)."),
     )
-    entry = (
-        _key("axes", _NAMES, _REQUIRED, "The axes of its motors, in the order of the mechanism."),
-        _key("hand", "keys", "", "What holds the handle, in task space; below. Without it nobody does."),
-    )
+    scaling = dict.fromkeys(SCALING_KEYS, "that of the axis")
     return [
         _Section(
             "`simulation`",
             "Present only without hardware: what stands behind the drives.",
             [
                 _Table("", SimulationParameters, beside=parts),
-                _Table(
-                    "`simulation.drive`",
-                    SimulatedDriveParameters,
-                    taken=dict.fromkeys(SCALING_KEYS, "that of the axis"),
-                ),
+                _Table("`simulation.drive`", SimulatedDriveParameters, taken=scaling),
                 _Table("`simulation.plant`", PlantParameters),
                 _Table("`simulation.user`", UserParameters),
                 _Table("`simulation.bus`", BusEffects),
@@ -220,16 +211,24 @@ def _of_the_simulation() -> list[_Section]:
         _Section(
             "`simulation.effects`", "A list; each chosen by `type`, and absent unless named.", _chosen("type", EFFECTS)
         ),
-        _Section(
-            "`simulation.mechanisms`",
-            "A list; each chosen by `type`: what several motors move together.",
-            [
-                _Table("beside `type`", beside=entry),
-                _Table("`simulation.mechanisms[].hand`", TaskHand),
-                *_chosen("type", MECHANISMS),
-            ],
-        ),
+        _of_mechanisms(),
     ]
+
+
+def _of_mechanisms() -> _Section:
+    entry = (
+        _key("axes", _NAMES, _REQUIRED, "The axes of its motors, in the order of the mechanism."),
+        _key("hand", "keys", "", "What holds the handle, in task space; below. Without it nobody does."),
+    )
+    return _Section(
+        "`simulation.mechanisms`",
+        "A list; each chosen by `type`: what several motors move together.",
+        [
+            _Table("beside `type`", beside=entry),
+            _Table("`simulation.mechanisms[].hand`", TaskHand),
+            *_chosen("type", MECHANISMS),
+        ],
+    )
 
 
 def _of_the_run() -> list[_Section]:
@@ -322,8 +321,14 @@ def _value(annotation: Any, notes: Sequence[Any] = ()) -> tuple[str, str]:
     return "", _KINDS.get(origin or annotation, "keys")
 
 
-_MANY = {"number": "numbers", "integer": "integers", "text": "texts", "keys": "mappings", "list of numbers": "rows"}
-_KINDS: dict[Any, str] = {
+_MANY: Final = {
+    "number": "numbers",
+    "integer": "integers",
+    "text": "texts",
+    "keys": "mappings",
+    "list of numbers": "rows",
+}
+_KINDS: Final[dict[Any, str]] = {
     bool: "`true`, `false`",
     str: "text",
     Path: "path",

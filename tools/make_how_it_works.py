@@ -7,19 +7,18 @@ import sys
 import tempfile
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Final
 
 from canhaptic import build, load_scene
 from canhaptic.cycle import Cycle
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "how_it_works.md"
+ROOT: Final = Path(__file__).resolve().parent.parent
+PAGE: Final = ROOT / "docs" / "how_it_works.md"
 BEGIN, END = "<!-- the trace begins -->\n", "<!-- the trace ends -->\n"
-_IN_CONTACT = 1500  # cycles into the demo: the hand is in the wall
-_PACKAGE = str(ROOT / "canhaptic")
-_DEEPEST = 5
-_FAR_SIDE = "canhaptic/sim/"
-_CALLED = "call"
+_IN_CONTACT: Final = 1500  # cycles into the demo: the hand is in the wall
+_PACKAGE: Final = str(ROOT / "canhaptic")
+_DEEPEST: Final = 5
+_FAR_SIDE: Final = "canhaptic/sim/"
 
 
 class _Trace:
@@ -32,7 +31,7 @@ class _Trace:
 
     def __call__(self, frame: FrameType, event: str, _argument: Any) -> None:
         file = frame.f_code.co_filename
-        if event not in (_CALLED, "return") or not file.startswith(_PACKAGE) or frame.f_code.co_name.startswith("<"):
+        if event not in ("call", "return") or not file.startswith(_PACKAGE) or frame.f_code.co_name.startswith("<"):
             return  # comprehensions are frames of their own in some versions of Python and not in others
         if event == "return":
             self._depth -= 1

@@ -2,17 +2,18 @@
 
 import sys
 from pathlib import Path
+from typing import Final
 
 from canhaptic.drive.link_policy import READ_BACK_TABLE, STOP_TABLE, Action, StopReason
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "link_policy.md"
-_MISSED = {
+PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "link_policy.md"
+_MISSED: Final = {
     Action.RUN: "0",
     Action.HOLD: "1 to `bus.hold_cycles`",
     Action.RAMP: "up to `bus.stop_cycles`",
     Action.STOP: "`bus.stop_cycles`",
 }
-_INTRODUCTION = """\
+_INTRODUCTION: Final = """\
 # Link policy
 
 What becomes of the torque when a drive goes unheard or unwell. This page is made from `canhaptic/drive/link_policy.py`
@@ -22,13 +23,13 @@ by `python -m tools.make_link_policy`.
 
 Counted per axis. One TPDO that comes in time sets the count back to zero.
 """
-_READ_BACK = """
+_READ_BACK: Final = """
 ## What the read-back of the torque lets the rig judge
 
 Bit 12 is judged of a drive that shows it once it is enabled; one that never does may mean anything by it. The
 statusword of every SYNC is in the energy log, and `canhaptic inspect` counts the cycles with bit 11.
 """
-_STOPS = """
+_STOPS: Final = """
 ## Stops
 
 Each of these sends zero torque to every axis of the rig first, disables the drives second, and raises the exception
