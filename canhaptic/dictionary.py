@@ -26,7 +26,7 @@ from typing import Any, Final, NamedTuple
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
 from canhaptic.errors import DictionaryError
-from canhaptic.object_dictionary import CONSUMER_HEARTBEAT_TIME
+from canhaptic.object_dictionary import CONSUMER_HEARTBEAT_TIME, PDO_COUNT, RPDO_MAPPING, TPDO_MAPPING
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
 _DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = 2, 7, 8, 9  # object types (CiA 301, table 42)
@@ -35,7 +35,7 @@ _BARE_HEXADECIMAL: Final = re.compile(
 )
 _OBJECT_TYPES: Final = frozenset({_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD})
 _LARGEST_STANDARD_TYPE: Final = datatypes.UNSIGNED64
-_MAPPING_OBJECTS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_MAPPING_OBJECTS: Final = tuple(range(first, first + PDO_COUNT) for first in (RPDO_MAPPING, TPDO_MAPPING))
 _ACCESS_TYPES: Final = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
 _BIT_RATES_KBIT: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 

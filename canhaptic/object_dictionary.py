@@ -17,6 +17,7 @@ RPDO_COMMUNICATION: Final = 0x1400
 RPDO_MAPPING: Final = 0x1600
 TPDO_COMMUNICATION: Final = 0x1800
 TPDO_MAPPING: Final = 0x1A00
+PDO_COUNT: Final = 512  # of each direction
 
 CIA402_PROFILE: Final = 0x0192  # low word of 0x1000 of every CiA 402 device
 COB_ID_INVALID: Final = 1 << 31  # bit 31 of a PDO COB-ID: the PDO does not exist

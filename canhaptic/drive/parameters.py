@@ -1,21 +1,20 @@
 """What a scene says about the bus and about each axis: every value in SI, with its unit and range."""
 
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.realtime import RealtimeParameters
 from canhaptic.errors import ParameterError
-from canhaptic.object_dictionary import RPDO_COMMUNICATION, TPDO_COMMUNICATION
+from canhaptic.object_dictionary import PDO_COUNT, RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from canhaptic.parameters import Parameters, quantity
 
-_PDO_COUNT: Final = 512  # of each direction (CiA 301)
 _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x101, 0x57F  # free of NMT, SYNC, EMCY, SDO and heartbeat
 
 NodeId = Annotated[int, quantity("1", ge=1, le=127)]
-PdoNumber = Annotated[int, quantity("1", ge=1, le=_PDO_COUNT)]
+PdoNumber = Annotated[int, quantity("1", ge=1, le=PDO_COUNT)]
 
 
 class BusParameters(Parameters):
@@ -161,8 +160,8 @@ class AxisParameters(Parameters):
     @model_validator(mode="after")
     def _check_cob_ids(self) -> "AxisParameters":
         for index, cob_id in self.pdo_cob_ids.items():
-            is_rpdo = RPDO_COMMUNICATION <= index < RPDO_COMMUNICATION + _PDO_COUNT
-            is_tpdo = TPDO_COMMUNICATION <= index < TPDO_COMMUNICATION + _PDO_COUNT
+            is_rpdo = RPDO_COMMUNICATION <= index < RPDO_COMMUNICATION + PDO_COUNT
+            is_tpdo = TPDO_COMMUNICATION <= index < TPDO_COMMUNICATION + PDO_COUNT
             if not (is_rpdo or is_tpdo):
                 raise ValueError(
                     f"pdo_cob_ids: {index:#06x} is no PDO communication object; use 0x1400..0x15FF or 0x1800..0x19FF"

@@ -18,7 +18,6 @@ from canhaptic.drive.pdo_codec import MappedObject, codec, decode_entry
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
-_PDO_COUNT: Final = 512
 _MOST_TPDOS: Final = 3  # statusword, position and torque each in a TPDO of its own
 _READABLE_IN_TPDO: Final = ("ro", "rw", "rwr", "const")
 
@@ -113,7 +112,7 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
 def pdo_numbers(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[int]:
     """Returns the numbers of all PDOs whose communication parameters the dictionary lists."""
     first = od.RPDO_COMMUNICATION if kind == "RPDO" else od.TPDO_COMMUNICATION
-    return [index - first + 1 for index in sorted(dictionary) if first <= index < first + _PDO_COUNT]
+    return [index - first + 1 for index in sorted(dictionary) if first <= index < first + od.PDO_COUNT]
 
 
 def pdo_capabilities(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[PdoCapability]:

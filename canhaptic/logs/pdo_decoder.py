@@ -6,7 +6,6 @@ from typing import Any, Final, NamedTuple
 from canhaptic import object_dictionary as od
 from canhaptic.logs.sdo_decoder import Access
 
-_PDO_COUNT: Final = 512
 _SIGNED: Final = frozenset(
     {
         od.POSITION_ACTUAL,
@@ -99,11 +98,11 @@ class PdoMaps:
 
 
 def _is_communication(index: int) -> bool:
-    return any(0 <= index - first < _PDO_COUNT for first in (od.RPDO_COMMUNICATION, od.TPDO_COMMUNICATION))
+    return any(0 <= index - first < od.PDO_COUNT for first in (od.RPDO_COMMUNICATION, od.TPDO_COMMUNICATION))
 
 
 def _is_mapping(index: int) -> bool:
-    return any(0 <= index - first < _PDO_COUNT for first in (od.RPDO_MAPPING, od.TPDO_MAPPING))
+    return any(0 <= index - first < od.PDO_COUNT for first in (od.RPDO_MAPPING, od.TPDO_MAPPING))
 
 
 def _name(communication_index: int) -> str:
