@@ -12,10 +12,9 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from functools import partial
 from queue import SimpleQueue
 from typing import Any, Final
-
-from canopen.objectdictionary import datatypes
 
 from canhaptic import object_dictionary as od
 from canhaptic.drive import sdo_transfer
@@ -55,7 +54,7 @@ _OWNED: Final = frozenset(
         od.INTERPOLATION_PERIOD,
     }
 )
-_PDO_OBJECTS: Final = range(od.RPDO_COMMUNICATION, 0x1C00)
+_PDO_OBJECTS: Final = range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUNT)
 
 
 class _Request:
@@ -84,9 +83,7 @@ class _Request:
         self.attempts = 0
 
     def failure(self, text: str) -> SdoError:
-        sdo = self.drive.sdo
-        what = f"{self.drive.axis.name}: {self.verb} {sdo.describe(self.index, self.subindex)}: {text}"
-        return SdoError(what, self.index, self.subindex)
+        return self.drive.sdo.failure(self.verb, self.index, self.subindex, text)
 
 
 class BackgroundSdo:
@@ -113,36 +110,19 @@ class BackgroundSdo:
             SdoError: As `upload`, or the object belongs to the cycle.
         """
         if index in _OWNED or index in _PDO_OBJECTS:
-            raise SdoError(
-                f"{self._drive.axis.name}: write {self._drive.sdo.describe(index, subindex)}: it belongs to the cycle "
-                "while the rig runs; stop the rig first",
-                index,
-                subindex,
-            )
+            text = "it belongs to the cycle while the rig runs; stop the rig first"
+            raise self._drive.sdo.failure("write", index, subindex, text)
         transfer = sdo_transfer.download(*_checked(index, subindex), bytes(data))
         return self._ask("write", index, subindex, transfer, lambda _: None)
 
     def read(self, index: int, subindex: int = 0) -> "Future[int]":
         """Reads an integer object, as long and with the sign that the dictionary says; raises as `upload`."""
-        variable = self._drive.dictionary.get_variable(index, subindex)
-        signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
-        size = len(variable) // 8 if variable is not None and variable.data_type in datatypes.INTEGER_TYPES else None
         transfer = sdo_transfer.upload(*_checked(index, subindex))
-        return self._ask(
-            "read", index, subindex, transfer, lambda data: int.from_bytes(data[:size], "little", signed=signed)
-        )
+        return self._ask("read", index, subindex, transfer, partial(self._drive.sdo.decode, index, subindex))
 
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> "Future[None]":
         """Writes an integer object of `size` bytes, by default those of the dictionary; raises as `download`."""
-        variable = self._drive.dictionary.get_variable(index, subindex)
-        if size is None:
-            size = len(variable) // 8 if variable is not None else 4
-        try:
-            data = value.to_bytes(size, "little", signed=value < 0)
-        except OverflowError as error:
-            what = f"{self._drive.axis.name}: write {self._drive.sdo.describe(index, subindex)}"
-            raise SdoError(f"{what}: {value} does not fit {size} bytes", index, subindex) from error
-        return self.download(index, subindex, data)
+        return self.download(index, subindex, self._drive.sdo.encode(index, subindex, value, size))
 
     def _ask(
         self, verb: str, index: int, subindex: int, transfer: Transfer, convert: Callable[[bytes], Any]

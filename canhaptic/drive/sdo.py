@@ -138,11 +138,7 @@ class SdoChannel:
             raise self.aborted("read", index, subindex, error.code) from error
         except (ProtocolError, _NoAnswerError, LinkError) as error:
             raise self._unanswered("read", index, subindex, error) from error
-        variable = self.dictionary.get_variable(index, subindex)
-        signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
-        is_integer = variable is not None and variable.data_type in datatypes.INTEGER_TYPES
-        size = len(variable) // 8 if variable is not None and is_integer else None  # more came, without its length
-        return int.from_bytes(data[:size], "little", signed=signed)
+        return self.decode(index, subindex, data)
 
     def probe(self, index: int, subindex: int = 0) -> int:
         """Returns the value of an object like `read`, but asks only once.
@@ -174,22 +170,35 @@ class SdoChannel:
         Raises:
             SdoError: Aborted by the drive, not answered, or the value does not fit the object.
         """
-        variable = self.dictionary.get_variable(index, subindex)
-        if size is None:
-            size = len(variable) // 8 if variable is not None else 4
+        data = self.encode(index, subindex, value, size)
         try:
-            data = value.to_bytes(size, "little", signed=value < 0)
             self._client.run(sdo_transfer.download(index, subindex, data), index, subindex)
-        except OverflowError as error:
-            raise SdoError(
-                f"{self._name}: write {self.describe(index, subindex)}: {value} does not fit {size} bytes",
-                index,
-                subindex,
-            ) from error
         except SdoAbortedError as error:
             raise self.aborted("write", index, subindex, error.code) from error
         except (ProtocolError, _NoAnswerError, LinkError) as error:
             raise self._unanswered("write", index, subindex, error) from error
+
+    def decode(self, index: int, subindex: int, data: bytes) -> int:
+        """Returns the integer in the bytes of an object, as long and with the sign that the dictionary says."""
+        variable = self.dictionary.get_variable(index, subindex)
+        signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
+        is_integer = variable is not None and variable.data_type in datatypes.INTEGER_TYPES
+        size = len(variable) // 8 if variable is not None and is_integer else None  # more came, without its length
+        return int.from_bytes(data[:size], "little", signed=signed)
+
+    def encode(self, index: int, subindex: int, value: int, size: int | None = None) -> bytes:
+        """Returns the bytes of an integer object, by default as many as the dictionary says.
+
+        Raises:
+            SdoError: The value does not fit them.
+        """
+        variable = self.dictionary.get_variable(index, subindex)
+        if size is None:
+            size = len(variable) // 8 if variable is not None else 4
+        try:
+            return value.to_bytes(size, "little", signed=value < 0)
+        except OverflowError as error:
+            raise self.failure("write", index, subindex, f"{value} does not fit {size} bytes") from error
 
     def describe(self, index: int, subindex: int = 0) -> str:
         """Returns an object as `0x6072:00 Max torque`."""
@@ -203,12 +212,12 @@ class SdoChannel:
     def aborted(self, verb: str, index: int, subindex: int, code: int) -> SdoError:
         """Returns the error of a transfer that the drive has aborted."""
         text = SdoAbortedError.CODES.get(code, "unknown abort code")
-        message = f"{self._name}: {verb} {self.describe(index, subindex)}: aborted with {code:#010x}, {text}"
-        return SdoError(message, index, subindex, code)
+        return self.failure(verb, index, subindex, f"aborted with {code:#010x}, {text}", code)
+
+    def failure(self, verb: str, index: int, subindex: int, text: str, code: int | None = None) -> SdoError:
+        """Returns the error of a transfer, with axis and object named."""
+        return SdoError(f"{self._name}: {verb} {self.describe(index, subindex)}: {text}", index, subindex, code)
 
     def _unanswered(self, verb: str, index: int, subindex: int, error: Exception) -> SdoError:
-        message = (
-            f"{self._name}: {verb} {self.describe(index, subindex)}: node {self._node_id}: {error} ({self._patience}); "
-            "check power, node ID, bit rate and cable"
-        )
-        return SdoError(message, index, subindex)
+        text = f"node {self._node_id}: {error} ({self._patience}); check power, node ID, bit rate and cable"
+        return self.failure(verb, index, subindex, text)
