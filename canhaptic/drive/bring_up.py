@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Final
 
 from canhaptic import object_dictionary as od
-from canhaptic.drive.cia402 import TORQUE_FREE, DriveState, drive_state
+from canhaptic.drive.cia402 import FAULTED, TORQUE_FREE, DriveState, drive_state
 from canhaptic.drive.fitness import agreed_rated_torque
 from canhaptic.drive.pdo_map import is_writable
 from canhaptic.drive.pdo_setup import write_map
@@ -97,19 +98,15 @@ class BringUp:
         """Returns the error of a step."""
         return StartError(self._drive.axis.name, name, seen, expected, REMEDIES[name])
 
-    def _expect(self, name: str) -> Callable[[str, int, int], None]:
-        def expect(item: str, seen: int, expected: int) -> None:
-            if seen != expected:
-                raise self.refusal(name, f"{item} = {seen:#x}", f"{expected:#x} (as written)")
-
-        return expect
+    def _expect(self, name: str, item: str, seen: int, expected: int) -> None:
+        if seen != expected:
+            raise self.refusal(name, f"{item} = {seen:#x}", f"{expected:#x} (as written)")
 
     def _write_confirmed(self, name: str, index: int, subindex: int, value: int) -> None:
         with self.step(name):
             self._sdo.write(index, subindex, value)
-            self._expect(name)(
-                f"{self._sdo.describe(index, subindex)} read back", self._sdo.read(index, subindex), value
-            )
+            seen = self._sdo.read(index, subindex)
+            self._expect(name, f"{self._sdo.describe(index, subindex)} read back", seen, value)
 
     def _await(self, read: Callable[[], bool]) -> bool:
         """Polls until `read()` holds; returns False when the drive takes too long."""
@@ -166,7 +163,7 @@ class BringUp:
         for subindex, wanted in ((1, axis.vendor_id), (2, axis.product_code)):
             if wanted is not None:
                 with self.step("identity"):
-                    self._expect("identity")(f"0x1018:{subindex:02x}", self._sdo.read(od.IDENTITY, subindex), wanted)
+                    self._expect("identity", f"0x1018:{subindex:02x}", self._sdo.read(od.IDENTITY, subindex), wanted)
 
     def _drive_modes(self) -> None:
         if od.SUPPORTED_DRIVE_MODES not in self._drive.dictionary:
@@ -179,7 +176,7 @@ class BringUp:
     def _drive_state(self) -> None:
         """Leaves the drive without torque whatever ran before; a fault is reset only if the configuration says so."""
         with self.step("drive state"):
-            if self._state() in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+            if self._state() in FAULTED:
                 if not self._drive.axis.reset_fault:
                     raise self.refusal("drive state", self.fault_text(), "a drive without fault")
                 self.reset_fault()
@@ -195,7 +192,7 @@ class BringUp:
             StartError: The fault stays.
         """
         with self.step("drive state"):
-            if self._state() not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+            if self._state() not in FAULTED:
                 return
             self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
             self._await(lambda: self._state() is DriveState.FAULT)
@@ -291,7 +288,7 @@ class BringUp:
             od.SYNCHRONOUS_EVERY_SYNC if drive.bus.rpdo == "synchronous" else drive.quirks.event_transmission_type
         )
         with self.step("PDO map"):
-            write_map(self._sdo, drive.map, rpdo_type, self._expect("PDO map"), self._rpdo_deadline())
+            write_map(self._sdo, drive.map, rpdo_type, partial(self._expect, "PDO map"), self._rpdo_deadline())
 
     def _rpdo_deadline(self) -> int | None:
         """Returns what the drive itself shall bear of a lost RPDO [ms], where nothing tells the master that it is."""

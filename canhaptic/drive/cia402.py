@@ -56,6 +56,8 @@ TORQUE_FREE: Final = frozenset(
     }
 )
 
+FAULTED: Final = frozenset({DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE})
+
 ENABLED_MASK: Final = 0x6F
 ENABLED_VALUE: Final = 0x27
 

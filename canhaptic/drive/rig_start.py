@@ -5,7 +5,7 @@ from itertools import count
 from typing import Final
 
 from canhaptic.drive.bring_up import BringUp, nmt_name
-from canhaptic.drive.cia402 import DriveState, next_controlword
+from canhaptic.drive.cia402 import FAULTED, DriveState, next_controlword
 from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.object_dictionary import (
@@ -21,7 +21,6 @@ from canhaptic.object_dictionary import (
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
 _WRAP: Final = 1 << 32
 _PATIENCE: Final = 3  # heartbeats after which a drive that has not confirmed is asked again
-_FAULTS: Final = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 
 
 def start(exchange: Exchange) -> None:
@@ -172,7 +171,7 @@ def _enable_time(drive: ServoDrive) -> int:
 
 
 def _refuse_fault(drive: ServoDrive, bring_up: BringUp) -> None:
-    if drive.state in _FAULTS or drive.emergency is not None:
+    if drive.state in FAULTED or drive.emergency is not None:
         raise bring_up.refusal("enable", bring_up.fault_text(), DriveState.OPERATION_ENABLED.value)
 
 

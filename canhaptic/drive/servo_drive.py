@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 from canopen import ObjectDictionary
 
 from canhaptic import object_dictionary as od
-from canhaptic.drive.cia402 import ENABLED_MASK, ENABLED_VALUE, DriveState, drive_state
+from canhaptic.drive.cia402 import ENABLED_MASK, ENABLED_VALUE, FAULTED, DriveState, drive_state
 from canhaptic.drive.fitness import require_fit
 from canhaptic.drive.limiter import TorqueLimiter
 from canhaptic.drive.link import Link
@@ -248,7 +248,7 @@ class ServoDrive:
     def _state_fault(self) -> StopReason:
         if self.emergency is not None:
             return StopReason.EMERGENCY
-        if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+        if self.state in FAULTED:
             return StopReason.DRIVE_FAULT
         if self.statusword & ENABLED_MASK != ENABLED_VALUE:
             return StopReason.STATE_LEFT

@@ -51,3 +51,4 @@ def judge(module: ModuleType) -> None:
     for state in module.DriveState:
         assert module.next_controlword(state) == NEXT_CONTROLWORD[state.name]
         assert (state in module.TORQUE_FREE) is (state.name not in WITH_TORQUE)
+        assert (state in module.FAULTED) is state.name.startswith("FAULT")
