@@ -13,7 +13,7 @@ from canhaptic.cli.output import write_json
 from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.fitness import Verdict
 from canhaptic.drive.pdo_map import AxisMap, PdoPlan
-from canhaptic.drive.survey import Suitability, Survey, survey, unconfigured_axis
+from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, survey, unconfigured_axis
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.tables import plain_table
@@ -140,7 +140,7 @@ def _load_table(found: Survey) -> Table:
     for load in found.loads:
         fits = "[green]fits[/]" if load.fits else "[red]does not fit[/]"
         cells = (f"{load.rate:g} Hz", f"{100 * load.periodic_load:.1f} %", f"{load.worst_cycle * 1e6:.0f} us")
-        axes = "16 or more" if load.axes >= 16 else str(load.axes)
+        axes = f"{MOST_AXES} or more" if load.axes == MOST_AXES else str(load.axes)
         table.add_row(*cells, f"{1e6 / load.rate:.0f} us", fits, axes)
     return table
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from canhaptic.cli.arguments import check_folder
 from canhaptic.cli.check_eds import survey_of
 from canhaptic.cli.output import note_file, write_file
-from canhaptic.dictionary import read_dictionary
 from canhaptic.errors import InputError
 from canhaptic.scene.starter import starter_scene
 
@@ -40,8 +39,7 @@ def execute(arguments: argparse.Namespace) -> int:
         if out.exists():
             raise InputError(f"{out}: is there already; name another file, or move it away first")
     found, profile = survey_of(arguments.file)
-    dictionary = read_dictionary(arguments.file, 1)
-    text = starter_scene(found, dictionary, simulate=arguments.simulate, drive=profile, out=out)
+    text = starter_scene(found, simulate=arguments.simulate, drive=profile, out=out)
     if out is None:
         sys.stdout.write(text)
     else:

@@ -13,7 +13,7 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable, datatypes
 
 from canhaptic import object_dictionary as od
-from canhaptic.drive.bus_budget import BusBudget, bus_budget
+from canhaptic.drive.bus_budget import bus_budget
 from canhaptic.drive.fitness import Finding, Verdict, check_dictionary
 from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.drive.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
@@ -22,7 +22,8 @@ from canhaptic.errors import DictionaryError
 
 RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 """SYNCs per second for which the load of the bus is told [Hz]."""
-_MOST_AXES: Final = 16
+MOST_AXES: Final = 16
+"""Up to which it is tried how many axes fit the bus."""
 _INTEGER_NAMES: Final = {
     datatypes.BOOLEAN: "BOOLEAN",
     datatypes.INTEGER8: "INTEGER8",
@@ -72,12 +73,13 @@ class LoadRow(NamedTuple):
     periodic_load: float  # part of the bus, 0 to 1
     worst_cycle: float  # [s]
     fits: bool
-    axes: int  # of this kind that fit; `_MOST_AXES` stands for that many or more
+    axes: int  # of this kind that fit; `MOST_AXES` stands for that many or more
 
 
 class Survey(NamedTuple):
     """Everything that is known from one dictionary."""
 
+    dictionary: ObjectDictionary
     path: Path
     vendor: str
     product: str
@@ -116,7 +118,7 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
         axis: From `unconfigured_axis`, perhaps with the keys of a drive profile.
     """
     device = dictionary.device_information
-    findings = {finding.item[:6]: finding for finding in check_dictionary(dictionary, axis)}
+    findings = {finding.item.split()[0]: finding for finding in check_dictionary(dictionary, axis)}
     try:
         axis_map = choose_map(dictionary, axis)
     except DictionaryError:
@@ -133,23 +135,24 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
         *_pdos(dictionary, findings),
     )
     return Survey(
-        Path(axis.eds),
+        dictionary,
+        axis.eds,
         device.vendor_name or "",
         device.product_name or "",
-        _stated(dictionary, od.IDENTITY, 1) or device.vendor_number,
-        _stated(dictionary, od.IDENTITY, 2) or device.product_number,
+        stated_value(dictionary, od.IDENTITY, 1) or device.vendor_number,
+        stated_value(dictionary, od.IDENTITY, 2) or device.product_number,
         bitrates,
         rows,
         _manual_keys(dictionary, axis),
         axis_map,
         bitrate,
-        () if axis_map is None else _loads(axis_map, bitrate),
+        () if axis_map is None else tuple(_load(axis_map, bitrate, rate) for rate in RATES),
     )
 
 
-def unconfigured_axis(eds: str | Path, node_id: int = 1, **values: Any) -> AxisParameters:
-    """Returns an axis with a dictionary and perhaps a profile; its scale and limit are 1 and mean nothing."""
-    return AxisParameters(name="drive", node_id=node_id, eds=Path(eds), counts_per_unit=1.0, torque_limit=1.0, **values)
+def unconfigured_axis(eds: str | Path, **values: Any) -> AxisParameters:
+    """Returns an axis with a dictionary and perhaps a profile; its node ID, scale and limit are 1 and mean nothing."""
+    return AxisParameters(name="drive", node_id=1, eds=Path(eds), counts_per_unit=1.0, torque_limit=1.0, **values)
 
 
 # --- what an object states --------------------------------------------------------------------------------------
@@ -160,7 +163,7 @@ def _variable(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> OD
     return variable
 
 
-def _stated(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int | None:
+def stated_value(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int | None:
     """Returns the value of a DCF, else the default; None when the dictionary gives neither."""
     variable = _variable(dictionary, index, subindex)
     values = () if variable is None else (variable.value, variable.default)
@@ -201,7 +204,7 @@ def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding) -> Sur
     """Returns the row of a finding of `fitness`; what a DCF was saved with speaks where there is no default."""
     index = int(finding.item.split(" ")[0], 16)
     verdict, text = finding.verdict, finding.text
-    saved = _stated(dictionary, index)
+    saved = stated_value(dictionary, index)
     if verdict is Verdict.UNKNOWN and saved is not None:
         is_right = _SAVED_IS_RIGHT[index](saved) if index in _SAVED_IS_RIGHT else True
         verdict = Verdict.FIT if is_right else Verdict.UNKNOWN
@@ -264,7 +267,7 @@ def _limits(dictionary: ObjectDictionary, axis: AxisParameters) -> list[SurveyRo
     else:
         text = "written from torque_limit and read back"
         rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.FIT, text)]
-    value = _stated(dictionary, od.RATED_TORQUE)
+    value = stated_value(dictionary, od.RATED_TORQUE)
     if axis.rated_torque is not None:
         verdict, text = Verdict.FIT, f"{axis.rated_torque:g} from the configuration"
     elif rated is None or not quirks.reads_rated_torque:
@@ -296,9 +299,7 @@ def _watchdog(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> lis
         verdict = Verdict.UNKNOWN
     else:
         verdict, text = Verdict.FIT, "armed at the start: the drive notices a killed master"
-    rows.append(
-        _row(dictionary, "watchdog", "consumer heartbeat time", od.CONSUMER_HEARTBEAT_TIME, verdict, text, 1)
-    )  # fmt: skip
+    rows.append(_row(dictionary, "watchdog", "consumer heartbeat time", od.CONSUMER_HEARTBEAT_TIME, verdict, text, 1))
     option = _variable(dictionary, od.ABORT_CONNECTION_OPTION)
     if option is None or not option.writable:
         state = "not listed" if option is None else "read-only"
@@ -318,7 +319,7 @@ def _pdos(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[Su
         verdict = Verdict.FIT if capabilities else Verdict.REFUSED
         text = "" if capabilities else f"the dictionary describes no {kind}"
         rows.append(SurveyRow("PDO", f"{kind}s", _counted(capabilities), verdict, text))
-    finding = findings["PDO ma"]
+    finding = findings["PDO"]
     rows.append(SurveyRow("PDO", "map", "", finding.verdict, finding.text))
     return rows
 
@@ -347,7 +348,7 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
         (
             "rated_torque",
             "torque of the axis at 1000 per mille; 0x6076 does not tell it",
-            lambda: axis.rated_torque is None and not _stated(dictionary, od.RATED_TORQUE),
+            lambda: axis.rated_torque is None and not stated_value(dictionary, od.RATED_TORQUE),
         ),
         ("transmission", "gear ratio, where 0x6076 is the motor's torque", lambda: od.RATED_TORQUE in dictionary),
         (
@@ -360,18 +361,10 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
     return (*keys, *(ManualKey(key, reason) for key, reason, needed in needs if needed()))
 
 
-def _loads(axis_map: AxisMap, bitrate: int) -> tuple[LoadRow, ...]:
-    return tuple(_load(axis_map, bitrate, rate) for rate in RATES)
-
-
 def _load(axis_map: AxisMap, bitrate: int, rate: float) -> LoadRow:
     bus = BusParameters(rate=rate, bitrate=bitrate)
     one = bus_budget(bus, [axis_map])
     axes = 0
-    while axes < _MOST_AXES and _budget(bus, axis_map, axes + 1).fits:
+    while axes < MOST_AXES and bus_budget(bus, [axis_map] * (axes + 1)).fits:
         axes += 1
     return LoadRow(rate, one.periodic_load, one.worst_cycle, one.fits, axes)
-
-
-def _budget(bus: BusParameters, axis_map: AxisMap, axes: int) -> BusBudget:
-    return bus_budget(bus, [axis_map] * axes)

@@ -15,7 +15,7 @@ from canopen import ObjectDictionary
 from canhaptic import object_dictionary as od
 from canhaptic.drive.pdo_map import is_writable
 from canhaptic.drive.quirks import quirks_of
-from canhaptic.drive.survey import Suitability, Survey
+from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError, InputError
 from canhaptic.scene.eds_path import path_for_scene
 from canhaptic.scene.models import Scene
@@ -92,19 +92,11 @@ $objects  plant:
 """)
 
 
-def starter_scene(
-    found: Survey,
-    dictionary: ObjectDictionary,
-    *,
-    simulate: bool,
-    drive: str | None = None,
-    out: Path | None = None,
-) -> str:
+def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, out: Path | None = None) -> str:
     """Returns the text of a scene file for one drive, which `load_scene` accepts.
 
     Args:
         found: The survey of its dictionary.
-        dictionary: The same dictionary.
         simulate: Adds a simulated drive, motor and hand on a virtual bus, so that it runs at once.
         drive: Name of the drive profile to use; None for none.
         out: The file that the text is for; None where that is not known, and the dictionary needs its whole path.
@@ -115,7 +107,7 @@ def starter_scene(
     if found.suitability is Suitability.UNFIT:
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
         raise DictionaryError(f"{found.path} is not fit for cyclic torque: {reasons}")
-    rated = _stated_torque(dictionary, drive) or _GUESSED_RATED_TORQUE
+    rated = _stated_torque(found.dictionary, drive) or _GUESSED_RATED_TORQUE
     limit = _round(_CAUTIOUS * rated)
     text = _TEXT.substitute(
         to_set=TO_SET,
@@ -125,10 +117,10 @@ def starter_scene(
         scene=_plain(str(out or "rig.yaml")),
         hint="      needs no hardware: drive, motor and hand are simulated" if simulate else "",
         **_bus_values(found, simulate),
-        **_axis_values(found, dictionary, drive),
+        **_axis_values(found, drive),
         limit=f"{limit:g}",
         **_scaled(limit),
-        simulation=_simulation(dictionary, rated, limit) if simulate else "",
+        simulation=_simulation(found.dictionary, rated, limit) if simulate else "",
     )
     return _aligned(text).replace(_EDS_TOKEN, json.dumps(path_for_scene(found.path, out), ensure_ascii=False))
 
@@ -144,7 +136,8 @@ def _bus_values(found: Survey, simulate: bool) -> dict[str, str]:
     }
 
 
-def _axis_values(found: Survey, dictionary: ObjectDictionary, drive: str | None) -> dict[str, str]:
+def _axis_values(found: Survey, drive: str | None) -> dict[str, str]:
+    dictionary = found.dictionary
     transmission = "    transmission: 1         # gear ratio, where 0x6076 is the torque of the motor\n"
     return {
         "identity": _identity(found, drive),
@@ -219,16 +212,10 @@ def _identity(found: Survey, drive: str | None) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def _value(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int | None:
-    variable = dictionary.get_variable(index, subindex)
-    values = () if variable is None else (variable.value, variable.default)
-    return next((value for value in values if isinstance(value, int)), None)
-
-
 def _counts(dictionary: ObjectDictionary) -> float:
     """Returns counts per radian: increments per revolution (0x608F) times gear (0x6091), or a guess."""
-    revolutions = _value(dictionary, od.ENCODER_RESOLUTION, 2) or 1
-    gear = (_value(dictionary, od.GEAR_RATIO, 1) or 1) / (_value(dictionary, od.GEAR_RATIO, 2) or 1)
+    revolutions = stated_value(dictionary, od.ENCODER_RESOLUTION, 2) or 1
+    gear = (stated_value(dictionary, od.GEAR_RATIO, 1) or 1) / (stated_value(dictionary, od.GEAR_RATIO, 2) or 1)
     stated = _stated_counts(dictionary)
     counts = _GUESSED_COUNTS if stated is None else stated / revolutions * gear
     return float(f"{counts / (2.0 * math.pi):.8g}")
@@ -236,7 +223,7 @@ def _counts(dictionary: ObjectDictionary) -> float:
 
 def _stated_counts(dictionary: ObjectDictionary) -> int | None:
     """Returns the increments of 0x608F; None where they are not stated, or are the 1 of an object that nobody set."""
-    increments = _value(dictionary, od.ENCODER_RESOLUTION, 1)
+    increments = stated_value(dictionary, od.ENCODER_RESOLUTION, 1)
     return increments if increments is not None and increments >= _FEWEST_COUNTS else None
 
 
@@ -249,7 +236,7 @@ def _counts_note(dictionary: ObjectDictionary) -> str:
 
 def _stated_torque(dictionary: ObjectDictionary, drive: str | None) -> float | None:
     """Returns the rated torque that the dictionary states [N*m]; None when it has none or a value of zero."""
-    counts = _value(dictionary, od.RATED_TORQUE)
+    counts = stated_value(dictionary, od.RATED_TORQUE)
     return counts * _resolution_of(drive) if counts else None
 
 
@@ -307,9 +294,9 @@ def _scaled(limit: float) -> dict[str, str]:
 
 def _simulation(dictionary: ObjectDictionary, rated: float, limit: float) -> str:
     objects = {}
-    if not (_value(dictionary, od.SUPPORTED_DRIVE_MODES) or 0) & od.CYCLIC_SYNC_TORQUE_BIT:
+    if not (stated_value(dictionary, od.SUPPORTED_DRIVE_MODES) or 0) & od.CYCLIC_SYNC_TORQUE_BIT:
         objects["0x6502"] = "0x200"
-    if _value(dictionary, od.DEVICE_TYPE) is None:
+    if stated_value(dictionary, od.DEVICE_TYPE) is None:
         objects["0x1000"] = "0x00020192"
     lines = "".join(f"      {key}: {value}          # the dictionary gives none\n" for key, value in objects.items())
     return _SIMULATION.substitute(

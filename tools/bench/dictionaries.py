@@ -16,7 +16,6 @@ from rich.table import Table
 
 from canhaptic.cli.check_eds import survey_of
 from canhaptic.cycle import run
-from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.survey import Suitability, Survey
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.build import build
@@ -51,17 +50,16 @@ class Verdict:
 def judge(path: Path) -> Verdict:
     """Returns what a dictionary says, and how a whole run with it ended."""
     found, profile = survey_of(path)
-    dictionary = read_dictionary(path, 1)
     outcome, energy_in, error = "not run", 0.0, 0.0
     if found.suitability is not Suitability.UNFIT:
-        outcome, energy_in, error = simulate(starter_scene(found, dictionary, simulate=True, drive=profile))
+        outcome, energy_in, error = simulate(starter_scene(found, simulate=True, drive=profile))
     load = next((row.periodic_load for row in found.loads if row.rate == 1000.0), None)
     return Verdict(
         path.name,
         f"{found.vendor} {found.product}".strip(),
         found.suitability.value,
         [row.item for row in found.reasons],
-        [f"{index:#06x}" for index in OBJECTS if index not in dictionary],
+        [f"{index:#06x}" for index in OBJECTS if index not in found.dictionary],
         profile or "",
         planned(found),
         "" if found.axis_map is None else found.axis_map.read_back,
