@@ -9,6 +9,7 @@ import gc
 import os
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from typing import Annotated, Final
 
 from pydantic import Field
@@ -53,13 +54,13 @@ class Realtime:
         self.report = {}
         asked = self._parameters
         if asked.cpus is not None:
-            self._ask("cpus", self._pin)
+            self._ask("cpus", partial(self._pin, asked.cpus))
         if asked.lock_memory:
             self._ask("lock_memory", self._lock_memory)
         if asked.freeze_garbage:
             self._ask("freeze_garbage", self._freeze_garbage)
         if asked.priority is not None:
-            self._ask("priority", self._raise_priority)
+            self._ask("priority", partial(self._raise_priority, asked.priority))
 
     def end(self) -> None:
         """Gives everything back; a second call does nothing. To be called in the thread that began."""
@@ -75,9 +76,9 @@ class Realtime:
         else:
             self.report[name] = GRANTED
 
-    def _pin(self) -> None:
+    def _pin(self, cpus: tuple[int, ...]) -> None:
         before = os.sched_getaffinity(0)
-        os.sched_setaffinity(0, self._parameters.cpus or ())
+        os.sched_setaffinity(0, cpus)
         self._undo.callback(os.sched_setaffinity, 0, before)
 
     def _lock_memory(self) -> None:
@@ -92,8 +93,7 @@ class Realtime:
         gc.freeze()
         self._undo.callback(gc.unfreeze)
 
-    def _raise_priority(self) -> None:
+    def _raise_priority(self, priority: int) -> None:
         policy, before = os.sched_getscheduler(0), os.sched_getparam(0)
-        wanted = os.sched_param(self._parameters.priority or 0)
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, wanted)
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
         self._undo.callback(os.sched_setscheduler, 0, policy, before)
