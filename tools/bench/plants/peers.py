@@ -171,15 +171,12 @@ class Torques:
         """Keeps nothing."""
 
 
-def motulator_loop(scene: Scene) -> Run:
-    """Returns motulator's own simulation loop around a model with servo and hand."""
-    models = import_module("motulator.common.model")
-    system: Any = models.Model
-    subsystem: Any = models.Subsystem
-    simulation = import_module("motulator.common.model._simulation")
+def motulator_servo(scene: Scene) -> Callable[[], Any]:
+    """Returns what makes servo and hand as one subsystem of motulator."""
+    subsystem: Any = import_module("motulator.common.model").Subsystem
 
     class Servo(subsystem):  # type: ignore[misc]
-        """Servo and hand as one subsystem."""
+        """Servo and hand."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -196,14 +193,22 @@ def motulator_loop(scene: Scene) -> Run:
             state = self.state
             return list(scene.smooth(self.time, (state.position, state.velocity), self.inp.force))
 
+    return Servo
+
+
+def motulator_rig(scene: Scene) -> Callable[[], Any]:
+    """Returns what makes a model of motulator: the servo behind a converter that passes the torque on."""
+    system: Any = import_module("motulator.common.model").Model
+    make_servo = motulator_servo(scene)
+
     class Rig(system):  # type: ignore[misc]
-        """The servo behind a converter that passes the torque on."""
+        """The servo behind its converter."""
 
         def __init__(self) -> None:
             super().__init__(pwm=lambda period, torque: ([period], [torque]), delay=1)
             self.delay = lambda torque: torque
             self.converter = SimpleNamespace(inp=SimpleNamespace(q_cs=0.0), sol_q_cs=[], data=SimpleNamespace())
-            self.servo = Servo()
+            self.servo = make_servo()
             self.subsystems = [self.servo]
 
         def post_process(self) -> None:
@@ -213,9 +218,17 @@ def motulator_loop(scene: Scene) -> Run:
             """Gives the servo its torque."""
             self.servo.inp.force = self.converter.inp.q_cs
 
+    return Rig
+
+
+def motulator_loop(scene: Scene) -> Run:
+    """Returns motulator's own simulation loop around a model with servo and hand."""
+    simulation = import_module("motulator.common.model._simulation")
+    make_rig = motulator_rig(scene)
+
     def run() -> Array:
         controller = Torques(scene)
-        simulation.Simulation(Rig(), controller).simulate(t_stop=(len(scene.torques) + 0.5) * PERIOD)
+        simulation.Simulation(make_rig(), controller).simulate(t_stop=(len(scene.torques) + 0.5) * PERIOD)
         return np.array(controller.positions[1 : len(scene.torques) + 1])
 
     return run
