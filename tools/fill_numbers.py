@@ -1,4 +1,4 @@
-"""Refreshes the measured numbers in README, CONTRIBUTING and docs: `python -m tools.fill_numbers`.
+"""Refreshes the measured numbers in README, CONTRIBUTING, docs and the effects: `python -m tools.fill_numbers`.
 
 A number that was measured is never typed. In Markdown it stands between two HTML comments, which no reader sees; the
 first says where in docs/results it comes from and, behind ` @ `, how it is written:
@@ -44,8 +44,9 @@ _ROUNDING: Final = 1e-15  # [J]
 
 
 def pages() -> list[Path]:
-    """Returns README, CONTRIBUTING and every page of the documentation."""
-    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    """Returns README, CONTRIBUTING, every page of the documentation, and the one beside the effects."""
+    effects = ROOT / "canhaptic" / "sim" / "effects" / "README.md"
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")), effects]
 
 
 @cache

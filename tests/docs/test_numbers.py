@@ -15,14 +15,14 @@ from tools.fill_numbers import filled, value_at, written
 CYCLE = json.loads((ROOT / "docs" / "results" / "cycle.json").read_text(encoding="utf-8"))["rows"]
 
 
-@pytest.mark.parametrize("page", [pytest.param(page, id=page.relative_to(ROOT).as_posix()) for page in pages()])
+@pytest.mark.parametrize("page", fill_numbers.pages(), ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_the_numbers_of_a_page_are_those_of_the_results(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert filled(text, page.name) == text, "run: python -m tools.fill_numbers"
 
 
-def test_the_tool_looks_at_the_pages_that_the_tests_look_at() -> None:
-    assert fill_numbers.pages() == pages()
+def test_the_tool_looks_at_the_pages_that_the_tests_look_at_and_at_the_costs_of_effects() -> None:
+    assert fill_numbers.pages() == [*pages(), ROOT / "canhaptic" / "sim" / "effects" / "README.md"]
 
 
 def test_a_stale_number_is_replaced_and_nothing_else() -> None:
