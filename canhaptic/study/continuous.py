@@ -48,6 +48,7 @@ class _ContinuousEffect:
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 1
+    type: ClassVar[str] = "continuous_environment"
 
     parts: tuple[Part, ...]
     state: str | None

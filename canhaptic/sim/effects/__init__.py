@@ -36,6 +36,10 @@ EFFECTS: Final[dict[str, str]] = {
 class Effect(Protocol):
     """What every entry of `EFFECTS` is."""
 
+    @property
+    def type(self) -> str:
+        """Its name in a scene."""
+
     order: ClassVar[int | None]
     """Order of the error in the substep; None when the effect is exact."""
     rank: ClassVar[int]

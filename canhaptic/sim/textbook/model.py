@@ -31,6 +31,7 @@ MOTOR_WORK, USER_WORK = -2, -1
 """Places of the works in the state [J]."""
 Modes = tuple[str, ...]
 _DRY: Final = ("coulomb_friction", "stribeck_friction")
+_COMMANDS: Final = ("torque_saturation", "torque_quantisation", "thermal_derating")
 
 
 class Model:
@@ -53,11 +54,8 @@ class Model:
     def __init__(self, parameters: PlantParameters, user: UserParameters | None, effects: Sequence[Effect]) -> None:
         self._effects: dict[str, list[Any]] = {}
         for effect in effects:
-            self._effects.setdefault(str(effect.type), []).append(effect)  # type: ignore[attr-defined]
-        self._commands: list[Any] = sorted(
-            (e for e in effects if e.type in ("torque_saturation", "torque_quantisation", "thermal_derating")),  # type: ignore[attr-defined]
-            key=lambda e: e.rank,
-        )
+            self._effects.setdefault(effect.type, []).append(effect)
+        self._commands: list[Any] = sorted((e for e in effects if e.type in _COMMANDS), key=lambda e: e.rank)
         self.names = ["position", "velocity"]
         self.start = [parameters.initial_position, parameters.initial_velocity]
         self._masses = [parameters.mass]
