@@ -19,6 +19,11 @@ from canhaptic.sim.plant import Plant
 
 Array = NDArray[np.float64]
 
+FURTHEST: Final = 1e3
+"""Distance that counts as divergence unless something is known of the motion [m or rad]."""
+_TRAVELS: Final = 10.0
+"""The same in travels of an axis whose motion is known."""
+_LEAST_TRAVEL: Final = 5e-3  # [m or rad]
 _APART: Final = (Branch.FREE.value, Branch.EXIT.value)
 _COLUMNS: Final = ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping")
 
@@ -95,12 +100,18 @@ class Recorder:
         centre: [m or rad].
     """
 
-    def __init__(self, furthest: float = 1e3, centre: float = 0.0) -> None:
+    def __init__(self, furthest: float = FURTHEST, centre: float = 0.0) -> None:
         self._columns = [array("d") for _ in _COLUMNS]
         self._ledger = Ledger()
         self._lowest, self._highest = centre - furthest, centre + furthest
         self._believed, self._dissipated = CompensatedSum(), CompensatedSum()
         self._h_s = self._residual = 0.0
+
+    @classmethod
+    def around(cls, motion: Array) -> "Recorder":
+        """Returns one to which it is divergence to go ten times as far as a known motion [m or rad], shape (n,)."""
+        lowest, highest = float(motion.min()), float(motion.max())
+        return cls(_TRAVELS * max(highest - lowest, _LEAST_TRAVEL), 0.5 * (lowest + highest))
 
     def take(self, position: float, true_position: float, torque: float, balance: EnergyBalance, motor: float) -> None:
         """Takes one SYNC.

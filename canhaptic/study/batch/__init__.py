@@ -29,11 +29,11 @@ import numpy as np
 
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
-from canhaptic.study.batch.cases import batch_case, check_values, why_not, why_not_beforehand
+from canhaptic.study.batch.cases import batch_case, check_values, why_not_batchable, why_not_beforehand
 from canhaptic.study.batch.marching import Engine, march
 from canhaptic.study.batch.meter import ALL, CONTINUOUS, METRICS
 from canhaptic.study.batch.nodes import NotBatchableError
-from canhaptic.study.batch.radius import radii
+from canhaptic.study.batch.radius import spectral_radius
 from canhaptic.study.batch.scalar import run_scalar
 from canhaptic.study.batch.varied import BATCH_KEYS, scene_with
 from canhaptic.study.loop import Array
@@ -52,17 +52,6 @@ __all__ = [
 ]
 
 _DELAY: Final = "loop.delay"
-
-
-def why_not_batchable(scene: Scene) -> str:
-    """Returns "" when the whole loop of a scene can run in arrays, else the reason by name.
-
-    "effect coulomb_friction has events", "scene has 2 axes, expected one", ...
-
-    Args:
-        scene: Validated; none of its values matters, only what it names.
-    """
-    return why_not(scene)
 
 
 def run_batch(
@@ -101,22 +90,6 @@ def run_batch(
         rows = np.arange(count) if delays is None else np.flatnonzero(delays == delay)
         of_delay = scene if delay is None else scene_with(scene, {_DELAY: delay})
         case = batch_case(of_delay, {key: np.ascontiguousarray(values[rows]) for key, values in arrays.items()})
-        for name, values in march(case, len(rows), cycles, engine, names).metrics.items():
+        for name, values in march(case, len(rows), cycles, engine, names).items():
             found[name][rows] = values
     return found
-
-
-def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
-    """Returns the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
-
-    The loop is closed by the environment as if it were touched all the time (a wall: of both sides), rendered by
-    `direct` with the velocity of the last hold, at the delay of the scene, without encoder steps and torque limits.
-
-    Args:
-        scene: With a linear plant and hand, an environment with a linear stiffness, and one axis.
-        varied: As for `run_batch`.
-
-    Raises:
-        ParameterError: The scene has no linear loop, or a key cannot vary.
-    """
-    return radii(scene, {key: np.asarray(values, dtype=float) for key, values in varied.items()})

@@ -14,17 +14,22 @@ from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.plants import plant_numbers, why_not_linear
 from canhaptic.study.batch.program import BatchCase, Structure, build_program, numbers_of
-from canhaptic.study.batch.scalar import FURTHEST
 from canhaptic.study.batch.varied import scene_with, split_key
-from canhaptic.study.loop import Array, LoopCase
+from canhaptic.study.loop import FURTHEST, Array, LoopCase
 from canhaptic.study.scenes import loop_case
 
 _RATE: Final = "bus.rate"
 _PLANT_DAMPING: Final = "simulation.plant.damping"
 
 
-def why_not(scene: Scene) -> str:
-    """Returns "" when the whole loop of a scene can run in arrays, else the reason by name."""
+def why_not_batchable(scene: Scene) -> str:
+    """Returns "" when the whole loop of a scene can run in arrays, else the reason by name.
+
+    "effect coulomb_friction has events", "scene has 2 axes, expected one", ...
+
+    Args:
+        scene: Validated; none of its values matters, only what it names.
+    """
     reason = why_not_beforehand(scene)
     if reason:
         return reason
@@ -46,7 +51,7 @@ def _reason(structure: Structure) -> str:
 
 
 def why_not_beforehand(scene: Scene) -> str:
-    """Returns what `why_not` finds without looking at the source of the loop."""
+    """Returns what `why_not_batchable` finds without looking at the source of the loop."""
     if len(scene.axes) != 1:
         return f"scene has {len(scene.axes)} axes, expected one"
     simulation = scene.axes[0].simulation

@@ -47,8 +47,6 @@ _BY_NAME: Final[dict[Any, str]] = {
     isfinite: "finite",
     copysign: "copysign",
 }
-
-
 _LONG: Final = 8
 """Entries from which a list is kept as the rows of an array."""
 

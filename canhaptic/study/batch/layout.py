@@ -11,16 +11,15 @@ from canhaptic.study.batch.program import Program
 from canhaptic.study.batch.rings import below
 from canhaptic.study.loop import Array
 
-_NUMPY: Final[dict[str, Any]] = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "mod": np.mod, "floordiv": np.floor_divide,
-    "neg": np.negative, "abs": np.absolute, "sqrt": np.sqrt, "exp": np.exp, "sin": np.sin, "cos": np.cos, "tan": np.tan,
-    "asin": np.arcsin, "floor": np.floor, "trunc": np.trunc, "rint": np.rint, "copysign": np.copysign,
-    "max": np.maximum, "min": np.minimum, "lt": np.less, "le": np.less_equal, "gt": np.greater,
-    "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
-    "not": np.logical_not, "finite": np.isfinite, "select": np.where,
+NUMPY: Final[dict[str, str]] = {
+    "add": "add", "sub": "subtract", "mul": "multiply", "div": "divide", "mod": "mod", "floordiv": "floor_divide",
+    "neg": "negative", "abs": "absolute", "sqrt": "sqrt", "exp": "exp", "sin": "sin", "cos": "cos", "tan": "tan",
+    "asin": "arcsin", "floor": "floor", "trunc": "trunc", "rint": "rint", "copysign": "copysign", "max": "maximum",
+    "min": "minimum", "lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal", "eq": "equal",
+    "ne": "not_equal", "and": "logical_and", "or": "logical_or", "not": "logical_not", "finite": "isfinite",
+    "select": "where",
 }  # fmt: skip
-
-
+"""Operation -> function of NumPy."""
 _SERIES: Final = ("exp", "sin", "cos", "tan")
 _ALWAYS: Final = ("array", "fill", "store", "load", "loop", "out", "input")
 """Operations that are done for each scene, whatever they work on."""
@@ -105,7 +104,7 @@ def _evaluated(node: Node, args: list[Any]) -> Any:
     if node.op in _SERIES and isinstance(args[0], np.ndarray):  # one by one: in bulk the last bit may differ
         function = getattr(math, node.op)
         return np.array([function(value) for value in args[0].tolist()])
-    result = _NUMPY[node.op](*args)
+    result = getattr(np, NUMPY[node.op])(*args)
     if isinstance(result, np.ndarray) and result.ndim:
         return result
     return float(result) if node.op in NUMBER or not node.is_truth else bool(result)

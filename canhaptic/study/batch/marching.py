@@ -32,13 +32,6 @@ _COMPARED: Final = ("continuous_travel", "position_squares", "position_worst", *
 """Sums that need the continuous runs, and those that need their forces."""
 
 
-class Batch(NamedTuple):
-    """What a run gave."""
-
-    metrics: dict[str, Array]  # each of shape (n_scenes,)
-    engine: str  # that ran: "numpy" or "numba"
-
-
 class _Form(NamedTuple):
     program: Program
     run: Any
@@ -60,8 +53,8 @@ def chosen_engine(engine: Engine, scenes: int, cycles: int) -> str:
     return engine
 
 
-def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Sequence[str]) -> Batch:
-    """Returns the figures of many loops, in the order of the scenes and whatever the chunks.
+def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Sequence[str]) -> dict[str, Array]:
+    """Returns metrics of many loops, each of shape (n_scenes,), in the order of the scenes and whatever the chunks.
 
     Args:
         case: What they have in common, and the numbers in which they differ.
@@ -89,7 +82,7 @@ def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Se
         for name, values in _part(form, numbers, count, cycles, continuous).items():
             if name in found:
                 found[name][part] = values
-    return Batch(metrics_of(names, found), form.engine)
+    return metrics_of(names, found)
 
 
 def _last_from(case: BatchCase, cycles: int) -> Array | float:

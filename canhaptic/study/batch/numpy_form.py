@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.study.batch.layout import Layout, known_values, widened
+from canhaptic.study.batch.layout import NUMPY, Layout, known_values, widened
 from canhaptic.study.batch.nodes import Node
 from canhaptic.study.batch.program import Program
 from canhaptic.study.batch.rings import Body, below
@@ -15,13 +15,6 @@ BLOCK: Final = 64
 """Cycles for which inputs are laid out at a time."""
 Feed = Callable[[int], Mapping[str, Array]]
 """From a number of cycles to the inputs of the next ones, by name, shape (cycles, n_scenes) each."""
-_CALLS: Final[dict[str, str]] = {
-    "add": "add", "sub": "subtract", "mul": "multiply", "div": "divide", "mod": "mod", "floordiv": "floor_divide",
-    "neg": "negative", "abs": "absolute", "sqrt": "sqrt", "exp": "exp", "sin": "sin", "cos": "cos", "tan": "tan",
-    "asin": "arcsin", "floor": "floor", "trunc": "trunc", "rint": "rint", "copysign": "copysign", "max": "maximum",
-    "min": "minimum", "lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal", "eq": "equal",
-    "ne": "not_equal", "and": "bitwise_and", "or": "bitwise_or", "not": "invert", "finite": "isfinite",
-}  # fmt: skip
 
 
 class NumpyForm:
@@ -36,8 +29,8 @@ class NumpyForm:
         self.layout = Layout(program)
         self._writer = _Writer(self.layout)
         self.source = self._writer.source()
-        names: dict[str, Any] = {name: getattr(np, name) for name in _CALLS.values()}
-        names |= {"where": np.where, "copyto": np.copyto, "flatnonzero": np.flatnonzero, "some": _some}
+        names: dict[str, Any] = {name: getattr(np, name) for name in NUMPY.values()}
+        names |= {"copyto": np.copyto, "flatnonzero": np.flatnonzero, "some": _some}
         exec(compile(self.source, "<batch>", "exec"), names)
         self._cycles = names["cycles"]
 
@@ -210,7 +203,7 @@ class _Writer:
         for part in parts:
             operands = [inside.get(arg) or self._text(arg) for arg in part.args]
             inside[part] = f"{own}t{part.number}"
-            call = "get" if part.op == "load" else _CALLS.get(part.op, "where")
+            call = "get" if part.op == "load" else NUMPY[part.op]
             lanes = f", {own}r" if part.op == "load" else ""
             lines.append(f"    {inside[part]} = {call}({', '.join(operands)}{lanes})")
         then = [inside.get(body.then[i]) or self._text(body.then[i]) for i in kept]
@@ -228,7 +221,7 @@ class _Writer:
         target = self._name[node] = self._buffer(node.is_truth)
         if node.op in ("select", "load"):
             return f"{target} = {'where' if node.op == 'select' else 'get'}({', '.join(args)})"
-        return f"{_CALLS[node.op]}({', '.join(args)}, out={target})"
+        return f"{NUMPY[node.op]}({', '.join(args)}, out={target})"
 
     def _turned(self, then: list[Node]) -> list[str]:
         """Returns the lines that make the new values the states; arrays change hands and are not copied."""
@@ -297,7 +290,7 @@ def _one_for_all(node: Node, args: list[str]) -> str:
         return f"{args[1]} if {args[0]} else {args[2]}"
     if node.op in ("and", "or", "not"):
         return f"not {args[0]}" if node.op == "not" else f"{args[0]} {node.op} {args[1]}"
-    call = f"{_CALLS[node.op]}({', '.join(args)})"
+    call = f"{NUMPY[node.op]}({', '.join(args)})"
     signs = {"add": "+", "sub": "-", "mul": "*", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
     if node.op in signs:
         return f"{args[0]} {signs[node.op]} {args[1]}"

@@ -32,9 +32,10 @@ _MOST_ROUNDS: Final = 50
 class BatchCase:
     """What many loops have in common, and the numbers in which they differ.
 
-    `numbers` holds what may differ by name: of the models `environment`, `passivity` and `loop` field by field, then
-    `counts_per_unit`, `torque_quantum`, `torque_limit`, `start.I` and `flow.ROW.COLUMN` of the plant. A name that is
-    absent has the value of its model; None, whole numbers and truth values are structure and stay there.
+    `numbers` holds what may differ by name: of the models `environment`, `passivity` and `loop` field by field; of the
+    drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the meter `last_from` and `damping_per_time`; of
+    the plant `start.ROW`, `flow.ROW.COLUMN` and, where it is in arrays, `rate.ROW.COLUMN`. A name that is absent has
+    the value of its model; None, whole numbers and truth values are structure and stay there.
     """
 
     environment: Environment

@@ -17,8 +17,19 @@ _NO_PART: tuple[str, ...] = ("tremor",)
 """Effects that move the hand and have no part in stability."""
 
 
-def radii(scene: Scene, varied: Mapping[str, Array]) -> Array:
-    """Returns the largest |eigenvalue| of one hold of each loop, shape (n_scenes,); see `spectral_radius`."""
+def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
+    """Returns the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
+
+    The loop is closed by the environment as if it were touched all the time (a wall: of both sides), rendered by
+    `direct` with the velocity of the last hold, at the delay of the scene, without encoder steps and torque limits.
+
+    Args:
+        scene: With a linear plant and hand, an environment with a linear stiffness, and one axis.
+        varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
+
+    Raises:
+        ParameterError: The scene has no linear loop, or a key cannot vary.
+    """
     axis = scene.axes[0]
     simulation, environment = axis.simulation, environment_of(axis)
     if simulation is None or len(scene.axes) != 1:

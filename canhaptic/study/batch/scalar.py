@@ -1,7 +1,6 @@
 """One scene at a time, with the names of the batch: for scenes that do not fit it, and to judge it by."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -11,12 +10,9 @@ from canhaptic.sim.plant import Plant
 from canhaptic.study.batch.axis import SampledAxis
 from canhaptic.study.batch.meter import CONTINUOUS, METRICS, Meter, metrics_of, sums_of
 from canhaptic.study.figures import last_rows
-from canhaptic.study.loop import LoopCase
+from canhaptic.study.loop import FURTHEST, LoopCase
 from canhaptic.study.reference import Reference, continuous_reference
 from canhaptic.study.scenes import loop_case, plant_parts
-
-FURTHEST: Final = 1e3
-"""Distance from the origin that counts as divergence [m or rad], as in `canhaptic.study.loop.Recorder`."""
 
 
 def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:

@@ -165,7 +165,7 @@ def test_a_continuous_run_does_not_depend_on_those_beside_it():
 def test_without_a_closed_form_there_is_no_figure_and_the_others_stay():
     case = in_arrays(scalar_case("detents", "direct"))
     assert "closed form" in why_not_continuous(case)
-    found = march(case, 1, 50, "numpy", ["position_error.rms", "limit_cycle", "interaction"]).metrics
+    found = march(case, 1, 50, "numpy", ["position_error.rms", "limit_cycle", "interaction"])
     assert np.isnan(found["position_error.rms"]).all()
     assert np.isnan(found["limit_cycle"]).all()
     assert np.isfinite(found["interaction"]).all()
@@ -174,5 +174,5 @@ def test_without_a_closed_form_there_is_no_figure_and_the_others_stay():
 
 def test_scenes_too_fast_for_a_reference_have_none_and_the_others_keep_theirs():
     case = in_arrays(scalar_case("spring_damper_wall", "direct"), {"environment.damping": np.array([5.0, 1e7])})
-    found = march(case, 2, 50, "numpy", ["position_error.max"]).metrics["position_error.max"]
+    found = march(case, 2, 50, "numpy", ["position_error.max"])["position_error.max"]
     assert np.isfinite(found).tolist() == [True, False]

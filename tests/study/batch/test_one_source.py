@@ -19,7 +19,7 @@ def same(got: float, expected: float) -> bool:
 
 def differences(case, cycles=CYCLES, engine="numpy"):
     batch = in_arrays(case)
-    found, expected = march(batch, 1, cycles, engine, NAMES).metrics, with_floats(case, batch, cycles)
+    found, expected = march(batch, 1, cycles, engine, NAMES), with_floats(case, batch, cycles)
     return {name: (found[name][0], expected[name]) for name in NAMES if not same(found[name][0], expected[name])}
 
 
@@ -87,24 +87,24 @@ def many(algorithm, scenes=300, **named):
 def test_numba_gives_the_bits_of_numpy(algorithm, named):
     pytest.importorskip("numba")
     case, _ = many(algorithm, **named)
-    first, second = (march(case, 300, 200, engine, list(METRICS)).metrics for engine in ("numpy", "numba"))
+    first, second = (march(case, 300, 200, engine, list(METRICS)) for engine in ("numpy", "numba"))
     for name in METRICS:
         np.testing.assert_array_equal(first[name], second[name], err_msg=name)
 
 
 def test_a_scene_does_not_depend_on_the_scenes_beside_it(monkeypatch):
     case, numbers = many("guarded", delay=1)
-    whole = march(case, 300, 200, "numpy", list(METRICS)).metrics
+    whole = march(case, 300, 200, "numpy", list(METRICS))
     for chosen in (slice(0, 300, 7), slice(299, None, -1)):
         rows = np.arange(300)[chosen]
         part = in_arrays(
             scalar_case("spring_damper_wall", "guarded", delay=1), {name: v[rows] for name, v in numbers.items()}
         )
-        found = march(part, len(rows), 200, "numpy", list(METRICS)).metrics
+        found = march(part, len(rows), 200, "numpy", list(METRICS))
         for name in METRICS:
             np.testing.assert_array_equal(found[name], whole[name][rows], err_msg=name)
     monkeypatch.setattr("canhaptic.study.batch.marching.CHUNK", 64)
-    found = march(case, 300, 200, "numpy", list(METRICS)).metrics
+    found = march(case, 300, 200, "numpy", list(METRICS))
     for name in METRICS:
         np.testing.assert_array_equal(found[name], whole[name], err_msg=name)
 
@@ -115,7 +115,7 @@ def test_the_figures_of_a_scene_that_diverges_are_those_until_it_did(engine):
         pytest.importorskip("numba")
     damping = np.array([1.0, 2000.0, 4000.0, 3.0])  # a sampled damper of more than 2 m / T diverges
     batch = in_arrays(scalar_case("viscous_medium", "direct"), {"environment.damping": damping})
-    found = march(batch, 4, 400, engine, list(METRICS)).metrics
+    found = march(batch, 4, 400, engine, list(METRICS))
     assert found["diverged"].tolist() == [0.0, 1.0, 1.0, 0.0]
     for i, d in enumerate(damping.tolist()):
         one = scalar_case("viscous_medium", "direct", environment={"damping": d})

@@ -11,6 +11,7 @@ from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, Typed
 from canhaptic.sim.effects import read_effect
+from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import (
     METRICS,
     NotBatchableError,
@@ -20,7 +21,6 @@ from canhaptic.study.batch import (
     spectral_radius,
     why_not_batchable,
 )
-from canhaptic.study.compare import with_algorithm
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import render
 from canhaptic.study.scenes import environment_of, loop_case
