@@ -14,8 +14,12 @@ from canhaptic.view.si import si
 
 PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
 PORTS_PER_TABLE: Final = 4
+_WIDTHS: Final = (34, 18)  # of a column, where there are few ports and where there are many
+_NOTHING: Final = "-   "
 PASSIVE_TOLERANCE: Final = 1e-6  # [J] below zero that still counts as zero
 
+_ROUNDING: Final = 1e-9
+"""Part of the largest damping below which the least is none."""
 _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
 
 Result = Mapping[str, Any]
@@ -74,10 +78,13 @@ def _heading(result: Result) -> Text:
 def _energy_table(result: Result, names: list[str]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=True)
     table.add_column("energy account", no_wrap=True)
+    width = _WIDTHS[len(names) > PORTS_PER_TABLE // 2]
     for name in names:
-        table.add_column(Text(name), justify="right", no_wrap=True, max_width=18, overflow="ellipsis")
+        table.add_column(Text(name), justify="right", no_wrap=True, max_width=width, overflow="ellipsis")
     for label, cell in _PORT_ROWS:
-        table.add_row(label, *(_cell(cell, result["ports"][name]) for name in names))
+        cells = [_cell(cell, result["ports"][name]) for name in names]
+        if any(content != _NOTHING for content in cells):
+            table.add_row(label, *cells)
     branches = [name for name in _branch_names(result, names) if any(_count(result, port, name) for port in names)]
     for branch in branches:
         table.add_row(f"holds booked as {branch}", *(_count_text(result, port, branch) for port in names))
@@ -99,7 +106,7 @@ def _cell(cell: Callable[[Result], str | Text], port: Result) -> str | Text:
     try:
         return cell(port)
     except (KeyError, TypeError):  # an axis in a group, another version, or a quantity that this run did not have
-        return "-   "
+        return _NOTHING
 
 
 def _branch_names(result: Result, names: list[str]) -> list[str]:
@@ -148,8 +155,10 @@ def _passive(port: Result) -> Text:
 def _damping(port: Result) -> str:
     rendered = port["damping_rendered"]
     unit = damping_unit(port["unit"])
-    least, most = rendered["least"], rendered["most"]
-    return f"{least:.4g} {unit}" if least == most else f"{least:.3g}..{most:.3g} {unit}"
+    least, most = f"{rendered['least']:.3g}", f"{rendered['most']:.3g}"
+    if abs(rendered["least"]) < _ROUNDING * rendered["most"]:
+        least = "0"
+    return f"{most} {unit}" if least == most else f"{least}..{most} {unit}"
 
 
 def _surplus(which: str) -> Callable[[Result], str]:

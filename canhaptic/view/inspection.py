@@ -110,7 +110,7 @@ def _use(column: Callable[[str], Array]) -> dict[str, Any]:
     return {
         "certificate": Certificate(int(column("certificate").max(initial=0))).name.lower(),
         "branches": {member.name.lower(): int((branch == member).sum()) for member in Branch},
-        "damping_rendered": _range(column("damping_rendered")[branch != Branch.FREE]),
+        "damping_rendered": _range(column("damping_rendered")[(branch != Branch.FREE) & (branch != Branch.EXIT)]),
         "peak_torque": float(np.abs(column("torque_applied")).max(initial=0.0)),
         "limited_cycles": int((column("statusword") & StatusBit.INTERNAL_LIMIT != 0).sum()),
     }

@@ -116,3 +116,25 @@ def test_without_a_terminal_the_table_is_plain_text_a_hundred_columns_wide(capsy
     text = capsys.readouterr().out
     assert "\x1b" not in text
     assert "energy account" in text
+
+
+@pytest.mark.parametrize(
+    ("least", "most", "unit", "shown"),
+    [
+        (0.0025, 0.0025, "rad", "0.0025 N*m*s/rad "),
+        (0.00180001, 0.00250004, "rad", "0.0018..0.0025 N*m*s/rad "),
+        (5e-15, 9.02, "m", " 0..9.02 N*s/m "),
+        (10.0, 10.0000001, "m", " 10 N*s/m "),
+    ],
+)
+def test_a_range_of_damping_is_written_whole_and_once_where_it_is_one_number(least, most, unit, shown):
+    text = printed(
+        result(["axis1"])
+        | {"ports": {"axis1": port() | {"unit": unit, "damping_rendered": {"least": least, "most": most}}}, "truth": {}}
+    )
+    assert shown in text
+
+
+def test_a_quantity_that_no_port_has_is_no_row():
+    assert "energy known to" not in printed(result(["handle"]))
+    assert "energy known to" in printed(result(["a"]) | {"ports": {"a": port() | {"read_back": "demand"}}, "truth": {}})

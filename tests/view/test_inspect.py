@@ -9,7 +9,7 @@ import pytest
 from synthetic_run import write_run
 
 from canhaptic.errors import InputError
-from canhaptic.haptics.balance import EnergyBalance, Ledger
+from canhaptic.haptics.balance import Branch, EnergyBalance, Ledger
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view.checks import check
 from canhaptic.view.compare import compare
@@ -48,6 +48,23 @@ def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: floa
             assert (found[name]["cycle"], found[name]["time"]) == (cycle, pytest.approx(cycle * 1e-3))
         else:
             assert found[name] == (pytest.approx(value, rel=1e-12) if name == "surplus" else value), name
+
+
+def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_not_rendered(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    write_run(path, 4000)
+    with EnergyLog.open(path) as opened:
+        before = inspect(opened)["ports"]["handle"]["damping_rendered"]
+    with h5py.File(path, "r+") as file:
+        branch = file["ports/handle/branch"][:]
+        [left, *_] = np.flatnonzero((branch[:-1] != Branch.FREE) & (branch[1:] == Branch.FREE)) + 1
+        branch[left] = Branch.EXIT
+        file["ports/handle/branch"][:] = branch
+    with EnergyLog.open(path) as opened:
+        account = inspect(opened)["ports"]["handle"]
+    assert account["branches"]["exit"] == 1
+    assert account["damping_rendered"] == before
+    assert before["least"] > 0.0
 
 
 def test_contacts_are_found_with_depth_peak_and_energy(log: Path) -> None:
