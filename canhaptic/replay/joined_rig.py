@@ -1,11 +1,7 @@
 """A rig that joins a bus whose drives are enabled already: for recordings that lack the start."""
 
-from collections.abc import Callable, Sequence
-
 from canhaptic import object_dictionary as od
 from canhaptic.drive.fitness import agreed_rated_torque
-from canhaptic.drive.link import Link
-from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.scaling import axis_scaling
@@ -13,27 +9,7 @@ from canhaptic.drive.servo_drive import ServoDrive
 
 
 class JoinedRig(Rig):
-    """A rig whose `start` sends only SYNC 0. Never for real drives: nothing about them is confirmed.
-
-    Args:
-        links: The buses.
-        drives: One per axis.
-        bus: Rate, link policy and the rest.
-        heartbeat_cycle: In which cycle, counted from 1, the master's first heartbeat is due; None when not known.
-        arm: Called before SYNC 0; what is sent before is not meant for anybody.
-    """
-
-    def __init__(
-        self,
-        links: Sequence[Link],
-        drives: Sequence[ServoDrive],
-        bus: BusParameters,
-        heartbeat_cycle: int | None,
-        arm: Callable[[], None],
-    ) -> None:
-        super().__init__(links, drives, bus)
-        self._heartbeat_cycle = heartbeat_cycle
-        self._arm = arm
+    """A rig whose `start` sends only SYNC 0. Never for real drives: nothing about them is confirmed."""
 
     def start(self) -> None:
         """Sends SYNC 0 and takes its TPDOs."""
@@ -42,10 +18,6 @@ class JoinedRig(Rig):
             _suppose_enabled(drive)
         exchange = self._exchange
         exchange.begin()
-        cycles = self.bus.heartbeat_cycles
-        for _ in range(1 + max(0, cycles - (self._heartbeat_cycle or cycles))):  # brings the count of cycles in step
-            exchange.beat()
-        self._arm()
         exchange.sync()
         self.sync_index = 0
         self._is_running = True

@@ -28,7 +28,7 @@ class Departure(NamedTuple):
 
 
 class RecordedSide:
-    """Plays the frames that the master did not send (a `FarSide`).
+    """Plays the frames that the master did not send (a `FarSide`), and compares what it sends but its heartbeats.
 
     Order is that of the recording: a frame comes once the master has sent everything that was recorded before it, and
     as long after the last of those as then. What the recording has from the drives before a frame of the master, the
@@ -51,25 +51,20 @@ class RecordedSide:
         self._places = recording.buses
         self._frames = recording.frames
         self._is_master = recording.is_master
+        self._left_out = recording.heartbeat
         self._end = len(recording.frames)
         self._next = first
         self._offset = 0
-        self._is_armed = self._is_over = False
+        self._is_over = False
         self.compared = 0
         self.played = 0
         self.departure: Departure | None = None
 
-    def arm(self) -> None:
-        """From here on frames of the master are compared; what it sent before is forgotten."""
-        self._collect()
-        for sent in self._sent:
-            sent.clear()
-        self._is_armed = True
-
     def _collect(self) -> None:
         for bus, sent in zip(self._buses, self._sent, strict=True):
             while (message := bus.recv(0.0)) is not None:
-                sent.append(message)
+                if message.arbitration_id != self._left_out:
+                    sent.append(message)
 
     def process(self, now: int) -> None:
         """Compares every frame that the master has sent, and sends what is due up to `now` [ns].
@@ -77,8 +72,6 @@ class RecordedSide:
         Raises:
             ReplayOverError: The recording is at its end, or the master departed from it.
         """
-        if not self._is_armed:
-            return
         if self._is_over:  # the rig tries to stop its drives on the way out
             raise ReplayOverError
         self._collect()
@@ -89,13 +82,13 @@ class RecordedSide:
 
     def next_due(self) -> int:
         """Returns when the next frame of the drives is due [ns]; never while the master has to send first."""
-        if not self._is_armed or self._next == self._end or self._is_master[self._next]:
+        if self._next == self._end or self._is_master[self._next]:
             return NEVER
         return self._frames[self._next].timestamp_ns + self._offset
 
     def next_command(self) -> int:
         """Returns when the master sent its next frame, if nothing comes from the drives before [ns]."""
-        if not self._is_armed or self._next == self._end or not self._is_master[self._next]:
+        if self._next == self._end or not self._is_master[self._next]:
             return NEVER
         return self._frames[self._next].timestamp_ns + self._offset
 

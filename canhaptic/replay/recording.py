@@ -15,12 +15,16 @@ _SYNC: Final[Address] = (0, SYNC_FRAME_COB_ID)
 
 
 class Recording:
-    """The frames of one bus log.
+    """The frames of one bus log, without the master's heartbeats.
+
+    Those follow the wall clock of the host: after SYNCs skipped, when the next is due hangs on microseconds in which a
+    log and the master's own clock differ.
 
     Attributes:
         path: The log.
-        frames: All data frames, in the order of the log.
+        frames: All other data frames, in the order of the log.
         buses: For each frame, the place of its bus among those of the scene.
+        heartbeat: COB-ID of the master's.
         is_master: For each frame, whether the master sent it.
         has_boot: Whether the start of the drives is in the log.
         first_sync: Index of the frame that is SYNC 0, on the first bus; -1 when no SYNC found every axis enabled.
@@ -31,7 +35,8 @@ class Recording:
 
     def __init__(self, path: str | Path, roles: Roles, channels: Channels) -> None:
         self.path = Path(path)
-        self.frames = list(read_bus_log(path))
+        self.heartbeat = roles.heartbeat
+        self.frames = [frame for frame in read_bus_log(path) if frame.can_id != roles.heartbeat]
         self.buses = [channels.place_of(frame) for frame in self.frames]
         self._addresses = [(bus, frame.can_id) for bus, frame in zip(self.buses, self.frames, strict=True)]
         self.is_master = [address in roles.master for address in self._addresses]
@@ -68,16 +73,6 @@ class Recording:
         if left is None or left[0] != left[1]:
             return None
         return max(0, left[0] - ramp_cycles - 1)
-
-    def heartbeat_cycle(self) -> int | None:
-        """Returns in which cycle, counted from 1, the master first sent its heartbeat; None when it never did."""
-        syncs = 0
-        for address, _ in self._since_first_sync():
-            if address == _SYNC:
-                syncs += 1
-            elif address == (0, self._roles.heartbeat):
-                return syncs
-        return None
 
     def _since_first_sync(self) -> Iterator[tuple[Address, Frame]]:
         if self.first_sync >= 0:

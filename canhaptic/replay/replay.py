@@ -80,13 +80,10 @@ class _Replay:
         self._cycle = Cycle(rig, build_axis_controllers(scene), groups=build_axis_groups(scene))
 
     def _rig(self, links: list[Link]) -> Rig:
-        scene, side = self._scene, self._side
+        scene = self._scene
         by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
         drives = [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes]
-        if self._joins:
-            return JoinedRig(links, drives, scene.bus, self._recording.heartbeat_cycle(), side.arm)
-        side.arm()
-        return Rig(links, drives, scene.bus)
+        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus)
 
     def run(self) -> dict[str, Any]:
         """Runs to the end of the recording or to the first difference."""
