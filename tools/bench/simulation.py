@@ -12,7 +12,6 @@ from time import perf_counter
 
 import numpy as np
 
-from canhaptic.sim.batch import LinearBatch
 from canhaptic.sim.plant import Plant, PlantParameters
 from canhaptic.sim.stability_map import Loops, decay_per_hold, loop_matrices
 from canhaptic.sim.user import SinusoidMotion, UserParameters
@@ -20,6 +19,7 @@ from tools.bench.plants import precision
 from tools.bench.plants.effects import effect_rows
 from tools.bench.plants.foil import Foil
 from tools.bench.plants.imports import import_rows
+from tools.bench.plants.linear_batch import LinearBatch
 from tools.bench.plants.peers import PEERS, mujoco_rollout, mujoco_stick, peers, state_space
 from tools.bench.plants.scenes import (
     KINETIC,

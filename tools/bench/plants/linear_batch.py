@@ -1,7 +1,7 @@
-"""Many linear plants of one kind at once, for sweeps: the same flows as `Plant`, one NumPy operation per coefficient.
+"""Many linear plants at once and nothing beside them: the floor under a sweep, whose loops are in `study.batch`.
 
-Scenes that differ in their values but not in their states share one structure; its zeros are left out. Scenes with
-guards or efforts do not fit: they take their own time steps and run one by one.
+The same flows as `Plant`, one NumPy operation per coefficient. Plants that differ in their values but not in their
+states share one structure; its zeros are left out.
 """
 
 from collections.abc import Sequence

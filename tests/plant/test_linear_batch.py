@@ -1,10 +1,12 @@
+"""Plants that the benchmark moves together go where each would go alone."""
+
 import numpy as np
 import pytest
 from plant_scenes import MS, make_plant
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.batch import LinearBatch
 from canhaptic.sim.user import SinusoidMotion, UserParameters
+from tools.bench.plants.linear_batch import LinearBatch
 
 
 def plants(count: int):
@@ -23,7 +25,7 @@ def plants(count: int):
 
 
 def test_a_batch_moves_every_plant_as_if_it_were_alone(monkeypatch):
-    monkeypatch.setattr("canhaptic.sim.batch._CHUNK", 4)
+    monkeypatch.setattr("tools.bench.plants.linear_batch._CHUNK", 4)
     alone = plants(10)
     batch = LinearBatch(plants(10))
     torques = np.random.default_rng(4).uniform(-2, 2, (200, 10))
