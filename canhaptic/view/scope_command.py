@@ -1,6 +1,7 @@
 """`canhaptic scope`: a live page on a log as it is written. Its own process, reading only, heard on this host alone."""
 
 import argparse
+import signal
 import socket
 from pathlib import Path
 from typing import Final
@@ -48,6 +49,8 @@ def execute(arguments: argparse.Namespace) -> int:
         )
     except (OSError, OverflowError) as error:
         raise InputError(f"port {port}: cannot be used ({error}); choose another with --port") from error
+    # As an exception Ctrl-C may be swallowed by whatever callback it falls into.
+    server.io_loop.asyncio_loop.add_signal_handler(signal.SIGINT, server.io_loop.stop)
     address = f"http://{_HOST}:{server.port}/"
     make_console().print(f" scope of {path} at {address}   Ctrl-C ends", soft_wrap=True)
     if arguments.open:

@@ -77,9 +77,15 @@ def scope(log: Path) -> Iterator[str]:
             line = process.stdout.readline()
             yield line.split(" at ")[1].split()[0]
             process.send_signal(signal.SIGINT)
-            process.wait(20)
+            assert process.wait(20) == 0
         finally:
             process.kill()
+
+
+def test_ctrl_c_ends_the_scope(tmp_path: Path) -> None:
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+    with scope(tmp_path / "run.h5") as address:
+        assert address.startswith("http://127.0.0.1:")
 
 
 @pytest.mark.slow
