@@ -25,13 +25,31 @@ def run_result(
         sample_time: [s]
         method: One line on how the far side was computed; empty with real drives.
     """
-    accounts = {
-        name: {"unit": unit, **ledger.summary().as_json(sample_time)}
-        for (name, unit), ledger in zip(ports, cycle.ledgers, strict=True)
+    accounts = _accounts(cycle, ports, sample_time)
+    return {
+        "status": status,
+        "config_hash": config_hash,
+        "cycles": cycle.cycles,
+        "duration": cycle.cycles * sample_time,
+        "ports": accounts,
+        "truth": _truth(cycle, list(accounts)),
+        "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
+        "link": cycle.rig.link_statistics(),
+        "method": method,
     }
-    for (name, _), drive in zip(ports, cycle.rig.drives, strict=True):
-        accounts[name]["read_back"] = drive.map.read_back
-        accounts[name]["read_back_bound"] = drive.read_back_bound
+
+
+def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float) -> dict[str, dict[str, Any]]:
+    """Returns the account of each axis, then of each group."""
+    accounts = {
+        name: {
+            "unit": unit,
+            **ledger.summary().as_json(sample_time),
+            "read_back": drive.map.read_back,
+            "read_back_bound": drive.read_back_bound,
+        }
+        for (name, unit), ledger, drive in zip(ports, cycle.ledgers, cycle.rig.drives, strict=True)
+    }
     for group in cycle.groups:
         members = [ports[axis] for axis in group.axes]
         for name, _ in members:
@@ -44,17 +62,7 @@ def run_result(
             "unsure": group.unsure,
             "limits": dict(group.limits),
         }
-    return {
-        "status": status,
-        "config_hash": config_hash,
-        "cycles": cycle.cycles,
-        "duration": cycle.cycles * sample_time,
-        "ports": accounts,
-        "truth": _truth(cycle, [*(name for name, _ in ports), *(group.name for group in cycle.groups)]),
-        "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
-        "link": cycle.rig.link_statistics(),
-        "method": method,
-    }
+    return accounts
 
 
 def part_in_group(account: Mapping[str, Any], group: str) -> dict[str, Any]:
@@ -64,14 +72,15 @@ def part_in_group(account: Mapping[str, Any], group: str) -> dict[str, Any]:
 
 
 def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Returns what the simulated plant says of each axis, then of each group; nothing with real drives."""
     judge = cycle.judge
     if judge is None:
         return {}
     return {
         name: {
-            "interaction": judge.interaction[axis],
-            "least_interaction": judge.least[axis],
-            "believed_error": judge.believed_error[axis],
+            "interaction": judge.interaction[place],
+            "least_interaction": judge.least[place],
+            "believed_error": judge.believed_error[place],
         }
-        for axis, name in enumerate(names)
+        for place, name in enumerate(names)
     }
