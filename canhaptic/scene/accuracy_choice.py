@@ -7,16 +7,15 @@ which are the same on every machine; no time is measured.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.haptics.balance import AT_REST, EnergyBalance
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.scene.parts import build_axis_controller, build_plant
+from canhaptic.scene.parts import build_axis_controller, build_plant, effect_of
 from canhaptic.sim.direct_rig import DirectRig
-from canhaptic.sim.effects import Effect
 from canhaptic.sim.plant import AccuracyParameters, Plant
 from canhaptic.sim.textbook.located import reference
 from canhaptic.sim.textbook.model import Model
@@ -192,7 +191,7 @@ def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = 
         simulation: Of the axis.
         without: Whether an effect of this name is left out.
     """
-    effects = [cast(Effect, effect.parameters) for effect in simulation.effects if not without(effect.name)]
+    effects = [effect_of(effect) for effect in simulation.effects if not without(effect.name)]
     return Model(simulation.plant, simulation.user, effects)
 
 

@@ -56,14 +56,8 @@ def read_axis(
     motion = _motion(section)
     own = find_dictionary(section.without(*OWN_SECTIONS, BUS_KEY), faults)
     parameters = read_section(AxisParameters, own, faults, motion, also=(*OWN_SECTIONS, BUS_KEY, PROFILE_KEY))
-    if group is None:
-        environment = _environment(overlay(shared, section, "environment", "type", faults), faults, motion)
-        passivity_section = overlay(shared, section, "passivity", "algorithm", faults)
-        passivity = _passivity(passivity_section, faults, motion)
-    else:
-        environment = passivity = membership(group)
-        passivity_section = _loop_in_group(section, group, faults)
-    loop = _loop(passivity_section or MarkedMapping(section.mark), parameters, bus, faults, motion)
+    environment, passivity, of_loop = _rendered(section, shared, group, faults, motion)
+    loop = _loop(of_loop or MarkedMapping(section.mark), parameters, bus, faults, motion)
     simulation_section = _simulation_of(shared, str(section.get("name")), faults)
     simulation, drive = None, None
     if simulation_section is not None and moves_mechanism:
@@ -77,6 +71,17 @@ def read_axis(
         return None
     name = "" if group is None else group.name
     return AxisScene(parameters, environment, passivity, loop, simulation, group=name, simulated_drive=drive)
+
+
+def _rendered(
+    section: MarkedMapping, shared: MarkedMapping, group: GroupEntry | None, faults: Faults, motion: Motion | None
+) -> tuple[Typed | None, Typed | None, MarkedMapping | None]:
+    """Returns environment and algorithm of an axis, and the section that describes its loop."""
+    if group is not None:
+        return membership(group), membership(group), _loop_in_group(section, group, faults)
+    environment = overlay(shared, section, "environment", "type", faults)
+    passivity = overlay(shared, section, "passivity", "algorithm", faults)
+    return _environment(environment, faults, motion), _passivity(passivity, faults, motion), passivity
 
 
 def _loop_in_group(section: MarkedMapping, group: GroupEntry, faults: Faults) -> MarkedMapping | None:

@@ -16,7 +16,7 @@ from canhaptic.haptics.network import build_group_controller
 from canhaptic.haptics.network.protocol import GroupController, NetworkEnvironment
 from canhaptic.haptics.passivity import build_controller
 from canhaptic.haptics.passivity.protocol import Controller
-from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
+from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene, Typed
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.effects import Effect
@@ -27,11 +27,16 @@ from canhaptic.sim.plant import Plant
 
 def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
     """Returns the motor and user of one axis, at rest until the first SYNC with the drive enabled."""
-    effects = [cast(Effect, effect.parameters) for effect in simulation.effects]  # every class of EFFECTS is one
+    effects = [effect_of(effect) for effect in simulation.effects]
     return Plant(
         simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy,
         simulation.compiled,
     )  # fmt: skip
+
+
+def effect_of(effect: Typed) -> Effect:
+    """Returns an effect as what it is."""
+    return cast(Effect, effect.parameters)  # every class of EFFECTS is one
 
 
 def build_axis_controller(axis: AxisScene) -> Controller:
