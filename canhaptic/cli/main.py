@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Final, Protocol, cast
+from typing import Final
 
 from canhaptic.cli.output import print_failure
 from canhaptic.errors import CanHapticError
@@ -38,36 +38,29 @@ _INTERRUPTED: Final = 130
 _BROKEN_PIPE: Final = 1
 
 
-class Command(Protocol):
-    """A module of `canhaptic.cli` that is a subcommand."""
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares its arguments."""
-
-    def execute(self, arguments: argparse.Namespace) -> int:
-        """Does it and returns the exit status."""
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line and returns the exit status."""
+    """Runs the command line and returns the exit status.
+
+    A subcommand is the module of `canhaptic.cli` of its name: `add_arguments` declares its arguments, `execute` takes
+    them and returns the exit status.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((word for word in words if not word.startswith("-")), "")
     parser = argparse.ArgumentParser(prog="canhaptic", description="Passive haptic rendering on CiA 402 servo drives.")
     parser.add_argument("--version", action="version", version=f"canhaptic {version('canhaptic')}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    command: Command | None = None
     for known, text in COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
         if known == name:  # only what is used is imported
-            command = cast(Command, importlib.import_module(f"canhaptic.cli.{known.replace('-', '_')}"))
+            command = importlib.import_module(f"canhaptic.cli.{known.replace('-', '_')}")
             command.add_arguments(subparser)
-    parsed = parser.parse_args(words)
-    return _execute(cast(Command, command), parsed)
+            subparser.set_defaults(execute=command.execute)
+    return _execute(parser.parse_args(words))
 
 
-def _execute(command: Command, arguments: argparse.Namespace) -> int:
+def _execute(arguments: argparse.Namespace) -> int:
     try:
-        status = command.execute(arguments)
+        status: int = arguments.execute(arguments)
         sys.stdout.flush()
         return status
     except CanHapticError as error:
