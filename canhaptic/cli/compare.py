@@ -8,7 +8,9 @@ from canhaptic.cli.arguments import add_json, add_scene, check_picture, names, p
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.parameters import Unit
-from canhaptic.study.compare import chosen_algorithms, compare, cycles_of
+from canhaptic.study.algorithms import chosen_algorithms
+from canhaptic.study.compare import compare
+from canhaptic.study.scenes import cycles_of
 from canhaptic.view.energy_table import make_console
 
 _FASTEST: Final = 1e6  # [Hz]

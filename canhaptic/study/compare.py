@@ -10,24 +10,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.haptics.passivity import ALGORITHMS
-from canhaptic.parameters import Parameters
-from canhaptic.scene.models import AxisScene, Scene, Typed
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.study.algorithms import able_under, chosen_algorithms
 from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
 from canhaptic.study.over_can import render_over_can
 from canhaptic.study.reference import Reference, continuous_reference
-from canhaptic.study.scenes import environment_of, loop_case, plant_parts
-from canhaptic.tables import load
+from canhaptic.study.scenes import at_rate, cycles_of, environment_of, loop_case, plant_parts
 
-DEFAULT_DURATION: Final = 5.0
-"""Of scenes that name none [s]."""
-_FURTHEST: Final = 10.0
-"""Distance that counts as divergence, in travels of the continuous axis."""
-_LEAST_TRAVEL: Final = 5e-3  # [m or rad]
 _BATCH: Final = 64  # cycles between two reports of progress
 
 
@@ -75,12 +67,11 @@ def compare(
         InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
     """
     names = chosen_algorithms(algorithms)
-    if scene.groups:
-        raise InputError(f"{scene.source}: has groups of axes, expected axes that render by themselves; run it instead")
-    if not all(axis.simulation is not None for axis in scene.axes):
-        raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
+    _require_comparable(scene)
     if rate is not None:
-        scene = at_rate(scene, rate, over_can=over_can)
+        if over_can:
+            raise InputError("--rate: changes the loop without a bus; over CAN lay it over: --set bus.rate=...")
+        scene = at_rate(scene, rate)
     cycles = cycles_of(scene, duration)
     counter = _Counter(progress)
     references = [_reference(axis, scene.bus.sample_time_ns, cycles) for axis in scene.axes]
@@ -101,55 +92,11 @@ def compare(
     return Comparison(result, axes, scene.bus.sample_time)
 
 
-def chosen_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Returns the names asked for, each known; all of them for None.
-
-    Raises:
-        ParameterError: One is unknown.
-    """
-    for name in algorithms or ():
-        load(ALGORITHMS, name, "passivity algorithm")
-    return list(dict.fromkeys(algorithms or ALGORITHMS))
-
-
-def cycles_of(scene: Scene, duration: float | None) -> int:
-    """Returns the SYNCs of one run."""
-    return max(2, round((duration or scene.run.duration or DEFAULT_DURATION) / scene.bus.sample_time))
-
-
-def at_rate(scene: Scene, rate: float, *, over_can: bool = False) -> Scene:
-    """Returns the scene at another rate, without asking whether its bus could carry it.
-
-    Raises:
-        InputError: The rate is out of range, or a real bus would have to carry it.
-    """
-    if over_can:
-        raise InputError("--rate: changes the loop without a bus; over CAN lay it over the scene (--set bus.rate=...)")
-    bus = BusParameters(**{**scene.bus.model_dump(), "rate": rate})
-    axes = tuple(
-        replace(axis, loop=axis.loop.model_copy(update={"sample_time": bus.sample_time})) for axis in scene.axes
-    )
-    return replace(scene, bus=bus, axes=axes)
-
-
-def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
-    """Returns an axis under another algorithm, with what the two have in common (alpha, velocity, ...) kept."""
-    model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
-    given = axis.passivity.parameters
-    if axis.passivity.name == name:
-        return axis
-    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
-    return replace(axis, passivity=Typed(name, model().model_copy(update=common)))
-
-
-def with_known_plant(axis: AxisScene) -> tuple[AxisScene, str]:
-    """Returns an axis whose algorithm is told the simulated plant where the scene says nothing, and what it is told."""
-    assert axis.simulation is not None
-    plant, loop = axis.simulation.plant, axis.loop
-    known = {"moving_mass": plant.mass, "device_damping": plant.damping, "device_damping_bound": plant.damping}
-    missing = {key: value for key, value in known.items() if getattr(loop, key) is None}
-    told = ", ".join(f"{key} {value:g}" for key, value in missing.items() if key != "device_damping_bound")
-    return replace(axis, loop=loop.model_copy(update=missing)), f"told {told} of the plant"
+def _require_comparable(scene: Scene) -> None:
+    if scene.groups:
+        raise InputError(f"{scene.source}: has groups of axes, expected axes that render by themselves; run it instead")
+    if not all(axis.simulation is not None for axis in scene.axes):
+        raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
 
 
 class _Counter:
@@ -176,22 +123,6 @@ def _reference(axis: AxisScene, sample_time_ns: int, cycles: int) -> _Reference:
     return found, found.method
 
 
-def _buildable(axis: AxisScene, name: str, scene: Scene) -> tuple[AxisScene, str]:
-    """Returns the axis under an algorithm, told of the plant what it cannot do without, and a remark.
-
-    Raises:
-        ParameterError: It cannot be built even so.
-    """
-    chosen = with_algorithm(axis, name)
-    try:
-        loop_case(chosen, scene).controller()
-    except ParameterError:
-        chosen, remark = with_known_plant(chosen)
-        loop_case(chosen, scene).controller()
-        return chosen, remark
-    return chosen, ""
-
-
 def _direct(
     scene: Scene, names: Sequence[str], cycles: int, references: Sequence[_Reference], counter: _Counter
 ) -> tuple[list[dict[str, LoopRun]], list[dict[str, str]]]:
@@ -202,19 +133,14 @@ def _direct(
         remarks.append({})
         for name in names:
             try:
-                chosen, remarks[-1][name] = _buildable(axis, name, scene)
+                chosen = able_under(axis, name, scene)
             except ParameterError as error:
                 remarks[-1][name] = f"refused: {error}"
                 continue
-            runs[-1][name] = render(loop_case(chosen, scene), cycles, _recorder(reference), counter)
+            remarks[-1][name] = chosen.remark
+            recorder = None if reference is None else Recorder.around(reference.position)
+            runs[-1][name] = render(loop_case(chosen.axis, scene), cycles, recorder, counter)
     return runs, remarks
-
-
-def _recorder(reference: Reference | None) -> Recorder:
-    if reference is None:
-        return Recorder()
-    centre = 0.5 * float(reference.position.max() + reference.position.min())
-    return Recorder(_FURTHEST * max(reference.travel, _LEAST_TRAVEL), centre)
 
 
 def _over_can(
@@ -224,14 +150,14 @@ def _over_can(
     remarks: list[dict[str, str]] = [{} for _ in scene.axes]
     for name in names:
         try:
-            built = [_buildable(axis, name, scene) for axis in scene.axes]
+            built = [able_under(axis, name, scene) for axis in scene.axes]
         except ParameterError as error:
             for remark in remarks:
                 remark[name] = f"refused: {error}"
             continue
-        found = render_over_can(replace(scene, axes=tuple(axis for axis, _ in built)), cycles, counter)
+        found = render_over_can(replace(scene, axes=tuple(one.axis for one in built)), cycles, counter)
         for index, run in enumerate(found):
-            runs[index][name], remarks[index][name] = run, built[index][1]
+            runs[index][name], remarks[index][name] = run, built[index].remark
     return runs, remarks
 
 
@@ -240,7 +166,7 @@ def _cost(scene: Scene, runs: Sequence[dict[str, LoopRun]], repeats: int) -> lis
     for axis, of_axis in zip(scene.axes, runs, strict=True):
         cases: dict[str, tuple[LoopCase, LoopRun]] = {}
         for name, run in of_axis.items():
-            cases[name] = loop_case(_buildable(axis, name, scene)[0], scene), run
+            cases[name] = loop_case(able_under(axis, name, scene).axis, scene), run
         costs.append(microseconds_per_step(cases, repeats) if repeats else {})
     return costs
 

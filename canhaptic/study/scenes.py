@@ -1,7 +1,9 @@
 """From one axis of a scene to what the study runs: the loop without a bus, and the plant without a controller."""
 
-from typing import cast
+from dataclasses import replace
+from typing import Final, cast
 
+from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.scene.models import AxisScene, Scene
@@ -11,7 +13,27 @@ from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.loop import LoopCase
 
-_PER_MILLE = 1e-3
+DEFAULT_DURATION: Final = 5.0
+"""Of scenes that name none [s]."""
+_PER_MILLE: Final = 1e-3
+
+
+def cycles_of(scene: Scene, duration: float | None) -> int:
+    """Returns the SYNCs of one run [s] of a scene; for None as long as the scene says."""
+    return max(2, round((duration or scene.run.duration or DEFAULT_DURATION) / scene.bus.sample_time))
+
+
+def at_rate(scene: Scene, rate: float) -> Scene:
+    """Returns the scene at another rate [Hz], without asking whether its bus could carry it.
+
+    Raises:
+        ParameterError: The rate is out of range.
+    """
+    bus = BusParameters(**{**scene.bus.model_dump(), "rate": rate})
+    axes = tuple(
+        replace(axis, loop=axis.loop.model_copy(update={"sample_time": bus.sample_time})) for axis in scene.axes
+    )
+    return replace(scene, bus=bus, axes=axes)
 
 
 def environment_of(axis: AxisScene) -> Environment:

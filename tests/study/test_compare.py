@@ -15,12 +15,14 @@ from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.haptics.passivity import ALGORITHMS, build_controller
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.scene.load import load_scene
-from canhaptic.study.compare import at_rate, compare, with_algorithm, with_known_plant
+from canhaptic.study.algorithms import with_algorithm, with_known_plant
+from canhaptic.study.compare import compare
 from canhaptic.study.compare_picture import draw_comparison
 from canhaptic.study.compare_table import comparison_report
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopRun
 from canhaptic.study.reference import Reference
+from canhaptic.study.scenes import at_rate
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 HARD = sorted(  # those called sim_* are hard for the plant, not for the wall
@@ -142,8 +144,8 @@ def test_what_two_algorithms_have_in_common_is_kept(scene):
     assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0
     assert with_algorithm(axis, "direct").passivity.parameters.velocity == "windowed"
     assert with_algorithm(axis, "internal_dissipation") is axis
-    told, _ = with_known_plant(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})))
-    assert (told.loop.moving_mass, told.loop.device_damping) == (0.2, 0.1)
+    told = with_known_plant(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})))
+    assert (told.axis.loop.moving_mass, told.axis.loop.device_damping) == (0.2, 0.1)
 
 
 def test_at_rest_the_stiffness_is_that_of_the_wall_and_nothing_cycles(scene):

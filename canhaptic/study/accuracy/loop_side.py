@@ -21,16 +21,14 @@ from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.study.accuracy.continuous_loop import ContinuousLoop
-from canhaptic.study.compare import with_algorithm, with_known_plant
+from canhaptic.study.algorithms import able_under
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
 from canhaptic.study.scenes import loop_case
 
 FINEST: Final = 4
 """Highest rate over that of the scene; the reference is read at that rate."""
-_FURTHEST: Final = 10.0  # travels of the continuous axis
 _FINE: Final = AccuracyParameters(substeps=8)
 """Of every plant: the plant's own error is the business of the other side."""
-_LEAST_TRAVEL: Final = 5e-3  # [m or rad]
 _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
 
 
@@ -101,16 +99,12 @@ def _algorithms(base: Variant, scene: Scene) -> list[Variant]:
     for name in ALGORITHMS:
         if name == base.axis.passivity.name:
             continue
-        axis, remark = with_algorithm(base.axis, name), ""
         try:
-            loop_case(axis, scene).controller()
-        except ParameterError:
-            axis, remark = with_known_plant(axis)
-        try:
-            loop_case(axis, scene).controller()
+            chosen = able_under(base.axis, name, scene)
         except ParameterError:
             continue
-        found.append(Variant("algorithm", name, axis, base.bus, loop_case(axis, scene), remark=remark))
+        case = loop_case(chosen.axis, scene)
+        found.append(Variant("algorithm", name, chosen.axis, base.bus, case, remark=chosen.remark))
     return found
 
 
@@ -172,11 +166,9 @@ def loop_row(variant: Variant, exact: ContinuousLoop, duration_ns: int, tick: Ca
         tick: Called once a cycle; may raise to give up.
     """
     period = variant.case.sample_time_ns
-    centre = 0.5 * float(exact.position.max() + exact.position.min())
-    travel = max(float(np.ptp(exact.position)), _LEAST_TRAVEL)
     clock = WallClock()
     begin = clock.now()
-    run = render(variant.case, duration_ns // period + 1, Recorder(_FURTHEST * travel, centre), tick)
+    run = render(variant.case, duration_ns // period + 1, Recorder.around(exact.position), tick)
     seconds = (clock.now() - begin) * 1e-9
     stride = period // exact.step_ns
     shown = min(len(run.position), (len(exact.position) - 1) // stride + 1)

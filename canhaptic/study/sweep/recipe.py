@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 from canhaptic.errors import InputError, ParameterError, SceneConflictError, SceneError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.study.compare import at_rate, chosen_algorithms, cycles_of, with_algorithm, with_known_plant
-from canhaptic.study.scenes import loop_case
+from canhaptic.study.algorithms import PLANT_OF, able_under, chosen_algorithms
+from canhaptic.study.scenes import at_rate, cycles_of
 from canhaptic.study.sweep.places import places_of
 from canhaptic.study.sweep.points import CONTROLLER, Points, scene_seed
 from canhaptic.study.sweep.vary import Value, Varied
@@ -24,7 +24,6 @@ RATE: Final = "bus.rate"
 _SEED: Final = "simulation.seed"
 _MOST_CORNERS: Final = 6
 """Keys of which every corner is tried; of more, the neighbours of two opposite corners."""
-_TOLD: Final = {"moving_mass": "mass", "device_damping": "damping", "device_damping_bound": "damping"}
 
 Row = tuple[tuple[str, Value], ...]
 """(key, value) of one scene, or of several that share these values."""
@@ -208,29 +207,18 @@ def _under(scene: Scene, controller: str) -> Built:
     remark = ""
     told: tuple[str, ...] = ()
     for axis in scene.axes:
-        chosen = with_algorithm(axis, controller)
-        if _refusal(chosen, scene):
-            missing = tuple(key for key in _TOLD if getattr(chosen.loop, key) is None)
-            chosen, remark = with_known_plant(chosen)
-            told = missing
-        refusal = _refusal(chosen, scene)
-        if refusal:
-            return Built(None, refusal)
-        axes.append(chosen)
+        try:
+            chosen = able_under(axis, controller, scene)
+        except ParameterError as error:
+            return Built(None, _first_line(error))
+        axes.append(chosen.axis)
+        remark, told = chosen.remark or remark, chosen.told or told
     return Built(replace(scene, axes=tuple(axes)), remark, told)
 
 
 def of_plant(told: tuple[str, ...]) -> dict[str, str]:
     """Returns which batch key of the loop follows which of the plant, for properties that were taken from it."""
-    return {f"passivity.{key}": f"simulation.plant.{_TOLD[key]}" for key in told}
-
-
-def _refusal(axis: AxisScene, scene: Scene) -> str:
-    try:
-        loop_case(axis, scene).controller()
-    except ParameterError as error:
-        return _first_line(error)
-    return ""
+    return {f"passivity.{key}": f"simulation.plant.{PLANT_OF[key]}" for key in told}
 
 
 def _first_line(error: Exception) -> str:

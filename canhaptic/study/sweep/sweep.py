@@ -19,8 +19,9 @@ import numpy as np
 
 from canhaptic.errors import CanHapticError, InputError, WorkersLostError
 from canhaptic.scene.models import Scene
+from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import why_not_batchable
-from canhaptic.study.compare import cycles_of, with_algorithm
+from canhaptic.study.scenes import cycles_of
 from canhaptic.study.sweep.chunk import FIGURES, USUAL, ChunkResult, is_batch_key, run_chunk
 from canhaptic.study.sweep.points import Points, make_points
 from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe

@@ -12,8 +12,8 @@ from hypothesis.extra.numpy import arrays
 
 from canhaptic.errors import InputError, SceneError
 from canhaptic.scene.load import load_scene
+from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import run_scalar
-from canhaptic.study.compare import with_algorithm
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.chunk import MORE, SLOTS
 from canhaptic.study.sweep.selected import Selected

@@ -1,0 +1,72 @@
+"""An axis under another algorithm: what the two have in common is kept, and the plant tells what the scene does not."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+from canhaptic.errors import ParameterError
+from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.parameters import Parameters
+from canhaptic.scene.models import AxisScene, Scene, Typed
+from canhaptic.study.scenes import loop_case
+from canhaptic.tables import load
+
+PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_damping_bound": "damping"}
+"""Property of the loop -> parameter of the simulated plant that is its true value."""
+
+
+class AbleAxis(NamedTuple):
+    """An axis whose algorithm has what it needs."""
+
+    axis: AxisScene
+    told: tuple[str, ...] = ()  # properties of its loop that the scene does not say and the plant does
+
+    @property
+    def remark(self) -> str:
+        """What it was told, in words; "" where nothing."""
+        shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.told if key != "device_damping_bound"]
+        return f"told {', '.join(shown)} of the plant" if self.told else ""
+
+
+def chosen_algorithms(algorithms: Sequence[str] | None) -> list[str]:
+    """Returns the names asked for, each known; all of them for None.
+
+    Raises:
+        ParameterError: One is unknown.
+    """
+    for name in algorithms or ():
+        load(ALGORITHMS, name, "passivity algorithm")
+    return list(dict.fromkeys(algorithms or ALGORITHMS))
+
+
+def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
+    """Returns an axis under another algorithm, with what the two have in common (alpha, velocity, ...) kept."""
+    model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
+    given = axis.passivity.parameters
+    if axis.passivity.name == name:
+        return axis
+    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
+    return replace(axis, passivity=Typed(name, model().model_copy(update=common)))
+
+
+def with_known_plant(axis: AxisScene) -> AbleAxis:
+    """Returns an axis whose algorithm is told the simulated plant where the scene says nothing."""
+    assert axis.simulation is not None
+    told = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
+    values = {key: getattr(axis.simulation.plant, PLANT_OF[key]) for key in told}
+    return AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), told)
+
+
+def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
+    """Returns an axis under an algorithm, told of the plant only where that cannot do without.
+
+    Raises:
+        ParameterError: It cannot be built even so.
+    """
+    chosen = AbleAxis(with_algorithm(axis, name))
+    try:
+        loop_case(chosen.axis, scene).controller()
+    except ParameterError:
+        chosen = with_known_plant(chosen.axis)
+        loop_case(chosen.axis, scene).controller()
+    return chosen
