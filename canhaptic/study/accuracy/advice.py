@@ -40,16 +40,17 @@ def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
     """
     points = [
         (max(row["position_error"], floor), row[price])
-        for row in rows
         if row["status"] == "ok" and row.get(price) is not None
+        else None
+        for row in rows
     ]
-    marks = []
-    for row in rows:
-        priced = row["status"] == "ok" and row.get(price) is not None
-        error, cost = (max(row["position_error"], floor), row[price]) if priced else (0.0, 0.0)
-        beaten = any(e <= error and c <= cost and (e < error or c < cost) for e, c in points)
-        marks.append(priced and not beaten)
-    return marks
+    best = front([point for point in points if point is not None])
+    return [point in best for point in points]
+
+
+def front(points: Sequence[tuple[float, float]]) -> set[tuple[float, float]]:
+    """Returns the points of which no other is as small in both and smaller in one."""
+    return {(x, y) for x, y in set(points) if not any(a <= x and b <= y and (a < x or b < y) for a, b in points)}
 
 
 def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float) -> float | None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.study.accuracy.advice import FLOOR
+from canhaptic.study.accuracy.advice import FLOOR, front
 from canhaptic.study.accuracy.candidates import OURS
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
 from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
@@ -93,9 +93,9 @@ def _draw_ladder(panel: Any, result: Row, price: str, error: str) -> None:
                 [row[price] for row in own], [max(row[error], floor) for row in own], marker=marker, color=colour,
                 label="_" * bool(number) + label, markersize=6.0, linewidth=1.0, alpha=0.85,
             )  # fmt: skip
-    front = sorted(_front([(row[price], max(row[error], floor)) for row in stable]))
+    edge = sorted(front([(row[price], max(row[error], floor)) for row in stable]))
     panel.plot(
-        [x for x, _ in front], [y for _, y in front], color="black", linewidth=0.9, linestyle=(0, (4, 2)), marker="o",
+        [x for x, _ in edge], [y for _, y in edge], color="black", linewidth=0.9, linestyle=(0, (4, 2)), marker="o",
         markersize=11.0, markerfacecolor="none", markeredgecolor="black", label="Pareto front", zorder=1.5,
     )  # fmt: skip
     if error == "position_error":
@@ -111,14 +111,6 @@ def _lines(own: Sequence[Row]) -> list[list[Row]]:
         return [list(own)] if own else []
     bits = sorted({row["accuracy"]["event_bits"] for row in own})
     return [[row for row in own if row["accuracy"]["event_bits"] == b] for b in bits]
-
-
-def _front(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    return [
-        point
-        for point in set(points)
-        if not any(x <= point[0] and y <= point[1] and (x < point[0] or y < point[1]) for x, y in points)
-    ]
 
 
 def _draw_loop(panel: Any, loop: Sequence[Row], result: Row) -> None:

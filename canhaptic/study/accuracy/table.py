@@ -10,6 +10,7 @@ from rich.text import Text
 
 from canhaptic.parameters import effort_unit
 from canhaptic.study.accuracy.advice import FLOOR
+from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 
 Row = Mapping[str, Any]
@@ -28,8 +29,6 @@ EFFECT_HEADS: Final = (
 _NEARER: Final = 0.8
 """Part of the scene's own error below which a change is worth naming."""
 _SHOWN: Final = 4
-_PASSIVE: Final = 1e-6
-"""Energy that a loop may give out [J] before it is told."""
 _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 _LOOK: Final[Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False, "padding": (0, 1, 0, 0)}
 
@@ -131,7 +130,7 @@ def _loop_advice(result: Row) -> list[str]:
     for row in sorted(nearer, key=lambda row: float(row["position_error"]))[:_SHOWN]:
         load = f"bus {100.0 * row['bus_load']:.0f} %"
         given = max(0.0, row["energy_given_out"])
-        out = f", gives out {si(given, 'J', 2)}" if given > _PASSIVE else ""
+        out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
         words.append(f"{row['group']} {row['setting']} ({length(row['position_error'], result['unit'])}, {load}{out})")
     error = length(base["position_error"], result["unit"])
     return [f"loop: {error} from the continuous axis; nearer: {'; '.join(words)}"]
@@ -149,7 +148,7 @@ def _tables(result: Row, *, wide: bool = False) -> list[_Table]:
     found: list[_Table] = []
     if result["plant"]:
         rows = [_plant_cells(row, unit, floor) for row in result["plant"]]
-        title = f"plant: largest error at any SYNC; bold and *: Pareto front of evaluations, {_NUMBERS}"
+        title = "plant: largest error at any SYNC; bold and *: Pareto front of evaluations, the same on every machine"
         heads: Sequence[str] = PLANT_HEADS
         if wide:
             heads = (*PLANT_HEADS, *_WIDE_HEADS)
@@ -169,9 +168,6 @@ def _tables(result: Row, *, wide: bool = False) -> list[_Table]:
         title = "loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit"
         found.append((title, LOOP_HEADS, rows, [bool(row["is_scene"]) for row in result["loop"]]))
     return found
-
-
-_NUMBERS: Final = "the same on every machine"
 
 
 def _wall(row: Row) -> list[str]:
