@@ -72,11 +72,6 @@ class AxisScaling:
         return abs(self._torque_quantum)
 
     @property
-    def position_quantum(self) -> float:
-        """Displacement of one count [m or rad]."""
-        return abs(self._unit_per_count)
-
-    @property
     def largest_torque(self) -> float:
         """Largest torque that 0x6071 can carry [N*m or N]."""
         return _LARGEST_PER_MILLE * self.torque_quantum

@@ -53,7 +53,6 @@ def _positions(module: ModuleType) -> None:
         for counts in (-(2**31), 2**31 - 1, -16):
             scaling.reset()
             assert scaling.position(counts) == direction * counts / 8.0
-        assert scaling.position_quantum == 0.125
 
 
 def _axes(module: ModuleType) -> None:
