@@ -113,8 +113,7 @@ def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
     """Returns how often the reference is read in a hold [ns] of a run of some cycles."""
     least = max(2, -(-sample_time_ns // _FINEST))
     least = min(least, max(2, _MOST_READINGS // max(1, cycles)))
-    exact = next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)
-    return exact
+    return next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)
 
 
 def _march(plant: Plant, times: Sequence[int]) -> tuple[Array, Array]:

@@ -34,15 +34,14 @@ class PassivityObserver:
     parameters_type: ClassVar[type[Parameters]] = PassivityObserverParameters
 
     def __init__(self, environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties) -> None:
-        cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
-        if parameters.damping_limit is None and loop.moving_mass is None:
+        limit = parameters.damping_limit
+        if limit is None and loop.moving_mass is None:
             raise ParameterError(
                 "passivity_observer: got neither damping_limit nor moving_mass, expected one of them to bound the "
                 "damper; give passivity.damping_limit, or passivity.moving_mass for the cap it implies"
             )
-        self._limit = (
-            max(0.0, cap - environment.damping) if parameters.damping_limit is None else (parameters.damping_limit)
-        )
+        cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
+        self._limit = max(0.0, cap - environment.damping) if limit is None else limit
         self._damping = environment.damping
         self._model = SampledModel(environment)
         self._books = Books(
