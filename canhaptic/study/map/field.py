@@ -2,43 +2,22 @@
 
 import json
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import InputError
+from canhaptic.parameters import Parameters
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
-from canhaptic.study.compare import with_algorithm
+from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import COMPLETED
 from canhaptic.study.sweep.points import CONTROLLER
 from canhaptic.study.sweep.table import SweepTable
 
 Mask = NDArray[np.bool_]
-
-_UNITS: Final[dict[str, tuple[str, str]]] = {
-    "stiffness": ("N/m", "N*m/rad"),
-    "damping": ("N*s/m", "N*m*s/rad"),
-    "device_damping": ("N*s/m", "N*m*s/rad"),
-    "mass": ("kg", "kg*m^2"),
-    "moving_mass": ("kg", "kg*m^2"),
-    "position": ("m", "rad"),
-    "amplitude": ("m", "rad"),
-    "rest": ("m", "rad"),
-    "push": ("N", "N*m"),
-    "hand_force": ("N", "N*m"),
-    "torque_limit": ("N", "N*m"),
-    "rated_torque": ("N", "N*m"),
-    "hand_speed": ("m/s", "rad/s"),
-    "counts_per_unit": ("count/m", "count/rad"),
-    "rate": ("Hz", "Hz"),
-    "frequency": ("Hz", "Hz"),
-    "bitrate": ("bit/s", "bit/s"),
-    "credit": ("J", "J"),
-    "alpha": ("s/m^2", "s/rad^2"),
-}
 
 
 class Field:
@@ -91,8 +70,8 @@ class Field:
 
     def label(self, key: str) -> str:
         """Returns a key with its unit, for an axis of a picture."""
-        units = _UNITS.get(key.rpartition(".")[2])
-        return f"{key} [{units[self.unit == 'rad']}]" if units else key
+        unit = _unit_of(self.scene, key)
+        return f"{key} [{unit}]" if unit else key
 
     def _is_varied(self, key: str) -> bool:
         return len(self._levels[key]) > 1 if self.is_grid else len(_levels(self._table.values(key))) > 1
@@ -147,3 +126,27 @@ def _scene(table: SweepTable, axis: str, controller: str) -> Scene:
     scene = scene_from_text(table.note("scene"), table.note("source"), json.loads(table.note("overrides")))
     [chosen] = [one for one in scene.axes if one.parameters.name == axis]
     return replace(scene, axes=(with_algorithm(chosen, controller) if controller else chosen,))
+
+
+def _unit_of(scene: Scene, key: str) -> str:
+    """Returns the unit that the model of a varied key gives it on the axis of a scene; "" for a pure number."""
+    [axis] = scene.axes
+    simulation = axis.simulation
+    user = simulation and simulation.user
+    section, _, name = ".".join(key.split(".")[-2:]).rpartition(".")
+    owners: dict[str, tuple[object, ...]] = {
+        "bus": (scene.bus,),
+        "environment": (axis.environment.parameters,),
+        "passivity": (axis.passivity.parameters, axis.loop),
+        "plant": (simulation and simulation.plant,),
+        "user": (user,),
+        "motion": (user and user.motion,),
+    }
+    for owner in owners.get(section, (axis.parameters,)):
+        field = type(owner).model_json_schema()["properties"].get(name) if isinstance(owner, Parameters) else None
+        for part in (field, *field.get("anyOf", ())) if field else ():
+            if "unit" in part:  # of a linear axis, and behind it of a rotary one where that differs
+                linear, _, rotary = part["unit"].partition(" or ")
+                unit = rotary or linear if axis.parameters.unit == "rad" else linear
+                return "" if unit == "1" else unit
+    return ""

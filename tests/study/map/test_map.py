@@ -188,6 +188,8 @@ def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
     assert any(line.style == "abbott_okamura" for line in width.lines)
     assert width.x_label == "bus.rate [Hz]"
     assert width.y_label == "environment.stiffness [N/m]"
+    units = {"axes.0.torque_limit": "N", "simulation.axes.handle.plant.mass": "kg", "passivity.moving_mass": "kg"}
+    assert {key: fields[0].label(key) for key in units} == {key: f"{key} [{unit}]" for key, unit in units.items()}
     [[cells], _] = chosen
     assert isinstance(cells, Cells)
     assert cells.values.shape == (2, 2)
