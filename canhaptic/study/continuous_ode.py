@@ -31,7 +31,8 @@ def integrate(environment: Environment, plant: Plant, times: Array) -> tuple[Arr
         times: Ascending, from 0 [s].
 
     Raises:
-        InputError: The plant is not linear, the environment remembers, or scipy is not installed.
+        InputError: The plant is not linear, the environment remembers, the axis crosses surfaces without end, or scipy
+            is not installed.
     """
     try:
         from scipy.integrate import solve_ivp
@@ -66,19 +67,16 @@ def integrate(environment: Environment, plant: Plant, times: Array) -> tuple[Arr
         if chosen.any():
             position[chosen], velocity[chosen] = solved.sol(times[chosen])[:2]
         if solved.t[-1] >= times[-1]:
-            break
+            return position, velocity
         begin, state = float(solved.t[-1]), solved.y[:, -1]
         state[0] += math.copysign(_BEYOND, state[1])  # or a step that returns would find the crossing it begins at
-    return position, velocity
+    raise InputError(f"the continuous axis crossed a surface {_MOST_CROSSINGS} times by {begin:g} s; shorten the run")
 
 
 def surfaces(environment: Environment) -> list[float]:
     """Returns the positions where contact begins or ends [m or rad]; where the torque may jump."""
-    if hasattr(environment, "side"):
-        return [float(environment.position)]  # type: ignore[attr-defined]
-    if hasattr(environment, "lower"):
-        return [float(environment.lower), float(environment.upper)]  # type: ignore[attr-defined]
-    return []
+    names = ("position",) if hasattr(environment, "side") else ("lower", "upper")
+    return [float(getattr(environment, name)) for name in names if hasattr(environment, name)]
 
 
 def _equations(plant: Plant) -> tuple[Array, int]:
