@@ -174,10 +174,14 @@ def test_a_folder_and_a_missing_file_are_told_apart(tmp_path: Path) -> None:
 
 
 def test_lines_of_candump_without_direction_and_remote_frames_are_read(tmp_path: Path) -> None:
-    (tmp_path / "a.log").write_text("(1436509052.249713) vcan0 044#2A366C2BBA\n(1.5) vcan0 123#R\n\n(2.0) can1 7FF#\n")
+    (tmp_path / "a.log").write_text(
+        "(1436509052.249713) vcan0 044#2A366C2BBA\n(1.5) vcan0 123#R\n\n(2.0) can1 7FF#\n(2.5) can1 7FE# t\n(3.0) can1 7FD# r\n"
+    )
     assert list(read_bus_log(tmp_path / "a.log")) == [
         (1_436_509_052_249_713_000, 0x044, bytes.fromhex("2A366C2BBA"), True, 1, "vcan0"),
         (2_000_000_000, 0x7FF, b"", True, 4, "can1"),
+        (2_500_000_000, 0x7FE, b"", False, 5, "can1"),
+        (3_000_000_000, 0x7FD, b"", True, 6, "can1"),
     ]
 
 
@@ -223,7 +227,30 @@ def test_a_writer_killed_between_write_and_release_is_continued_behind_its_last_
     os.close(descriptor)
 
 
-@pytest.mark.parametrize(("status", "first"), [("failed: LinkError", 9_000), ("completed", None)])
+def test_a_writer_killed_in_a_later_file_of_a_series_doubles_no_line(tmp_path: Path) -> None:
+    descriptor = allocate(size_of([FRAME_RING]))
+    area = SharedArea(descriptor, [FRAME_RING])
+    for k in range(10):
+        area.rings[0].push((k * 1000, 0x181, 1, True, 0, bytes([k])))
+    path = tmp_path / "a.log"
+    killed = BusSink(path, ["can0"], area, file_size=100, files=3)
+    killed.open(restart=False)
+    killed.drain([7], final=False)  # more than 100 bytes: put aside
+    killed.drain([9], final=False)
+    area.rings[0].release(7)  # killed before it could say how far it was
+    second = BusSink(path, ["can0"], area, file_size=100, files=3)
+    second.open(restart=True)
+    second.drain([10], final=True)
+    second.finish("complete")
+    lines = b"".join(file.read_bytes() for file in [*aside_files(path), path]).splitlines()
+    assert lines == [f"(0000000000.{k:06d}) can0 181#{k:02X} R".encode() for k in range(10)]
+    area.close()
+    os.close(descriptor)
+
+
+@pytest.mark.parametrize(
+    ("status", "first"), [("failed: LinkError", 9_000), ("complete", None), ("completed", None), ("stopped", None)]
+)
 def test_the_last_seconds_are_written_only_when_a_run_ends_badly(
     tmp_path: Path, status: str, first: int | None
 ) -> None:

@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
+from patience import wait_for
 
 from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
 from canhaptic.haptics.balance import EnergyBalance
@@ -143,17 +144,18 @@ def test_a_log_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     writer = EnergyLogWriter(tmp_path / "live.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
     for k in range(1000):
         append(writer, k)
-    rows = 0
-    for _ in range(500):
+    seen = [0]
+
+    def is_whole() -> bool:
         with EnergyLog.open(writer.path) as log:
-            rows = log.rows
             assert log.status == "running"
-            if rows:
-                assert log.ports["handle"]["h_i"][rows - 1] == balance(rows - 1).h_i
-        if rows == 1000:
-            break
+            assert log.rows >= seen[-1]
+            seen.append(log.rows)
+            assert not log.rows or log.ports["handle"]["h_i"][log.rows - 1] == balance(log.rows - 1).h_i
+        return log.rows == 1000
+
+    wait_for(is_whole)
     writer.close()
-    assert rows == 1000
 
 
 def test_closing_twice_is_harmless_and_an_empty_log_is_a_log(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import pytest
 from log_rows import PORTS, SAMPLE_TIME_NS, append, balance
 
 from canhaptic.errors import InputError
+from canhaptic.logs import export as module
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export
@@ -25,7 +26,10 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_parquet_table_holds_every_quantity_bit_for_bit_with_its_unit(path: Path, tmp_path: Path) -> None:
+def test_a_parquet_table_holds_every_quantity_bit_for_bit_with_its_unit(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_BLOCK", 300)
     parquet = pytest.importorskip(
         "pyarrow.parquet", reason="pyarrow is not installed (pip install 'canhaptic[export]')"
     )
@@ -51,7 +55,8 @@ def test_a_mat_file_holds_ports_timing_and_attributes(path: Path, tmp_path: Path
     assert math.isclose(content["truth"]["handle"]["position"][5], 0.0051)
 
 
-def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path) -> None:
+def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_BLOCK", 300)
     with EnergyLog.open(path) as log:
         export(log, tmp_path / "run.csv")
         header = (tmp_path / "run.csv").read_text().partition("\n")[0].split(",")

@@ -1,19 +1,21 @@
 import contextlib
 import os
 import random
-import resource
 import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from log_rows import PORTS, SAMPLE_TIME_NS, append, balance
+from log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
+from patience import wait_for
 
 from canhaptic.errors import LogWriteError
+from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 
@@ -32,15 +34,6 @@ while True:
     if k % 50 == 0:
         pause.wait(0.005)
 """
-
-
-def wait_for(condition: object, seconds: float = 20.0) -> None:
-    pause = threading.Event()
-    for _ in range(int(seconds / 0.01)):
-        if condition():  # type: ignore[operator]
-            return
-        pause.wait(0.01)
-    raise AssertionError("waited in vain")
 
 
 def kill(writer: EnergyLogWriter) -> None:
@@ -109,16 +102,30 @@ def test_a_writer_killed_again_and_again_is_given_up_with_one_message(tmp_path: 
         writer.close()
 
 
-@pytest.fixture
-def small_files() -> object:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+def test_a_file_left_unreadable_is_put_aside_and_its_rows_are_counted_as_lost(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    writer = EnergyLogWriter(
+        path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, pace="free", ring_rows=512
+    )
+    for k in range(700):  # more than the ring holds: some of them are in the file
+        append(writer, k)
+    os.kill(writer.writer_pid, signal.SIGSTOP)
+    path.write_bytes(b"a bad sector")
+    kill(writer)
+    for k in range(700, 2000):
+        append(writer, k)
+    writer.close()
+    with EnergyLog.open(path) as log:
+        assert 188 <= log.rows_lost <= 700
+        assert log.rows == 2000 - log.rows_lost
+        assert np.array_equal(log.timing["sync_index"], np.arange(log.rows_lost, 2000))
+    assert (tmp_path / "run.h5.damaged").read_bytes() == b"a bad sector"
 
 
-def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(tmp_path: Path, small_files: object) -> None:
-    # A limit on the file size, inherited by the writer, stands for the full disk; the ring itself must fit below it.
-    small_files()  # type: ignore[operator]
+def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(
+    tmp_path: Path, limit_files: Callable[[int], None]
+) -> None:
+    limit_files(1_000_000)
     noise = np.random.default_rng(1).standard_normal((4096, 11)).tolist()
     writer = EnergyLogWriter(
         tmp_path / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, ring_rows=2048
@@ -138,10 +145,6 @@ def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(tmp_path
 
 
 def append_noise(writer: EnergyLogWriter, k: int, row: list[float]) -> None:
-    from log_rows import sample, timing, truth
-
-    from canhaptic.haptics.balance import EnergyBalance
-
     writer.append(k, [sample(k)], [EnergyBalance(*row, 1, 2.0, 0, 3.0)], timing(k), [truth(k)])
 
 

@@ -1,6 +1,5 @@
 import json
-import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,20 +11,11 @@ from canhaptic.logs.energy_reader import EnergyLog
 DEMO = str(Path(__file__).parents[2] / "configs" / "demo.yaml")
 
 
-@pytest.fixture
-def full_disk() -> Iterator[None]:
-    """A limit on the size of files, inherited by the writers, stands for the full disk; the ring must fit below it."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-@pytest.mark.usefixtures("full_disk")
 @pytest.mark.parametrize("mode", ["stop", pytest.param("continue", marks=pytest.mark.slow)])
 def test_a_run_stops_or_goes_on_when_its_disk_is_full_with_one_message(
-    mode: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mode: str, tmp_path: Path, limit_files: Callable[[int], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
+    limit_files(2_000_000)
     seconds = 18 if mode == "continue" else 60  # the writer may lag behind a fast cycle by a ring of rows
     words = ["run", DEMO, "--duration", str(seconds), "--pace", "free", "--set", f"log.on_failure={mode}", "--json"]
     assert main([*words, "--bus-log", str(tmp_path / "run.log")]) == 2
