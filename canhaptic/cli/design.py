@@ -33,7 +33,7 @@ def execute(arguments: argparse.Namespace) -> int:
         CheckFailedError: No wall at all is rendered.
     """
     scene = scene_of(arguments)
-    with SceneProgress("walls") as bar:
+    with SceneProgress("trying walls") as bar:
 
         def show(tried: int, most: int) -> None:
             if sys.stderr.isatty():

@@ -1,7 +1,7 @@
 """Progress of many scenes on standard error: how many, how many a second, how long it will still take."""
 
 from types import TracebackType
-from typing import Final, Self
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -9,11 +9,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from canhaptic.drive.clock import WallClock
 from canhaptic.study.sweep.sweep import Progress as Scenes
 
-_FIRST: Final = 1_000_000_000  # [ns]
-
 
 class SceneProgress:
-    """Told how far a sweep is; shows it once it takes longer than a second.
+    """Told how far a sweep is; shows it from the first time on, so that a long first chunk is no silence.
 
     Args:
         what: Is counted, in one word.
@@ -28,8 +26,6 @@ class SceneProgress:
     def __call__(self, scenes: Scenes) -> None:
         """Takes how far it is."""
         elapsed = self._clock.now() - self._begin
-        if self._bar is None and elapsed < _FIRST:
-            return
         if self._bar is None:
             columns = (
                 TextColumn(f"  {self._what}"),

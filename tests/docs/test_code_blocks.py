@@ -33,7 +33,6 @@ QUICK = {
     "commission": ["--duration", "0.1", "--yes"],
     "accuracy": ["--duration", "0.1", "--budget", "2"],
     "scope": None,  # lives until it is stopped; tests/view start it
-    "design": None,  # minutes of trials; tests/study/design runs it
     "drive": ["--duration", "0.2"],
 }
 """Arguments that make a command short; None for one that other tests run."""

@@ -36,7 +36,7 @@ def design_report(result: dict[str, Any]) -> RenderableType:
     heading.append(str(result["scene"]), style="bold")
     heading.append(
         f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %, "
-        f"{result['walls']} walls tried twice by {result['engine']}"
+        f"{result['walls']} walls leant on and pressed by {result['engine']}"
     )
     parts: list[RenderableType] = [heading, Text(), Text(snippet(result)), *_price(result), _trade(result)]
     return Group(*parts)
@@ -59,9 +59,8 @@ def _price(result: dict[str, Any]) -> list[Text]:
         lines.append(f" {result['told']}: on the rig declare what is certain, an under-estimate")
     texts = [Text(line) for line in lines]
     if result["failing_below"]:
-        words = (
-            f" of 100 smaller walls {result['failing_below']} are not rendered within the tolerance; try --margin 0.5"
-        )
+        count = f"{result['failing_below']} of {result['tried_below']}"
+        words = f" {count} smaller walls are not rendered within the tolerance; try --margin 0.5"
         texts.append(Text(words, style="yellow"))
     return texts
 

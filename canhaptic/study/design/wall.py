@@ -1,14 +1,14 @@
 """The largest stiffness, and then the largest damping, that `guarded` renders within a tolerance and with a margin.
 
-Bisection by many walls at once: a range is tried at evenly spaced places, the interval in which walls stop passing is
-tried again, until it is as narrow as the answer's digits. A wall counts only if every smaller one that was tried
-passes, softer ones with the same damping included: what a rig renders need not fall evenly.
+A range is tried at many places in one batch, the interval in which walls stop passing at many more in a second: what a
+batch costs hardly depends on the number of its walls. A wall counts only if every smaller one that was tried passes or
+nearly does, softer ones with the same damping included: what a rig renders need not fall evenly.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -24,16 +24,30 @@ from canhaptic.study.sweep.sweep import Engine
 
 TOLERANCE: Final = 0.05
 MARGIN: Final = 0.2
-_PLACES: Final = 16
-_ROUNDS: Final = 3
+_DECADES: Final = 4.0
+"""Of damping that are tried, below what is hardly rendered."""
 _DIGITS: Final = 3
 _SHARES: Final = (1.0, 0.6, 0.3)
 """Of the stiffest wall: the stiffnesses whose largest damping is shown, so that one can be traded for the other."""
 _BELOW: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Of a stiffness: where a damping has to pass, too."""
-_GRID: Final = 10
-"""Stiffnesses and dampings at which walls below the answer are tried."""
-_MOST_WALLS: Final = _ROUNDS * _PLACES * (1 + len(_SHARES) * len(_BELOW)) + _GRID * _GRID + 1
+
+
+class _Places(NamedTuple):
+    """How many walls are tried."""
+
+    stiffnesses: tuple[int, ...]  # in the whole range, then in each interval found
+    dampings: tuple[int, ...]  # the same
+    below: int  # stiffnesses, and dampings, at which walls below the answer are tried
+
+    @property
+    def most(self) -> int:
+        """Walls of a whole search."""
+        return sum(self.stiffnesses) + len(_SHARES) * len(_BELOW) * sum(self.dampings) + self.below**2 + 1
+
+
+_IN_ARRAYS: Final = _Places((128, 64), (32, 32), 10)
+_ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,20 +87,24 @@ def design_wall(
     trial = Trial(scene, tolerance, engine)
     search = _Search(trial, 1.0 + margin, progress)
     stiffest = search.largest_stiffness()
-    trade = tuple((k, search.largest_damping(k)) for k in (_rounded(share * stiffest) for share in _SHARES))
+    stiffnesses = [_rounded(share * stiffest) for share in _SHARES]
+    trade = tuple(zip(stiffnesses, search.largest_dampings(np.array(stiffnesses)), strict=True))
     stiffness, damping = trade[0]
-    hollow = search.failing_below(stiffness, damping)
-    result = _account(trial, stiffness, damping)
-    result |= {"margin": margin, "tolerance": tolerance, "failing_below": hollow, "walls": trial.walls}
+    below, verdict = search.below_and_at(stiffness, damping)
+    result = _account(trial, verdict, stiffness, damping)
+    result |= {"margin": margin, "tolerance": tolerance, "walls": trial.walls}
+    result |= {"tried_below": len(below), "failing_below": int((~below).sum())}
     result["trade"] = [{"stiffness": k, "damping": d} for k, d in trade]
     return Design(stiffness, damping, trade, result)
 
 
 class _Search:
-    """Bisection with a factor on everything that is tried."""
+    """A batch for the whole range and one for each interval found, with a factor on everything that is tried."""
 
     def __init__(self, trial: Trial, factor: float, progress: Callable[[int, int], None]) -> None:
         self._trial, self._factor, self._progress = trial, factor, progress
+        self._places = _IN_ARRAYS if trial.in_arrays else _ONE_BY_ONE
+        progress(0, self._places.most)
 
     def largest_stiffness(self) -> float:
         """Returns the largest stiffness without damping, a few digits of it.
@@ -94,46 +112,61 @@ class _Search:
         Raises:
             CheckFailedError: Not even the softest wall passes.
         """
-        softest = self._trial.softest
-        low, high = softest, STIFFEST / self._factor
-        for _ in range(_ROUNDS):
-            places = np.geomspace(low, high, _PLACES)
-            count = _before_failing(self._verdict(places, np.zeros(_PLACES)).passed)
-            if count == 0 and low == softest:
-                verdict = self._verdict(places[:1], np.zeros(1))
-                raise CheckFailedError(
-                    f"{self._trial.scene.source}: not even {low * self._factor:g} is rendered within the tolerance "
-                    f"(stiffness {100.0 * float(verdict.stiffness_share[0]):.3g} % of what was asked, "
-                    f"{float(verdict.least_interaction[0]):.3g} J given out); raise bus.rate, or declare what is "
-                    "certain (passivity.moving_mass, device_damping)"
-                )
-            if count == _PLACES:
+        low, high = self._trial.softest, STIFFEST / self._factor
+        for places in self._places.stiffnesses:
+            tried = np.geomspace(low, high, places)
+            verdict = self._verdict(tried, np.zeros(places))
+            last, first = _edges(verdict.passed, verdict.nearly)
+            if last < 0 and low == self._trial.softest:
+                raise self._nothing_passes(verdict)
+            if first == places:
                 return _rounded(high)
-            low, high = float(places[max(0, count - 1)]), float(places[count])
+            low, high = float(tried[max(last, 0)]), float(tried[first])
         return _rounded(low)
 
-    def largest_damping(self, stiffness: float) -> float:
-        """Returns the largest damping at a stiffness, 0 when none passes."""
-        scale = self._damping_scale(stiffness)
-        low, high = 0.0, 4.0 * scale
-        for _ in range(_ROUNDS):
-            places = np.linspace(low, high, _PLACES)
-            below = np.array(_BELOW) * stiffness
-            verdict = self._verdict(np.tile(below, _PLACES), np.repeat(places, len(below)))
-            count = _before_failing(verdict.passed.reshape(_PLACES, len(below)).all(axis=1))
-            if count == 0:
-                return 0.0
-            if count == _PLACES:
-                return _rounded(high)
-            low, high = float(places[count - 1]), float(places[count])
-        return _rounded(low)
+    def _nothing_passes(self, verdict: Verdict) -> CheckFailedError:
+        return CheckFailedError(
+            f"{self._trial.scene.source}: not even {self._trial.softest * self._factor:g} is rendered within the "
+            f"tolerance (stiffness {100.0 * float(verdict.stiffness_share[0]):.3g} % of what was asked, "
+            f"{float(verdict.least_interaction[0]):.3g} J given out); raise bus.rate, or declare what is "
+            "certain (passivity.moving_mass, device_damping)"
+        )
 
-    def failing_below(self, stiffness: float, damping: float) -> int:
-        """Returns how many of the walls tried below a wall do not pass: 0 for a wall without hidden weakness."""
-        parts = np.linspace(1.0 / _GRID, 1.0, _GRID)
+    def largest_dampings(self, stiffnesses: Array) -> list[float]:
+        """Returns the largest damping at each stiffness, shape (n,), 0 where none passes; all are searched at once."""
+        highest = 4.0 * np.array([self._damping_scale(stiffness) for stiffness in stiffnesses.tolist()])
+        first, *others = self._places.dampings
+        shares = np.concatenate([[0.0], np.logspace(-_DECADES, 0.0, first - 1)])
+        low, high = self._between(stiffnesses, highest[:, None] * shares)
+        for places in others:
+            low, high = self._between(stiffnesses, np.linspace(low, high, places, axis=1))
+        return [_rounded(damping) for damping in low.tolist()]
+
+    def _between(self, stiffnesses: Array, dampings: Array) -> tuple[Array, Array]:
+        """Returns the last damping that passes and the first that is out of the question, shape (n,) each.
+
+        Args:
+            stiffnesses: Shape (n,).
+            dampings: Rising, shape (n, m); where all pass, the last is both, and where none does, the first is.
+        """
+        walls = np.broadcast_arrays(stiffnesses[:, None, None] * np.array(_BELOW), dampings[:, :, None])
+        verdict = self._verdict(*(wall.ravel() for wall in walls))
+        passed, nearly = (found.reshape(walls[0].shape).all(axis=2) for found in (verdict.passed, verdict.nearly))
+        edges = np.array([_edges(*row) for row in zip(passed, nearly, strict=True)]).clip(0, dampings.shape[1] - 1)
+        rows = np.arange(len(dampings))
+        return dampings[rows, edges[:, 0]], dampings[rows, edges[:, 1]]
+
+    def below_and_at(self, stiffness: float, damping: float) -> tuple[Any, Verdict]:
+        """Returns which of some walls below a wall pass, all for one without hidden weakness, and its own verdict.
+
+        The walls below are tried with the factor, the wall itself without.
+        """
+        parts = np.linspace(1.0 / self._places.below, 1.0, self._places.below)
         dampings = parts if damping else np.zeros(1)
         grid = np.array([(k, d) for k in parts for d in dampings])
-        return int((~self._verdict(grid[:, 0] * stiffness, grid[:, 1] * damping).passed).sum())
+        own = np.array([[1.0, 1.0]]) / self._factor
+        verdict = self._verdict(*(np.concatenate([grid, own]) * (stiffness, damping)).T)
+        return verdict.passed[:-1], verdict.last()
 
     def _damping_scale(self, stiffness: float) -> float:
         """Returns a damping that is hardly rendered: it stops the mass in one hold, or is half the critical one."""
@@ -145,13 +178,14 @@ class _Search:
 
     def _verdict(self, stiffness: Array, damping: Array) -> Verdict:
         found = self._trial.verdict(self._factor * stiffness, self._factor * damping)
-        self._progress(self._trial.walls, _MOST_WALLS)
+        self._progress(self._trial.walls, self._places.most)
         return found
 
 
-def _before_failing(passed: Any) -> int:
-    """Returns how many pass before the first that does not."""
-    return int(np.logical_and.accumulate(passed).sum())
+def _edges(passed: Any, nearly: Any) -> tuple[int, int]:
+    """Returns the last that passes before any that does not even nearly, -1 for none, and the first that does not."""
+    first = int(np.logical_and.accumulate(nearly).sum())
+    return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
 
 
 def _rounded(value: float) -> float:
@@ -162,9 +196,8 @@ def _rounded(value: float) -> float:
     return float(f"{math.floor(value / unit * (1.0 + 1e-12)) * unit:.{_DIGITS}g}")
 
 
-def _account(trial: Trial, stiffness: float, damping: float) -> dict[str, Any]:
-    """Returns what the wall is and costs: one run of it, leant on, beside the continuous wall."""
-    verdict = trial.verdict(np.array([stiffness]), np.array([damping]))
+def _account(trial: Trial, verdict: Verdict, stiffness: float, damping: float) -> dict[str, Any]:
+    """Returns what the wall is and costs: its verdict, and one run of it, leant on, beside the continuous wall."""
     values = {STIFFNESS: stiffness, DAMPING: damping}
     places = places_of(trial.scene, tuple(values))
     overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]

@@ -8,10 +8,11 @@ import yaml
 
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.scene.load import load_scene
+from canhaptic.study.batch import run_scalar
 from canhaptic.study.compare import compare
 from canhaptic.study.design.report import snippet
 from canhaptic.study.design.trial import Trial
-from canhaptic.study.design.wall import _rounded, design_wall
+from canhaptic.study.design.wall import _ONE_BY_ONE, _rounded, design_wall
 
 DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
 RIG = [
@@ -32,15 +33,14 @@ def designed(told):
     return design_wall(load_scene(DEMO, RIG), engine="numpy", progress=lambda *seen: told.append(seen))
 
 
-@pytest.mark.slow
 def test_a_progress_bar_rises_and_never_passes_its_end(designed, told):
     tried, most = zip(*told, strict=True)
     assert list(tried) == sorted(set(tried))
+    assert tried[0] == 0  # told before the first batch, which takes seconds
     assert len(set(most)) == 1
     assert 0.5 * most[0] < designed.result["walls"] <= most[0]
 
 
-@pytest.mark.slow
 def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_tolerance(designed):
     assert designed.stiffness > 100.0
     pasted = yaml.safe_load(snippet(designed.result))
@@ -62,7 +62,6 @@ def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_t
     assert pasted["passivity"]["algorithm"] == "guarded"
 
 
-@pytest.mark.slow
 def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
     trial = Trial(load_scene(DEMO, RIG), 0.05, "numpy")
     verdict = trial.verdict(
@@ -74,7 +73,50 @@ def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
     assert not verdict.passed.tolist()[2]
 
 
-@pytest.mark.slow
+def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "numpy")
+    places = np.linspace(0.8, 1.2, 201) * designed.stiffness
+    verdict = trial.verdict(1.2 * places, np.zeros(len(places)))
+    first = int(np.argmin(verdict.nearly))
+    assert first > 0
+    assert designed.stiffness == pytest.approx(places[:first][verdict.passed[:first]].max(), rel=0.006)
+    assert [damping > 0.0 for _, damping in designed.trade] == [False, True, True]
+    for stiffness, damping in designed.trade[1:]:
+        dampings = np.linspace(0.0, 1.3, 131) * damping
+        below = 1.2 * stiffness * np.array([0.2, 0.4, 0.6, 0.8, 1.0])
+        grid = trial.verdict(*(wall.ravel() for wall in np.broadcast_arrays(below, 1.2 * dampings[:, None])))
+        passed, nearly = (found.reshape(131, 5).all(axis=1) for found in (grid.passed, grid.nearly))
+        first = int(np.argmin(nearly))
+        assert damping == pytest.approx(dampings[:first][passed[:first]].max(), rel=0.03)
+
+
+def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own():
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "numpy")
+    verdict = trial.verdict(np.array([300.0, 600.0]), np.array([2.0, 0.0]))
+    motion = "{type: sinusoid, amplitude: 0.16666666666666666, frequency: 1, phase: 1.5707963267948966}"
+    for row, (stiffness, damping) in enumerate([(300.0, 2.0), (600.0, 0.0)]):
+        shares, least = [], []
+        for user in ("{damping: 5, push: -5}", f"{{stiffness: 60, damping: 5, motion: {motion}}}"):
+            wall = f"environment={{type: spring_damper_wall, stiffness: {stiffness}, damping: {damping}}}"
+            start = "simulation.plant.initial_position=0.002"
+            scene = load_scene(DEMO, [*RIG, wall, start, f"simulation.user={user}"])
+            found = run_scalar(scene, 200, ["stiffness_rendered.share", "least_covered"])
+            shares.append(found["stiffness_rendered.share"])
+            least.append(found["least_covered"])
+        assert verdict.stiffness_share[row] == pytest.approx(max(shares, key=lambda share: abs(share - 1.0)), rel=1e-9)
+        assert verdict.least_judged[row] == pytest.approx(min(least), abs=1e-12)
+
+
+def test_a_plant_that_cannot_run_in_arrays_is_tried_in_fewer_places():
+    scene = load_scene(DEMO, [*RIG, "simulation.effects=[{type: coulomb_friction, kinetic: 0.1 N, static: 0.1 N}]"])
+    trial = Trial(scene, 0.05)
+    assert not trial.in_arrays
+    verdict = trial.verdict(np.array([200.0]), np.zeros(1))
+    assert trial.engine == "scalar"
+    assert 0.5 < verdict.stiffness_share[0] < 1.0
+    assert _ONE_BY_ONE.most < 300
+
+
 def test_the_lines_can_be_pasted_into_the_scene(designed):
     pasted = yaml.safe_load(snippet(designed.result))
     lines = [
@@ -92,7 +134,6 @@ def test_what_cannot_be_designed_is_said():
         design_wall(bare)
 
 
-@pytest.mark.slow
 def test_a_rig_that_renders_no_wall_is_told_what_to_change():
     with pytest.raises(CheckFailedError, match=r"raise bus\.rate"):
         design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="numpy")
