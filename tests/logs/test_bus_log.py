@@ -175,7 +175,8 @@ def test_a_folder_and_a_missing_file_are_told_apart(tmp_path: Path) -> None:
 
 def test_lines_of_candump_without_direction_and_remote_frames_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(
-        "(1436509052.249713) vcan0 044#2A366C2BBA\n(1.5) vcan0 123#R\n\n(2.0) can1 7FF#\n(2.5) can1 7FE# t\n(3.0) can1 7FD# r\n"
+        "(1436509052.249713) vcan0 044#2A366C2BBA\n(1.5) vcan0 123#R\n\n(2.0) can1 7FF#\n"
+        "(2.5) can1 7FE# t\n(3.0) can1 7FD# r\n"
     )
     assert list(read_bus_log(tmp_path / "a.log")) == [
         (1_436_509_052_249_713_000, 0x044, bytes.fromhex("2A366C2BBA"), True, 1, "vcan0"),

@@ -31,6 +31,10 @@ def decoder() -> BusDecoder:
         (0x080, "", ("SYNC", "", "")),
         (0x705, "00", ("heartbeat", "handle", "boot-up")),
         (0x705, "05", ("heartbeat", "handle", "operational")),
+        (0x705, "85", ("heartbeat", "handle", "operational")),  # bit 7 toggles where nodes are guarded
+        (0x705, "0500", ("heartbeat", "handle", "malformed: 2 bytes instead of 1")),
+        (0x085, "1186", ("EMCY", "handle", "malformed: 2 bytes instead of 8")),
+        (0x100, "00112233", ("TIME", "", "00 11 22 33")),
         (0x70A, "7F", ("heartbeat", "node 10", "pre-operational")),
         (
             0x085,
@@ -47,6 +51,25 @@ def decoder() -> BusDecoder:
             ("SDO", "handle", "abort by server of 0x6071 Target torque: 0x06090030 invalid value for parameter"),
         ),
         (0x585, "4372600000000000", ("SDO", "handle", "0x6072 Max torque = 0x00000000 (0 N)")),
+        (0x605, "226060000A000000", ("SDO", "handle", "write 0x6060 Modes of operation = 0x0000000A")),  # no size
+        (0x585, "426160000A000000", ("SDO", "handle", "0x6061 Modes of operation display = 0x0000000A")),
+        (0x605, "2108100008000000", ("SDO", "handle", "write 0x1008 Manufacturer device name in segments, 8 bytes")),
+        (0x585, "4108100008000000", ("SDO", "handle", "0x1008 Manufacturer device name follows in segments, 8 bytes")),
+        (0x585, "4008100000000000", ("SDO", "handle", "0x1008 Manufacturer device name follows in segments")),
+        (0x605, "A608100000000000", ("SDO", "handle", "block upload: a6 08 10 00 00 00 00 00")),
+        (0x605, "C608100000000000", ("SDO", "handle", "block download: c6 08 10 00 00 00 00 00")),
+        (0x605, "E008100000000000", ("SDO", "handle", "unknown command 0xe0")),
+        (0x585, "A108100000000000", ("SDO", "handle", "block transfer: a1 08 10 00 00 00 00 00")),
+        (
+            0x605,
+            "8008100001000405",
+            (
+                "SDO",
+                "handle",
+                "abort by client of 0x1008 Manufacturer device name: "
+                "0x05040001 client/server command specifier not valid or unknown",
+            ),
+        ),
         (0x585, "4B", ("SDO", "handle", "malformed: 1 bytes instead of 8")),
         (0x18FF1234, "01", ("unknown", "", "01")),
     ],
@@ -88,6 +111,56 @@ def test_a_map_is_learnt_without_any_description_too_and_an_aborted_write_teache
     words(decoder, 0x605, "2F001A0001000000")
     words(decoder, 0x585, "80001A0022000008")
     assert words(decoder, 0x185, "37120A0000000000")[2].endswith("position actual 10, torque demand 0")
+
+
+def test_segments_belong_to_the_object_whose_transfer_they_continue(decoder: BusDecoder) -> None:
+    name = "0x1008 Manufacturer device name"
+    words(decoder, 0x605, "4008100000000000")
+    words(decoder, 0x585, "4108100009000000")
+    assert words(decoder, 0x605, "6000000000000000")[2] == f"read next segment of {name}"
+    assert words(decoder, 0x585, "0061626364656667")[2] == f"segment of {name}: 61 62 63 64 65 66 67"
+    assert words(decoder, 0x585, "1D68000000000000")[2] == f"segment of {name}: 68, last"
+    words(decoder, 0x605, "2109100002000000")
+    assert words(decoder, 0x605, "0B61620000000000")[2].endswith("hardware version: 61 62, last")
+    assert words(decoder, 0x585, "2000000000000000")[2].endswith("hardware version taken")
+
+
+@pytest.mark.parametrize(
+    ("requests", "response"),
+    [
+        (["2F001A0001000000"], "80001A0022000008"),
+        (["2F001A0001000000"], "60011A0000000000"),  # another object
+        (["2F001A0001000000", "21001A0001000000"], "60001A0000000000"),  # what came in segments is not known
+        (["40001A0000000000"], "60001A0000000000"),
+    ],
+)
+def test_only_a_confirmed_write_of_a_known_value_teaches(requests: list[str], response: str) -> None:
+    decoder = BusDecoder()
+    words(decoder, 0x605, "23001A0110004160")
+    words(decoder, 0x585, "60001A0100000000")
+    for request in requests:
+        words(decoder, 0x605, request)
+    words(decoder, 0x585, response)
+    assert words(decoder, 0x185, "3712")[2] == "37 12 (map not known)"
+
+
+def test_an_aborted_write_is_forgotten() -> None:
+    decoder = BusDecoder()
+    for request, response in MAP_TPDO1:
+        words(decoder, 0x605, request)
+        words(decoder, 0x585, response)
+    words(decoder, 0x605, "2F001A0001000000")
+    words(decoder, 0x585, "80001A0022000008")
+    words(decoder, 0x585, "60001A0000000000")  # as if it were confirmed after all
+    assert words(decoder, 0x185, "3712")[2] == "malformed: 2 bytes, the map has 64 bits"
+
+
+def test_only_signed_objects_have_a_sign() -> None:
+    decoder = BusDecoder()
+    for entry in ("23001A0110007260", "23001A0210007160", "2F001A0002000000"):
+        words(decoder, 0x605, entry)
+        words(decoder, 0x585, f"60{entry[2:8]}00000000")
+    assert words(decoder, 0x185, "FFFF FFFF")[2] == "max torque 65535, target torque -1"
 
 
 def test_a_pdo_switched_off_or_moved_is_followed() -> None:
