@@ -16,6 +16,11 @@ PICTURES: Final = (".png", ".svg", ".pdf")
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """Declares the scene file and its overrides."""
     parser.add_argument("config", metavar="CONFIG", type=Path, help="scene file (YAML)")
+    add_overrides(parser)
+
+
+def add_overrides(parser: argparse.ArgumentParser) -> None:
+    """Declares `--set`."""
     parser.add_argument(
         "--set",
         dest="overrides",
@@ -26,9 +31,9 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
+def add_json(parser: argparse.ArgumentParser, what: str = "one JSON object instead of tables") -> None:
     """Declares `--json`."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    parser.add_argument("--json", action="store_true", help=f"print {what}")
 
 
 def scene_of(arguments: argparse.Namespace) -> Scene:

@@ -1,5 +1,78 @@
-"""`canhaptic decode BUSLOG`: every frame of a bus log, named."""
+"""`canhaptic decode BUSLOG`: every frame of a bus log in words, one line each."""
 
-from canhaptic.view.decode_command import add_arguments, execute
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
-__all__ = ["add_arguments", "execute"]
+from canhaptic.cli.arguments import add_json
+from canhaptic.cli.output import write_line
+from canhaptic.logs.bus_reader import read_bus_log
+from canhaptic.logs.decoder import BusDecoder
+from canhaptic.scene.channels import Channels
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from canhaptic.scene.nodes import describe_nodes
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `decode`."""
+    parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
+    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file, for names, units and dictionaries")
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="from this time on [s]")
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="up to this time [s]")
+    parser.add_argument("--only", action="append", metavar="KIND", help="NMT, SYNC, EMCY, SDO, TPDO1, heartbeat, ...")
+    add_json(parser, "one JSON object per line")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Prints the frames and returns 0.
+
+    Raises:
+        InputError: The log or the scene cannot be used.
+    """
+    scene = None if arguments.config is None else load_scene(arguments.config)
+    for frame in decode_log(arguments.bus_log, scene, arguments.start, arguments.stop):
+        if not arguments.only or frame["kind"].lower() in {kind.lower() for kind in arguments.only}:
+            write_line(json.dumps(frame) if arguments.json else line(frame))
+    return 0
+
+
+def decode_log(
+    path: Path, scene: Scene | None = None, start: float | None = None, stop: float | None = None
+) -> Iterator[dict[str, Any]]:
+    """Yields `{time, channel, direction, id, data, kind, node, text}` of every frame between two times [s].
+
+    Frames before `start` are decoded too, since the PDO maps are learnt from the bring-up. Each bus is decoded on its
+    own: the same node ID on two of them is two nodes.
+    """
+    nodes = [] if scene is None else describe_nodes(scene)
+    place_of = None if scene is None else Channels(scene).place_of
+    decoders: dict[str, BusDecoder] = {}
+    for frame in read_bus_log(path):
+        decoder = decoders.get(frame.channel)
+        if decoder is None:
+            of_bus = [node for node in nodes if place_of is None or node.bus == place_of(frame)]
+            decoder = decoders[frame.channel] = BusDecoder(of_bus)
+        decoded = decoder.decode(frame.can_id, frame.data)
+        time = frame.timestamp_ns / 1e9
+        if stop is not None and time >= stop:
+            return
+        if start is None or time >= start:
+            yield {
+                "time": time,
+                "channel": frame.channel,
+                "direction": "R" if frame.is_rx else "T",
+                "id": frame.can_id,
+                "data": frame.data.hex().upper(),
+                **decoded._asdict(),
+            }
+
+
+def line(frame: dict[str, Any]) -> str:
+    """Returns one decoded frame as a line of text."""
+    return (
+        f"{frame['time']:14.6f} {frame['channel']} {frame['direction']} {frame['id']:03X} {frame['data']:<16} "
+        f"{frame['kind']:<9} {frame['node']:<10} {frame['text']}"
+    ).rstrip()

@@ -1,5 +1,161 @@
 """`canhaptic inspect LOG`: the account of a finished run, checked, compared, drawn, exported, recomputed."""
 
-from canhaptic.view.inspect_command import add_arguments, execute
+import argparse
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
-__all__ = ["add_arguments", "execute"]
+from rich.console import Console
+
+from canhaptic.cli.arguments import add_json
+from canhaptic.cli.output import write_json
+from canhaptic.errors import InputError
+from canhaptic.logs.bus_sink import CONVERTIBLE
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.export import export
+from canhaptic.logs.repair import repair
+from canhaptic.view.checks import check
+from canhaptic.view.compare import compare
+from canhaptic.view.energy_table import energy_report, make_console
+from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report
+from canhaptic.view.inspection import inspect
+from canhaptic.view.picture import draw_energy
+from canhaptic.view.recompute import recompute_all, scene_of
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `inspect`."""
+    parser.add_argument("log", type=Path, help="an energy log (.h5), or a bus log together with --config")
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="count from this time on [s]")
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="count up to this time [s]")
+    add_json(parser)
+    parser.add_argument(
+        "--check",
+        action="append",
+        default=[],
+        metavar="EXPRESSION",
+        help="exit with 1 unless it holds, such as 'margin >= -1 uJ', 'handle.deficit == 0', 'compute.p99.9 < 50 us'",
+    )
+    parser.add_argument(
+        "--compare",
+        type=Path,
+        metavar="OTHER",
+        help="exit with 1 unless the other log is the same; pictures show both",
+    )
+    for option, what in (("--csv", "a table of every row"), ("--parquet", "the same"), ("--mat", "the same")):
+        parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
+    for option in ("--png", "--svg"):
+        parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write one self-contained interactive page")
+    parser.add_argument(
+        "--recompute",
+        action="store_true",
+        help="feed the logged inputs to the controllers again; exit with 1 unless every output is equal bit for bit",
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="CONFIG", help="scene of the run; by default the one the log names"
+    )
+    parser.add_argument(
+        "--bus-log",
+        type=Path,
+        metavar="FILE",
+        help="derive the account again from the frames alone; exit with 1 unless it is that of the log bit for bit",
+    )
+    parser.add_argument("--repair", type=Path, metavar="FILE", help="save all that can be read into a clean log")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Does what the arguments ask for; returns 0, or 1 when a check, the comparison or the recomputation failed.
+
+    Raises:
+        InputError: A log or an argument that cannot be used.
+    """
+    console = make_console()
+    if arguments.repair is not None:
+        kept, lost = repair(arguments.log, arguments.repair)
+        if not arguments.json:
+            console.print(f" {arguments.repair}: {kept} cycles saved, {lost} could not be read", soft_wrap=True)
+        arguments.log = arguments.repair
+    if arguments.log.suffix.lower() in {".log", *CONVERTIBLE}:
+        return _inspect_frames(arguments, console)
+    with EnergyLog.open(arguments.log) as log:
+        result = inspect(log, arguments.start, arguments.stop)
+        result["checks"] = _checks(result, arguments)
+        _judge(log, result, arguments)
+        _write_files(log, result, arguments)
+    _show(result, console, as_json=arguments.json)
+    return 0 if _is_good(result) else 1
+
+
+def _checks(result: dict[str, Any], arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    return [outcome for expression in arguments.check for outcome in check(result, expression)]
+
+
+def _judge(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
+    """Adds what the log is held against: another log, its own controllers, the frames of the same run."""
+    if arguments.compare is not None:
+        with EnergyLog.open(arguments.compare) as other:
+            result["comparison"] = compare(log, other)
+    if arguments.recompute:
+        result["recomputed"] = recompute_all(log, arguments.config)
+    if arguments.bus_log is not None:
+        from canhaptic.view.rederive import rederive
+
+        result["rederived"] = rederive(arguments.bus_log, scene_of(log, arguments.config), log)
+
+
+def _is_good(result: dict[str, Any]) -> bool:
+    return (
+        all(outcome["holds"] for outcome in result["checks"])
+        and result.get("comparison", {}).get("identical", True)
+        and all(port["mismatch"] is None for port in result.get("recomputed", []))
+        and not result.get("rederived", {}).get("differences")
+    )
+
+
+def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
+    for suffix in ("csv", "parquet", "mat"):
+        path = getattr(arguments, suffix)
+        if path is not None:
+            if path.suffix != f".{suffix}":
+                raise InputError(f"--{suffix} {path}: expected a name that ends in .{suffix}")
+            export(log, path)
+    pictures = [path for path in (arguments.png, arguments.svg) if path is not None]
+    if not pictures and arguments.html is None:
+        return
+    with ExitStack() as stack:
+        other = stack.enter_context(EnergyLog.open(arguments.compare)) if arguments.compare is not None else None
+        for path in pictures:
+            draw_energy(log, path, arguments.start, arguments.stop, other)
+        if arguments.html is not None:
+            from canhaptic.view.html_report import write_html
+
+            write_html(log, arguments.html, result, arguments.start, arguments.stop, other)
+
+
+def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
+    """The account of a run of which only the frames are there."""
+    from canhaptic.scene.load import load_scene
+    from canhaptic.view.rederive import rederive
+
+    if arguments.config is None:
+        raise InputError(f"{arguments.log}: is a bus log; name the scene of the run with --config")
+    result: dict[str, Any] = {"status": f"derived from the frames of {arguments.log.name}"}
+    result |= rederive(arguments.log, load_scene(arguments.config))
+    result["checks"] = _checks(result, arguments)
+    if arguments.json:
+        write_json(result)
+    else:
+        console.print(energy_report(result))
+        if result["checks"]:
+            console.print(checks_table(result["checks"]))
+    return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
+
+
+def _show(result: dict[str, Any], console: Console, as_json: bool) -> None:
+    if as_json:
+        write_json(result)
+        return
+    console.print(inspection_report(result))
+    if "comparison" in result:
+        console.print(comparison_report(result["comparison"]))

@@ -1,16 +1,18 @@
 """What the command writes: results on standard output, everything else on standard error."""
 
+import json
+import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from canhaptic.errors import CanHapticError, InputError, SceneError
-from canhaptic.view.json_text import json_text
 
 
 def write_json(value: Any) -> None:
     """Writes one JSON object to standard output; numbers that JSON lacks (inf, nan) become null."""
-    sys.stdout.write(json_text(value))
+    sys.stdout.write(json.dumps(_finite(value), indent=2, allow_nan=False) + "\n")
 
 
 def write_line(text: str = "") -> None:
@@ -63,3 +65,13 @@ def failure(error: CanHapticError) -> dict[str, Any]:
         "exit_status": error.exit_status,
         "faults": faults,
     }
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

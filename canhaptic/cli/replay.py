@@ -1,5 +1,76 @@
 """`canhaptic replay BUSLOG --config CONFIG`: a recorded bus against today's master, every frame compared."""
 
-from canhaptic.view.replay_command import add_arguments, execute
+import argparse
+from pathlib import Path
+from typing import Any
 
-__all__ = ["add_arguments", "execute"]
+from rich.text import Text
+
+from canhaptic.cli.arguments import add_json, add_overrides, scene_of
+from canhaptic.cli.output import write_json
+from canhaptic.replay.replay import replay
+from canhaptic.view.energy_table import energy_report, make_console
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `replay`."""
+    parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
+    parser.add_argument("--config", type=Path, metavar="CONFIG", required=True, help="scene of the recorded run")
+    add_overrides(parser)
+    parser.add_argument("--realtime", action="store_true", help="keep the pace of the recording")
+    parser.add_argument(
+        "--from-sync", action="store_true", help="leave the start of the drives out, even if it was recorded"
+    )
+    parser.add_argument("--account", action="store_true", help="print the energy account of the replayed run, too")
+    add_json(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Replays; returns 0 when the master sent what was recorded, 1 when it did not.
+
+    Raises:
+        InputError: The recording or the scene cannot be used.
+    """
+    scene = scene_of(arguments)
+    result = replay(arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync)
+    if arguments.json:
+        write_json(result)
+    else:
+        console = make_console()
+        for line in replay_report(result):
+            console.print(line, soft_wrap=True)
+        if arguments.account:
+            console.print(energy_report(result["account"]))
+    return 0 if result["status"] == "identical" else 1
+
+
+def replay_report(result: dict[str, Any]) -> list[Text]:
+    """Returns the outcome of a replay as lines."""
+    difference, frames = result["difference"], result["frames"]
+    start = "from the boot of the drives" if result["start"] == "boot" else "from the first SYNC with all axes enabled"
+    lines = [
+        Text(f" {result['recording']}: {result['duration']:.6g} s, {frames['recorded']} frames, replayed {start}"),
+        Text(
+            f" {frames['compared']} frames of the master compared, {frames['played']} of the drives played, "
+            f"{result['cycles']} cycles, {result['speed']:.1f} times real time"
+        ),
+        Text(f" ended: {result['ended']}"),
+    ]
+    if difference is None:
+        return [*lines, Text(" identical: the master sent every frame byte for byte as recorded", style="green")]
+    place = f"line {difference['number']}, {difference['time']:.6f} s"
+    lines.append(Text(f" different at {place}:", style="bold red"))
+    lines.append(Text(f"   recorded  {_words(difference['recorded'])}"))
+    lines.append(Text(f"   sent      {_words(difference['sent'])}"))
+    lines.append(Text(" the last frames before, equal:", style="dim"))
+    lines += [
+        Text(f"   {frame['number']:>7} {frame['time']:12.6f} {frame['direction']} {_words(frame)}", style="dim")
+        for frame in difference["before"]
+    ]
+    return lines
+
+
+def _words(frame: dict[str, Any] | None) -> str:
+    if frame is None:
+        return "nothing more"
+    return f"{frame['id']:03X}#{frame['data']:<16} {frame['kind']} {frame['node']}: {frame['text']}".rstrip(" :")

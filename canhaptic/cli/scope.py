@@ -1,5 +1,76 @@
-"""`canhaptic scope LOG`: a live page on a log as it is written."""
+"""`canhaptic scope LOG`: a live page on a log as it is written. A process of its own, that only reads, for this host."""
 
-from canhaptic.view.scope_command import add_arguments, execute
+import argparse
+import signal
+import socket
+from pathlib import Path
+from typing import Final
 
-__all__ = ["add_arguments", "execute"]
+from canhaptic.errors import InputError
+from canhaptic.scene.load import load_scene
+from canhaptic.view.energy_table import make_console
+from canhaptic.view.live_log import LiveLog
+from canhaptic.view.page import require_bokeh
+
+_HOST: Final = "127.0.0.1"  # nobody else may look at, or load, a machine that moves
+_PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into one chunk
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `scope`."""
+    parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="energy log that a run writes or will write")
+    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file that names the log (log.energy)")
+    parser.add_argument("--port", type=int, default=5006, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds shown")
+    parser.add_argument("--open", action="store_true", help="open the page in a browser")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Serves the page until the process is interrupted.
+
+    Raises:
+        InputError: No log is named, Bokeh is not installed, or the port is taken.
+    """
+    path = _log_of(arguments)
+    if not 0.0 < arguments.window <= 3600.0:
+        raise InputError(f"--window {arguments.window:g}: expected 0 < seconds <= 3600")
+    require_bokeh()
+    from bokeh.server.server import Server
+
+    from canhaptic.view.scope_page import ScopePage
+
+    port = arguments.port or _free_port()
+    try:
+        server = Server(
+            {"/": lambda document: ScopePage(document, LiveLog(path), arguments.window, _PERIOD)},
+            address=_HOST,
+            port=port,
+            allow_websocket_origin=[f"{_HOST}:{port}", f"localhost:{port}"],
+        )
+    except (OSError, OverflowError) as error:
+        raise InputError(f"port {port}: cannot be used ({error}); choose another with --port") from error
+    # As an exception Ctrl-C may be swallowed by whatever callback it falls into.
+    server.io_loop.asyncio_loop.add_signal_handler(signal.SIGINT, server.io_loop.stop)
+    address = f"http://{_HOST}:{server.port}/"
+    make_console().print(f" scope of {path} at {address}   Ctrl-C ends", soft_wrap=True)
+    if arguments.open:
+        server.io_loop.add_callback(server.show, "/")
+    server.run_until_shutdown()
+    return 0
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((_HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+def _log_of(arguments: argparse.Namespace) -> Path:
+    if arguments.log is not None:
+        return Path(arguments.log)
+    if arguments.config is None:
+        raise InputError("scope: name the log, or a scene that names it with --config")
+    energy = load_scene(arguments.config).log.energy
+    if energy is None:
+        raise InputError(f"{arguments.config}: names no energy log; give it under log.energy, or name the log itself")
+    return energy

@@ -1,12 +1,11 @@
-import argparse
 import json
 from pathlib import Path
 
 import pytest
+import typed
 
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.nodes import describe_nodes
-from canhaptic.view.decode_command import add_arguments, execute
 
 ROOT = Path(__file__).parents[2]
 
@@ -21,12 +20,6 @@ BUS_LOG = """\
 """
 
 
-def command(*words: str | Path) -> int:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return execute(parser.parse_args([str(word) for word in words]))
-
-
 @pytest.fixture
 def bus_log(tmp_path: Path) -> Path:
     path = tmp_path / "bus.log"
@@ -37,7 +30,7 @@ def bus_log(tmp_path: Path) -> Path:
 def test_every_frame_becomes_a_line_and_maps_told_before_the_span_are_known(
     bus_log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command(bus_log, "--from", "1", "--to", "2") == 0
+    assert typed.decode(bus_log, "--from", "1", "--to", "2") == 0
     assert capsys.readouterr().out.splitlines() == [
         "      1.000000 vcan0 T 080                  SYNC",
         "      1.000000 vcan0 R 181 3712             TPDO1     node 1     statusword 0x1237 OPERATION ENABLED",
@@ -45,7 +38,7 @@ def test_every_frame_becomes_a_line_and_maps_told_before_the_span_are_known(
 
 
 def test_one_kind_of_frame_can_be_asked_for_as_json(bus_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(bus_log, "--only", "emcy", "--json") == 0
+    assert typed.decode(bus_log, "--only", "emcy", "--json") == 0
     (found,) = capsys.readouterr().out.splitlines()
     assert json.loads(found) == {
         "time": 2.0,

@@ -1,4 +1,3 @@
-import argparse
 import re
 import subprocess
 import sys
@@ -6,23 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typed
 from chromium import chromium
 from hour_run import SPIKE, write_hour
 from synthetic_run import write_run
 
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.view.inspect_command import add_arguments, execute
 from canhaptic.view.series import PortSeries
 
 ROOT = Path(__file__).parents[2]
 READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"
-
-
-def command(*words: str | Path) -> int:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return execute(parser.parse_args([str(word) for word in words]))
 
 
 def test_what_is_drawn_keeps_spikes_and_every_row_around_worst_margin_and_faults(tmp_path: Path) -> None:
@@ -46,21 +39,24 @@ def test_what_is_drawn_keeps_spikes_and_every_row_around_worst_margin_and_faults
 def test_a_part_of_a_run_can_be_drawn_and_an_empty_log_cannot(tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     write_run(tmp_path / "run.h5", cycles=600, ports=("handle", "knob"))
-    assert command(tmp_path / "run.h5", "--html", tmp_path / "part.html", "--from", "0.1", "--to", "0.3", "--json") == 0
+    assert (
+        typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "part.html", "--from", "0.1", "--to", "0.3", "--json")
+        == 0
+    )
     page = (tmp_path / "part.html").read_text()
     assert len(page) < 6_000_000
     assert not re.search(r"<script[^>]+src=|<link[^>]+href=", page)  # nothing is fetched from anywhere
     write_run(tmp_path / "empty.h5", cycles=0)
     with pytest.raises(InputError, match="no cycle"):
-        command(tmp_path / "empty.h5", "--html", tmp_path / "empty.html")
+        typed.inspect(tmp_path / "empty.h5", "--html", tmp_path / "empty.html")
     with pytest.raises(InputError, match="cannot be written"):
-        command(tmp_path / "run.h5", "--html", tmp_path / "missing" / "run.html")
+        typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "missing" / "run.html")
 
 
 def test_two_runs_are_drawn_over_each_other(tmp_path: Path) -> None:
     write_run(tmp_path / "a.h5", cycles=600)
     write_run(tmp_path / "b.h5", cycles=400)
-    assert command(tmp_path / "a.h5", "--compare", tmp_path / "b.h5", "--svg", tmp_path / "both.svg") == 1
+    assert typed.inspect(tmp_path / "a.h5", "--compare", tmp_path / "b.h5", "--svg", tmp_path / "both.svg") == 1
     black_and_dashed = re.findall(r"stroke-dasharray: 2\.1[^\"]*stroke: #000000", (tmp_path / "both.svg").read_text())
     assert len(black_and_dashed) == 5 + 4  # position, torque, in, dissipated, surplus; and one in each legend
 
@@ -100,7 +96,7 @@ def test_an_hour_is_inspected_in_little_memory_and_opens_in_a_browser(tmp_path: 
 def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     write_run(tmp_path / "run.h5", cycles=4000, ports=("handle", "knob"))
-    assert command(tmp_path / "run.h5", "--html", tmp_path / "run.html", "--json") == 0
+    assert typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "run.html", "--json") == 0
     with chromium() as page:
         page.open((tmp_path / "run.html").as_uri())
         page.wait_for(READY)

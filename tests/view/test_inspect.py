@@ -1,4 +1,3 @@
-import argparse
 import json
 import math
 from pathlib import Path
@@ -6,6 +5,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import typed
 from synthetic_run import write_run
 
 from canhaptic.errors import InputError
@@ -13,7 +13,6 @@ from canhaptic.haptics.balance import Branch, EnergyBalance, Ledger
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view.checks import check
 from canhaptic.view.compare import compare
-from canhaptic.view.inspect_command import add_arguments, execute
 from canhaptic.view.inspection import inspect, quantiles
 
 
@@ -140,14 +139,8 @@ def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Pat
     assert difference["largest"] == pytest.approx(1e-18, rel=0.1)
 
 
-def command(*words: str | Path) -> int:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return execute(parser.parse_args([str(word) for word in words]))
-
-
 def test_the_command_prints_tables_that_fit_a_hundred_columns(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(log, "--check", "deficit==0") == 0
+    assert typed.inspect(log, "--check", "deficit==0") == 0
     text = capsys.readouterr().out
     assert max(len(line.rstrip()) for line in text.splitlines() if str(log) not in line) <= 100
     for words in ("energy account", "3 contacts", "0x8130 heartbeat lost", "holds", "cycle time"):
@@ -157,16 +150,16 @@ def test_the_command_prints_tables_that_fit_a_hundred_columns(log: Path, capsys:
 def test_the_command_exits_with_one_when_a_check_or_comparison_fails(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command(log, "--check", "margin>=0") == 1
+    assert typed.inspect(log, "--check", "margin>=0") == 1
     assert "FAILS" in capsys.readouterr().out
-    assert command(log, "--compare", changed(log, tmp_path / "b.h5"), "--json") == 1
+    assert typed.inspect(log, "--compare", changed(log, tmp_path / "b.h5"), "--json") == 1
     result = json.loads(capsys.readouterr().out)
     assert result["comparison"]["differences"][0]["cycle"] == 1234
     assert result["ports"]["handle"]["branches"]["exact"] == 1375
 
 
 def test_a_csv_reads_back_to_the_same_bits(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(log, "--csv", tmp_path / "run.csv", "--json") == 0
+    assert typed.inspect(log, "--csv", tmp_path / "run.csv", "--json") == 0
     capsys.readouterr()
     lines = (tmp_path / "run.csv").read_text().splitlines()
     titles = lines[0].split(",")
@@ -175,12 +168,12 @@ def test_a_csv_reads_back_to_the_same_bits(log: Path, tmp_path: Path, capsys: py
     with EnergyLog.open(log) as opened:
         assert [float(line.split(",")[column]) for line in lines[1:]] == opened.ports["handle"]["h_i"].tolist()
     with pytest.raises(InputError, match=r"ends in \.csv"):
-        command(log, "--csv", tmp_path / "run.txt")
+        typed.inspect(log, "--csv", tmp_path / "run.txt")
 
 
 def test_a_mat_file_holds_every_quantity(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     io = pytest.importorskip("scipy.io")
-    assert command(log, "--mat", tmp_path / "run.mat", "--json") == 0
+    assert typed.inspect(log, "--mat", tmp_path / "run.mat", "--json") == 0
     capsys.readouterr()
     content = io.loadmat(tmp_path / "run.mat", simplify_cells=True)
     with EnergyLog.open(log) as opened:
@@ -199,7 +192,7 @@ def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, caps
             copy = file.create_dataset(f"ports/handle/{name}", data=data[:], chunks=(500,), compression="gzip")
             copy.attrs["unit"] = data.attrs["unit"]
     break_chunk(damaged, "ports/handle/h_i", 5)
-    assert command(damaged, "--repair", saved) == 0
+    assert typed.inspect(damaged, "--repair", saved) == 0
     text = capsys.readouterr().out
     with EnergyLog.open(saved) as repaired, EnergyLog.open(log) as whole:
         assert 0 < repaired.rows <= 2500
@@ -207,7 +200,7 @@ def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, caps
         assert np.array_equal(repaired.ports["handle"]["h_i"], whole.ports["handle"]["h_i"][: repaired.rows])
         assert repaired.status == "repaired"
     with pytest.raises(InputError, match="another name"):
-        command(log, "--repair", log)
+        typed.inspect(log, "--repair", log)
 
 
 def break_chunk(path: Path, name: str, number: int) -> None:
@@ -223,14 +216,14 @@ def test_repair_saves_every_row_of_a_log_whose_events_are_damaged(log: Path, tmp
     damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
     damaged.write_bytes(log.read_bytes())
     break_chunk(damaged, "events/text", 0)
-    assert command(damaged, "--repair", saved, "--json") == 0
+    assert typed.inspect(damaged, "--repair", saved, "--json") == 0
     with EnergyLog.open(saved) as repaired:
         assert (repaired.rows, repaired.events) == (4000, [])
 
 
 def test_a_repaired_copy_that_cannot_be_written_is_one_clear_error(log: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no/saved\.h5: the repaired copy cannot be written"):
-        command(log, "--repair", tmp_path / "no" / "saved.h5")
+        typed.inspect(log, "--repair", tmp_path / "no" / "saved.h5")
 
 
 def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -239,6 +232,6 @@ def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.Captu
     with h5py.File(path, "r+") as file:
         file["ports/handle/h_m"][7] = math.nan
         file["ports/handle/leak"][7] = math.inf
-    assert command(path, "--json") == 0
+    assert typed.inspect(path, "--json") == 0
     result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert result["ports"]["handle"]["leaked"] is None
