@@ -54,6 +54,15 @@ def test_the_table_ends_with_a_line_that_a_scene_takes(capsys):
     assert "Pareto front" in shown
 
 
+def test_a_time_in_which_nothing_is_felt_is_no_comparison_and_nothing_is_cut_off(capsys):
+    demo = str(REPOSITORY / "configs" / "demo.yaml")
+    assert main(["accuracy", demo, "--duration", "0.1 s", "--budget", "0"]) == 0
+    printed = capsys.readouterr().out
+    assert "nothing is felt, and nothing was compared; take a longer --duration" in printed
+    assert "nearer:" not in printed
+    assert "…" not in printed
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

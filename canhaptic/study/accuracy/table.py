@@ -30,14 +30,17 @@ _NEARER: Final = 0.8
 """Part of the scene's own error below which a change is worth naming."""
 _SHOWN: Final = 4
 _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
-_LOOK: Final[Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False, "padding": (0, 1, 0, 0)}
+_LOOK: Final[Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}
+_AIRY: Final = 9
+"""Columns that a terminal of 100 characters shows with two spaces between them."""
 
 
 def accuracy_report(result: Row) -> RenderableType:
     """Returns heading, tables and advice for a terminal."""
     parts: list[RenderableType] = [Text(f" {line}") for line in heading(result)]
     for title, heads, rows, marked in _tables(result):
-        table = Table(title=f" {title}", title_justify="left", title_style="bold", **_LOOK)
+        padding = (0, int(len(heads) <= _AIRY), 0, 0)
+        table = Table(title=f" {title}", title_justify="left", title_style="bold", padding=padding, **_LOOK)
         for index, head in enumerate(heads):
             table.add_column(head, justify="left" if index < 2 else "right", no_wrap=True)
         for cells, mark in zip(rows, marked, strict=True):
@@ -119,6 +122,9 @@ def _loop_advice(result: Row) -> list[str]:
     base = next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
     if base is None:
         return []
+    if base["position_error"] <= _floor(result):
+        time = si(result["holds"] / result["rate"], "s", 3)
+        return [f"loop: in these {time} nothing is felt, and nothing was compared; take a longer --duration"]
     nearer = [
         row
         for row in result["loop"]
@@ -144,7 +150,7 @@ def length(value: float, unit: str) -> str:
 def _tables(result: Row, *, wide: bool = False) -> list[_Table]:
     """Returns every table; the wide ones have times per simulated second and their spread besides."""
     unit = result["unit"]
-    floor = FLOOR * result["reference"]["travel"] if result["reference"] else 0.0
+    floor = _floor(result)
     found: list[_Table] = []
     if result["plant"]:
         rows = [_plant_cells(row, unit, floor) for row in result["plant"]]
@@ -168,6 +174,11 @@ def _tables(result: Row, *, wide: bool = False) -> list[_Table]:
         title = "loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit"
         found.append((title, LOOP_HEADS, rows, [bool(row["is_scene"]) for row in result["loop"]]))
     return found
+
+
+def _floor(result: Row) -> float:
+    """Returns the error of the position that is none [m or rad]."""
+    return FLOOR * float(result["reference"]["travel"]) if result["reference"] else 0.0
 
 
 def _wall(row: Row) -> list[str]:
