@@ -10,7 +10,7 @@ from time import perf_counter
 
 from canhaptic.scene.build import build
 from tools.bench.demo import demo_of
-from tools.bench.report import Row, interleave, publish
+from tools.bench.report import Row, in_turn, publish
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "axes.png"
 AXES = (1, 2, 3, 6, 12)
@@ -52,12 +52,7 @@ def draw(costs: dict[int, float]) -> None:
 
 def main() -> None:
     """Measures, draws and publishes."""
-    measured: dict[int, list[float]] = {axes: [] for axes in AXES}
-
-    def measure(axes: int) -> None:
-        measured[axes].append(cost(axes))
-
-    interleave({str(axes): partial(measure, axes) for axes in AXES}, REPEATS)
+    measured = in_turn({axes: partial(cost, axes) for axes in AXES}, REPEATS)
     costs = {axes: min(values) for axes, values in measured.items()}
     draw(costs)
     added = {axes: (costs[axes] - costs[1]) / (axes - 1) for axes in AXES[1:]}

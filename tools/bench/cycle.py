@@ -38,7 +38,7 @@ from tools.bench.peers import (
     law,
     stock_bus,
 )
-from tools.bench.report import Row, publish
+from tools.bench.report import Row, in_turn, publish
 
 CYCLES = 5_000
 REPEATS = 7
@@ -145,10 +145,7 @@ def main() -> None:
         "bare frames": lambda: bare(stock_bus),
         OUR_BUS: lambda: bare(LeanVirtualBus),
     }
-    rates: dict[str, list[float]] = {name: [] for name in loops}
-    for _ in range(REPEATS):
-        for name, loop in loops.items():
-            rates[name].append(loop())
+    rates = in_turn(loops, REPEATS)
     best = {name: max(values) for name, values in rates.items()}
     ours = best.pop("canhaptic")
     rows = [

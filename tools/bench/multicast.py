@@ -19,7 +19,7 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
 from tools.bench.demo import CONFIG
 from tools.bench.paced import Run, bare_run, best_of, canhaptic_run, canopen_run, rows_of
-from tools.bench.report import interleave, publish
+from tools.bench.report import in_turn, publish
 
 REPEATS = 3
 PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
@@ -98,9 +98,7 @@ def main() -> None:
         "bare frames": lambda: with_rig(left_alone, lambda experiment: bare_run(peer_of(experiment))),
         "canopen": lambda: with_rig(left_alone, lambda experiment: canopen_run(peer_of(experiment))),
     }
-    runs: dict[str, list[Run]] = {name: [] for name in loops}
-    interleave({name: lambda name=name: runs[name].append(loops[name]()) for name in loops}, REPEATS)  # type: ignore[misc]
-    publish("multicast", rows_of(best_of(runs)), ["canhaptic", "python-can", "canopen", "msgpack"])
+    publish("multicast", rows_of(best_of(in_turn(loops, REPEATS))), ["canhaptic", "python-can", "canopen", "msgpack"])
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from canhaptic.scene.load import load_scene
 from tools.bench.demo import CONFIG
 from tools.bench.paced import Run, bare_run, best_of, canhaptic_run, canopen_run, rows_of
 from tools.bench.peers import BroughtUp
-from tools.bench.report import interleave, publish
+from tools.bench.report import in_turn, publish
 
 REPEATS = 3
 HEARTBEAT = "bus.heartbeat_timeout=5"  # [s]; the peers have no time to spare for one
@@ -36,9 +36,7 @@ def natural() -> Run:
 def main() -> None:
     """Measures the three, interleaved, and publishes the table."""
     loops = {"canhaptic": canhaptic, "bare frames": bare, "canopen": natural}
-    runs: dict[str, list[Run]] = {name: [] for name in loops}
-    interleave({name: lambda name=name: runs[name].append(loops[name]()) for name in loops}, REPEATS)  # type: ignore[misc]
-    publish("pace", rows_of(best_of(runs)), ["canhaptic", "python-can", "canopen"])
+    publish("pace", rows_of(best_of(in_turn(loops, REPEATS))), ["canhaptic", "python-can", "canopen"])
 
 
 if __name__ == "__main__":

@@ -5,13 +5,17 @@ import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.table import Table
+
+Name = TypeVar("Name")
+Found = TypeVar("Found")
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
 
@@ -62,15 +66,24 @@ def versions(packages: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def interleave(candidates: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
-    """Returns wall times [s] of each candidate, run in turn A B C A B C, so that a drifting machine hits all alike."""
-    times: dict[str, list[float]] = {name: [] for name in candidates}
+def in_turn(candidates: Mapping[Name, Callable[[], Found]], repeats: int) -> dict[Name, list[Found]]:
+    """Returns what each candidate gives, run in turn A B C A B C, so that a drifting machine hits all alike."""
+    found: dict[Name, list[Found]] = {name: [] for name in candidates}
     for _ in range(repeats):
         for name, candidate in candidates.items():
-            start = perf_counter()
-            candidate()
-            times[name].append(perf_counter() - start)
-    return times
+            found[name].append(candidate())
+    return found
+
+
+def interleave(candidates: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
+    """Returns wall times [s] of each candidate, run in turn."""
+    return in_turn({name: partial(_seconds, candidate) for name, candidate in candidates.items()}, repeats)
+
+
+def _seconds(candidate: Callable[[], object]) -> float:
+    start = perf_counter()
+    candidate()
+    return perf_counter() - start
 
 
 def publish(question: str, rows: Sequence[Row], packages: Sequence[str]) -> None:
