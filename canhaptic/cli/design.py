@@ -1,11 +1,10 @@
 """`canhaptic design CONFIG`: the stiffest wall, and its largest damping, that `guarded` renders on a rig."""
 
 import argparse
-import sys
 
 from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.output import write_json
-from canhaptic.cli.scene_progress import SceneProgress
+from canhaptic.cli.scene_progress import scene_progress
 from canhaptic.study.design.report import design_report, snippet
 from canhaptic.study.design.wall import MARGIN, TOLERANCE, design_wall
 from canhaptic.study.sweep.sweep import Progress
@@ -33,13 +32,11 @@ def execute(arguments: argparse.Namespace) -> int:
         CheckFailedError: No wall at all is rendered.
     """
     scene = scene_of(arguments)
-    with SceneProgress("trying walls") as bar:
-
-        def show(tried: int, most: int) -> None:
-            if sys.stderr.isatty():
-                bar(Progress(tried, most, 0))
-
-        found = design_wall(scene, arguments.margin, arguments.tolerance, arguments.engine, show)
+    with scene_progress("trying walls") as show:
+        found = design_wall(
+            scene, arguments.margin, arguments.tolerance, arguments.engine,
+            lambda tried, most: show(Progress(tried, most, 0)),
+        )  # fmt: skip
     if arguments.json:
         write_json({**found.result, "yaml": snippet(found.result)})
     else:

@@ -1,7 +1,8 @@
 """Progress of many scenes on standard error: how many, how many a second, how long it will still take."""
 
-from types import TracebackType
-from typing import Self
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -10,41 +11,28 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.study.sweep.sweep import Progress as Scenes
 
 
-class SceneProgress:
-    """Told how far a sweep is; shows it from the first time on, so that a long first chunk is no silence.
+@contextmanager
+def scene_progress(what: str = "scenes") -> Iterator[Callable[[Scenes], None]]:
+    """Yields what takes how far a sweep is, and shows it from the first time on where somebody can see it.
 
     Args:
-        what: Is counted, in one word.
+        what: Is counted, in a word or two.
     """
+    columns = (
+        TextColumn(f"  {what}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]} /s"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    clock = WallClock()
+    begin, unseen = clock.now(), not sys.stderr.isatty()
+    with Progress(*columns, console=Console(stderr=True), transient=True, refresh_per_second=4, disable=unseen) as bar:
 
-    def __init__(self, what: str = "scenes") -> None:
-        self._what = what
-        self._clock = WallClock()
-        self._begin = self._clock.now()
-        self._bar: Progress | None = None
+        def show(scenes: Scenes) -> None:
+            if not bar.tasks:
+                bar.add_task(what, total=scenes.total, completed=scenes.begun, rate="")
+            rate = (scenes.done - scenes.begun) / max((clock.now() - begin) * 1e-9, 1e-9)
+            bar.update(bar.task_ids[0], completed=scenes.done, rate=f"{rate:.3g}")
 
-    def __call__(self, scenes: Scenes) -> None:
-        """Takes how far it is."""
-        elapsed = self._clock.now() - self._begin
-        if self._bar is None:
-            columns = (
-                TextColumn(f"  {self._what}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("{task.fields[rate]} /s"),
-                TimeRemainingColumn(elapsed_when_finished=True),
-            )
-            self._bar = Progress(*columns, console=Console(stderr=True), transient=True, refresh_per_second=4)
-            self._bar.start()
-            self._bar.add_task("sweep", total=scenes.total, completed=scenes.begun, rate="")
-        rate = (scenes.done - scenes.begun) / max(elapsed * 1e-9, 1e-9)
-        self._bar.update(self._bar.task_ids[0], completed=scenes.done, rate=f"{rate:.3g}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        yield show

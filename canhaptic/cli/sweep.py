@@ -1,7 +1,6 @@
 """`canhaptic sweep CONFIG`: many scenes that differ in some keys, each judged by the figures of `compare`."""
 
 import argparse
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,7 +8,7 @@ from typing import Any, Final
 
 from canhaptic.cli.arguments import add_json, add_scene, names, scene_of, seconds
 from canhaptic.cli.output import note_file, write_json, write_note
-from canhaptic.cli.scene_progress import SceneProgress
+from canhaptic.cli.scene_progress import scene_progress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.errors import InputError
 from canhaptic.study.batch import CONTINUOUS
@@ -77,7 +76,7 @@ def execute(arguments: argparse.Namespace) -> int:
             out = Path(stack.enter_context(TemporaryDirectory(prefix="canhaptic-sweep-"))) / "sweep.h5"
         stop = stack.enter_context(StopSignal())
         executor, in_flight = _workers(arguments, stack)
-        with SceneProgress() as progress:
+        with scene_progress() as progress:
             state = sweep(
                 scene,
                 arguments.vary,
@@ -86,7 +85,7 @@ def execute(arguments: argparse.Namespace) -> int:
                 resume=arguments.resume,
                 force=arguments.force,
                 in_flight=in_flight,
-                progress=progress if sys.stderr.isatty() else _quiet,
+                progress=progress,
                 stop_requested=stop.requested,
                 **_options(arguments),
             )
@@ -140,10 +139,6 @@ def _note(out: Path | None, state: Progress, stopped: bool) -> None:
     if stopped:
         kept = f"; what is finished is kept: --resume goes on with {out}" if out is not None else ""
         write_note(f"  stopped     {state.done} of {state.total} scenes are finished{kept}")
-
-
-def _quiet(_: Progress) -> None:
-    """Shows nothing."""
 
 
 def _count(text: str) -> int:

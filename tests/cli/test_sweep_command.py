@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.cli.scene_progress import scene_progress
+from canhaptic.study.sweep.sweep import Progress
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DEMO = str(REPOSITORY / "configs" / "demo.yaml")
@@ -91,6 +93,16 @@ def test_a_map_of_a_sweep(capsys, tmp_path):
 def test_a_design_that_cannot_be_made_says_why(capsys):
     assert main(["design", DEMO, "--margin", "-1", "--json"]) == 2
     assert "expected 0 <= margin" in json.loads(capsys.readouterr().out)["faults"][0]
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_progress_is_shown_where_somebody_can_see_it(capsys, monkeypatch, is_terminal):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal to rich
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    with scene_progress("walls") as show:
+        show(Progress(done=3, total=12, begun=0))
+    assert ("walls" in (shown := capsys.readouterr().err)) is is_terminal
+    assert ("3/12" in shown) is is_terminal
 
 
 def test_the_tool_is_the_same_command():
