@@ -94,6 +94,34 @@ def test_a_frame_of_another_thread_ends_the_wait(pair: tuple[LeanVirtualBus, Lea
     assert message.arbitration_id == 5
 
 
+@pytest.mark.timeout(60)
+def test_a_wait_shorter_than_the_machine_can_count_ends(pair: tuple[LeanVirtualBus, LeanVirtualBus]) -> None:
+    """A run in real time hung for ever on a busy machine, in `queue.SimpleQueue.get` with a timeout gone by."""
+    here, there = pair
+    for _ in range(2000):
+        here.send(can.Message(arbitration_id=5, is_extended_id=False))
+        assert there.recv(0.0) is not None
+        assert there.recv(1e-6) is None
+        assert there.recv(-1.0) is None
+
+
+def test_frames_of_many_threads_all_arrive(channel: str) -> None:
+    with LeanVirtualBus(channel) as there, LeanVirtualBus(channel) as first, LeanVirtualBus(channel) as second:
+
+        def send(bus: LeanVirtualBus) -> None:
+            for number in range(500):
+                bus.send(can.Message(arbitration_id=number, is_extended_id=False))
+
+        threads = [threading.Thread(target=send, args=(bus,)) for bus in (first, second)]
+        for thread in threads:
+            thread.start()
+        came = [there.recv(5.0) for _ in range(1000)]
+        for thread in threads:
+            thread.join()
+    numbers = sorted(message.arbitration_id for message in came if message is not None)
+    assert numbers == sorted([*range(500), *range(500)])
+
+
 def test_filters_and_the_notifier_of_python_can_work(pair: tuple[LeanVirtualBus, LeanVirtualBus]) -> None:
     here, there = pair
     there.set_filters([{"can_id": 0x20, "can_mask": 0x7FF, "extended": False}])
