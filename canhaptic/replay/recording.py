@@ -59,20 +59,15 @@ class Recording:
         Args:
             ramp_cycles: Cycles in which the master takes the torque to zero.
         """
-        roles, syncs, commands = self._roles, 0, 0
-        left: tuple[int, int] | None = None  # syncs and commands before the drives were disabled for good
+        syncs = commands = 0
         for address, frame in self._since_first_sync():
             if address == _SYNC:
                 syncs += 1
-            elif address == roles.rpdo:
-                if not roles.asks_to_leave(frame.data):
-                    left = None
-                elif left is None:
-                    left = syncs, commands
+            elif address == self._roles.rpdo:
+                if self._roles.asks_to_leave(frame.data):
+                    return max(0, syncs - ramp_cycles - 1) if syncs == commands else None
                 commands += 1
-        if left is None or left[0] != left[1]:
-            return None
-        return max(0, left[0] - ramp_cycles - 1)
+        return None
 
     def _since_first_sync(self) -> Iterator[tuple[Address, Frame]]:
         if self.first_sync >= 0:

@@ -93,6 +93,18 @@ def test_any_flipped_bit_of_any_recorded_rpdo_is_found_at_its_line(name: str, ca
         assert difference["recorded"]["kind"] == difference["sent"]["kind"] == "RPDO1"
 
 
+@pytest.mark.parametrize("place", [60, -3, -2, -1])  # in the run, the last of it, and what disables the drive
+@pytest.mark.parametrize("bit", [0, 3])
+def test_a_flipped_bit_of_a_controlword_does_not_move_the_end_of_the_run(place: int, bit: int, tmp_path: Path) -> None:
+    name = "paper_fig7_40hz"
+    lines = lines_of(name)
+    number = [number for number, line in enumerate(lines) if " 201#" in line][place]
+    lines[number] = flipped(lines[number], bit)
+    difference = replay_lines(tmp_path, name, lines)["difference"]
+    assert difference["number"] == number + 1
+    assert int(difference["recorded"]["data"], 16) ^ int(difference["sent"]["data"], 16) == 1 << bit + 24
+
+
 def test_a_flipped_bit_of_a_recorded_position_is_found_where_it_changes_the_torque(tmp_path: Path) -> None:
     name = "emergency"
     reports = [number for number, line in enumerate(lines_of(name)) if " 181#3712" in line]
