@@ -42,6 +42,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
         append(writer, k, ports=2)
     writer.event(17, "emcy", "handle", "0x7500 communication \u00e4")
     writer.event(18, "stop", "", "x" * 1000)
+    writer.event(19, "note", "", "x" * 207 + "\u00e4")  # two bytes, one of which has no room
     writer.close("complete")
     return path
 
@@ -81,9 +82,10 @@ def test_attributes_events_and_status_are_kept_and_long_texts_are_cut(finished: 
         assert log.attributes == {"config": "bus: {}\n", "config_hash": "abc", "bitrate": 1_000_000, "credit": 1e-3}
         assert log.status == "complete"
         assert log.sample_time_ns == SAMPLE_TIME_NS
-        first, second = log.events
+        first, second, third = log.events
         assert first == (17, "emcy", "handle", "0x7500 communication \u00e4")
         assert second.text == "x" * 208
+        assert third.text == "x" * 207
 
 
 def test_a_finished_log_opens_in_plain_h5py_with_the_documented_names(finished: Path) -> None:
