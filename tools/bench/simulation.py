@@ -248,7 +248,7 @@ def map_rows() -> list[Row]:
         10 ** rng.uniform(-1, 3, n),
     )
     radii = decay_per_hold(loops, PERIOD, 1)
-    times = interleave({"map": lambda: _drop(decay_per_hold(loops, PERIOD, 1))}, REPEATS)["map"]
+    times = interleave({"map": lambda: decay_per_hold(loops, PERIOD, 1)}, REPEATS)["map"]
     hundred = np.linalg.matrix_power(loop_matrices(loops, PERIOD, 1), 100)
     state, growth = np.tile(np.array([[1.0], [0.1], [0.9], [0.3]]), (n, 1, 1)), np.zeros(n)
     for k in range(4000):  # 4 * 10^5 holds
@@ -262,10 +262,6 @@ def map_rows() -> list[Row]:
         Row("stability map of 10^4 scenes", least, "s", target="<= 0.2", met=least <= 0.2),
         Row("stability map: agreement with marching", agreement, "%", target=">= 99.9", met=agreement >= 99.9),
     ]
-
-
-def _drop(_value: object) -> None:
-    """Takes a value that nobody needs."""
 
 
 def _stepped(plant: Plant, torques: list[float]) -> Callable[[], Array]:
