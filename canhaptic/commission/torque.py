@@ -116,7 +116,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     parameters = session.axes[axis].parameters
     lowest, highest, duration = _SWEEP
     swing = rough_mass * (2.0 * math.pi * lowest) ** 2 * session.limits.travel / 4.0
-    amplitude = min(largest_torque(session, axis), swing)
+    amplitude, limit = min((largest_torque(session, axis), "--torque"), (swing, "--travel"))
     unit = effort_unit(parameters.unit)
     asked = f"{parameters.name}: hands off. A sweep of {amplitude:.3g} {unit}, {lowest:g} to {highest:g} Hz, now?"
     if not session.agreed(asked, "moving mass", [axis]):
@@ -129,7 +129,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
     found = estimate(positions, np.array(law.applied), session.sample_time, max(2, session.cycles(_HALF_BASE)))
     if found is None or found.mass <= _SURE * found.mass_error:
-        text = "too little motion to tell it from friction; raise --torque or --travel"
+        text = f"too little motion to tell it from friction; raise {limit}, which limits the torque of the sweep"
         session.found(axis, "moving mass", "", "unclear", Verdict.UNKNOWN, text)
         return
     _report(session, axis, found)
