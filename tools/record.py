@@ -10,14 +10,14 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, NamedTuple, cast
+from typing import Final, NamedTuple
 
 import can
 from can.interfaces.virtual import VirtualBus
 
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.link import Link, Recorder
+from canhaptic.drive.link import Link
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError
 from canhaptic.logs.bus_log import BusLogWriter
@@ -90,7 +90,7 @@ def record(plan: Plan, path: Path) -> str:
     writer = BusLogWriter(path, "vcan0", pace="free")
     with LossyBus(channel, plan.loses) as far_bus, VirtualBus(channel=channel, preserve_timestamps=True) as near_bus:
         group = build_drive_group(scene, far_bus)
-        link = Link(near_bus, VirtualClock([group]), cast(Recorder, writer))
+        link = Link(near_bus, VirtualClock([group]), writer)
         rig = Rig(link, [build_servo_drive(axis, link, scene.bus) for axis in scene.axes], scene.bus)
 
         def inject(cycles: int) -> None:

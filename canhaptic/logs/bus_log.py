@@ -6,6 +6,7 @@ from typing import Final, Literal
 
 from canhaptic.errors import ParameterError
 from canhaptic.logs.bus_sink import CONVERTIBLE, FRAME_RING, aside_files
+from canhaptic.logs.ring import Record
 from canhaptic.logs.writer_process import WriterProcess
 
 _MOST_BUSES: Final = 256  # one byte in each record
@@ -78,7 +79,7 @@ class BusLogWriter:
         """Process id of the writer at work."""
         return self._process.pid
 
-    def __call__(self, timestamp_ns: int, can_id: int, data: bytes, is_rx: bool) -> None:
+    def __call__(self, timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
         """Takes one frame of classic CAN (at most 8 bytes of data).
 
         Raises:
@@ -88,7 +89,7 @@ class BusLogWriter:
         if not self._push(frame):
             self._insist(frame)
 
-    def on(self, bus: int) -> Callable[[int, int, bytes, bool], None]:
+    def on(self, bus: int) -> Callable[[int, int, bytes | bytearray, bool], None]:
         """Returns what takes the frames of one bus, by its place among the channels; the log itself takes the first's.
 
         Raises:
@@ -98,13 +99,13 @@ class BusLogWriter:
             raise ParameterError(f"bus {bus}: the log has {self._channels}, counted from 0")
         push, insist = self._push, self._insist
 
-        def take(timestamp_ns: int, can_id: int, data: bytes, is_rx: bool) -> None:
+        def take(timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
             if not push((timestamp_ns, can_id, len(data), is_rx, bus, data)):
                 insist((timestamp_ns, can_id, len(data), is_rx, bus, data))
 
         return take
 
-    def _insist(self, frame: tuple[int, int, int, bool, int, bytes]) -> None:
+    def _insist(self, frame: Record) -> None:
         """Waits for room at free pace, counts the frame as dropped otherwise."""
         if not (self._free and self._process.push_patiently(self._frames, frame)):
             self.dropped += 1

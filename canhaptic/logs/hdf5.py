@@ -96,9 +96,6 @@ class Hdf5File:
         options: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compressed else {}
         return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
 
-    def __contains__(self, path: str) -> bool:
-        return path in self._file
-
     def __getitem__(self, path: str) -> Dataset:
         return Dataset(self._file[path])
 

@@ -9,7 +9,7 @@ import mmap
 import os
 import struct
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -20,6 +20,10 @@ _MARK_CELL: Final = 1
 _FIRST_RING_CELL: Final = 8  # two cells of 8 bytes per ring: head, tail
 _TEXT_OFFSETS: Final = {"failure": 1024, "status": 2048}
 _TEXT_SIZE: Final = 1000  # [bytes]
+
+
+Record = Sequence[float | bytes | bytearray]
+"""Values of one record, in the order of its struct format."""
 
 
 class RingShape(NamedTuple):
@@ -106,7 +110,7 @@ class Ring:
         self._next = cells[self._head_cell]
         self._limit = cells[self._tail_cell] + self.capacity
 
-    def push(self, values: Iterable[float | bytes]) -> bool:
+    def push(self, values: Record) -> bool:
         """Writes one record; returns False, and writes nothing, when the ring is full."""
         number = self._next
         if number >= self._limit:

@@ -6,12 +6,12 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import LogWriteError
-from canhaptic.logs.ring import AreaState, Ring, RingShape, SharedArea, allocate, size_of
+from canhaptic.logs.ring import AreaState, Record, Ring, RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer import FAILED
 
 _RESTARTS: Final = 5  # a writer that is killed more often than this has a reason
@@ -60,7 +60,7 @@ class WriterProcess:
         """Process id of the writer at work."""
         return self._process.pid
 
-    def push_patiently(self, ring: Ring, record: Sequence[float | bytes]) -> bool:
+    def push_patiently(self, ring: Ring, record: Record) -> bool:
         """Writes one record as soon as the ring has room; returns False when it will have none any more.
 
         Raises:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, Self, cast
+from typing import TYPE_CHECKING, Literal, Self
 
 import can
 
@@ -240,7 +240,7 @@ def _build_clock(scene: Scene, pace: Pace, groups: Sequence[DriveGroup], faulty:
 
 
 def _recorder(bus_log: BusLogWriter | None, index: int) -> Recorder | None:
-    return None if bus_log is None else cast(Recorder, bus_log.on(index))
+    return None if bus_log is None else bus_log.on(index)
 
 
 def _build_rig(scene: Scene, links: Sequence[Link]) -> Rig:
