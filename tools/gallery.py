@@ -24,7 +24,7 @@ IMAGES: Final = ROOT / "docs" / "images" / "gallery"
 LARGEST: Final = 150_000
 """Bytes of one picture."""
 _COLOURS: Final = (256, 128, 64)
-_COMMAND: Final = (sys.executable, "-c", "import sys; from canhaptic.cli.main import main; sys.exit(main())")
+_COMMAND: Final = (sys.executable, "-m", "canhaptic")
 _INTRODUCTION: Final = """\
 # Gallery
 

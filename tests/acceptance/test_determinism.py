@@ -15,10 +15,9 @@ NOISY = ["--set", "simulation.effects=[{type: encoder_noise, deviation: 3e-6}]",
 
 
 def in_another_process(bus_log: Path, *words: str) -> bytes:
-    program = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
     environment = {**os.environ, "PYTHONHASHSEED": "4711"}
     subprocess.run(
-        [sys.executable, "-c", program, *RUN, *words, "--bus-log", str(bus_log)],
+        [sys.executable, "-m", "canhaptic", *RUN, *words, "--bus-log", str(bus_log)],
         env=environment, cwd=bus_log.parent, check=True, capture_output=True,
     )  # fmt: skip
     return bus_log.read_bytes()

@@ -15,7 +15,6 @@ import can
 import pytest
 from bus_frames import Frame, Report, reports
 
-PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
 HEARTBEAT_TIMEOUT = 300_000  # [us] long enough for a busy machine
 PATIENCE = 20.0  # [s] for two interpreters to start on a busy machine
 
@@ -66,7 +65,7 @@ class Listener:
 def canhaptic(*words: str) -> Iterator["subprocess.Popen[str]"]:
     """The command in a process of its own, gone at the end of the block whatever happens."""
     with subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "canhaptic", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         try:
             yield process

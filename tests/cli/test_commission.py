@@ -13,7 +13,6 @@ from canhaptic.cli.main import main
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DEMO = str(CONFIGS / "demo.yaml")
-PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
 
 
 def test_a_right_configuration_ends_with_status_zero_and_values_to_paste(
@@ -40,10 +39,8 @@ def test_yes_is_refused_at_a_real_drive(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_without_a_terminal_it_asks_for_one() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, "commission", DEMO], stdin=subprocess.DEVNULL, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
+    words = [sys.executable, "-m", "canhaptic", "commission", DEMO]
+    done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "needs a terminal" in done.stderr
 
@@ -70,7 +67,7 @@ ANSWERS = {
 def commissioned_at_a_terminal(answers: dict[str, str], typed_ahead: str = "") -> tuple[int, dict[str, str], str]:
     """Exit status, verdict by item, and what was said, of a person who answers each question when it is asked."""
     person, terminal = pty.openpty()
-    words = [sys.executable, "-c", PROGRAM, "commission", DEMO, "--duration", "0.1", "--json"]
+    words = [sys.executable, "-m", "canhaptic", "commission", DEMO, "--duration", "0.1", "--json"]
     said = ""
     try:
         os.write(person, typed_ahead.encode())

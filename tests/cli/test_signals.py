@@ -16,11 +16,11 @@ IN_CONTACT = "simulation.user.rest=-0.2 m"  # the hand rests inside the wall, so
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_takes_the_torque_away_and_disables_the_drive(number: int, status: int, tmp_path: Path) -> None:
-    bus_log, program = tmp_path / "a.log", "import sys; from canhaptic.cli.main import main; sys.exit(main())"
+    bus_log = tmp_path / "a.log"
     words = ["run", str(DEMO), "--pace", "real", "--duration", "60", "--bus-log", str(bus_log)]
     words += ["--set", IN_CONTACT, "--set", "bus.rate=200"]
     with subprocess.Popen(
-        [sys.executable, "-c", program, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "canhaptic", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         try:
             _wait_for_torque(process, bus_log)

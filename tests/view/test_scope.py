@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chromium import chromium
-from synthetic_run import write_run
+from synthetic_run import PORTS, append, write_run, write_troubled_run
 
 from canhaptic.cli.main import main
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.view import live_log
 from canhaptic.view.live_log import LiveLog
 
-PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main(sys.argv[1:]))"
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
 
 
@@ -40,9 +40,27 @@ def test_looks_at_a_growing_log_add_up_to_the_whole_run(tmp_path: Path) -> None:
     assert again.ports["handle"]["taken_in"][0] == 0.0
 
 
-def test_a_log_under_the_writers_hands_is_followed(tmp_path: Path) -> None:
-    from synthetic_run import PORTS, append
+def test_a_viewer_that_comes_late_takes_the_past_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_log, "_MOST_AT_ONCE", 1300)
+    write_run(tmp_path / "run.h5", cycles=3000)
+    live = LiveLog(tmp_path / "run.h5")
+    looks = [news for _ in range(4) if (news := live.look()) is not None]
+    assert [len(news.time) for news in looks] == [1300, 1300, 400, 0]
+    assert {news.rows for news in looks} == {3000}
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        for drawn, column in (("taken_in", "h_i"), ("dissipated", "h_r")):
+            pieces = np.concatenate([news.ports["handle"][drawn] for news in looks])
+            assert np.allclose(pieces, np.cumsum(log.ports["handle"][column]), rtol=1e-12)
 
+
+def test_the_share_of_tpdos_that_came_is_of_all_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_log, "_MOST_AT_ONCE", 40)
+    write_troubled_run(tmp_path / "run.h5")
+    live = LiveLog(tmp_path / "run.h5")
+    assert [news.fresh_share for _ in range(3) if (news := live.look())] == pytest.approx([38 / 40, 77 / 80, 0.97])
+
+
+def test_a_log_under_the_writers_hands_is_followed(tmp_path: Path) -> None:
     path, live, seen = tmp_path / "run.h5", LiveLog(tmp_path / "run.h5"), []
     writer = EnergyLogWriter(path, PORTS, {}, sample_time_ns=1_000_000, with_truth=False)
     pause = threading.Event()
@@ -70,7 +88,7 @@ def test_the_scope_wants_to_know_its_log(tmp_path: Path, capsys: pytest.CaptureF
 
 @contextlib.contextmanager
 def scope(log: Path) -> Iterator[str]:
-    words = [sys.executable, "-c", PROGRAM, "scope", str(log), "--port", "0", "--window", "3"]
+    words = [sys.executable, "-m", "canhaptic", "scope", str(log), "--port", "0", "--window", "3"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=DEMO.parents[1]) as process:
         assert process.stdout is not None
         try:
@@ -100,7 +118,7 @@ def test_a_browser_sees_a_run_while_it_goes_on(tmp_path: Path) -> None:
         page.wait_for("window.Bokeh && Bokeh.documents.length")
         status = "[...Bokeh.documents[0]._all_models.values()].find(m => m.name == 'status').text"
         page.wait_for(f"{status}.includes('waiting for')")
-        with subprocess.Popen([sys.executable, "-c", PROGRAM, *words], stdout=subprocess.DEVNULL) as run:
+        with subprocess.Popen([sys.executable, "-m", "canhaptic", *words], stdout=subprocess.DEVNULL) as run:
             page.wait_for(f"{status}.includes('running')")
             source = "[...Bokeh.documents[0]._all_models.values()].find(m => m.data && 'position' in m.data)"
             page.wait_for(f"({source}).data.position.length > 300")

@@ -22,7 +22,6 @@ from tools.bench.paced import Run, bare_run, best_of, canhaptic_run, canopen_run
 from tools.bench.report import in_turn, publish
 
 REPEATS = 3
-PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
 PATIENCE = 500e-6  # [s] as long as the configuration waits for a TPDO
 STARTS = 20  # tries to start while the other process is still importing
 
@@ -47,7 +46,9 @@ def private_bus() -> list[str]:
 def drive_elsewhere(overrides: list[str]) -> Iterator[None]:
     """A drive in a process of its own, gone at the end of the block."""
     words = [word for override in overrides for word in ("--set", override)]
-    with subprocess.Popen([sys.executable, "-c", PROGRAM, "drive", str(CONFIG), *words], stderr=subprocess.PIPE) as far:
+    with subprocess.Popen(
+        [sys.executable, "-m", "canhaptic", "drive", str(CONFIG), *words], stderr=subprocess.PIPE
+    ) as far:
         try:
             assert far.stderr is not None
             far.stderr.readline()  # "powered": it listens from here on

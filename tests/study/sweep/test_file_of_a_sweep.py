@@ -29,7 +29,7 @@ ONE = {"cycles": 20, "metrics": ["travel"], "controllers": ["direct"]}
 
 
 def begin(path, *options):
-    command = [sys.executable, "-c", "import sys; from canhaptic.cli.main import main; sys.exit(main())", *LONG]
+    command = [sys.executable, "-m", "canhaptic", *LONG]
     return subprocess.Popen([*command, "--out", str(path), *options], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL,
                             text=True, start_new_session=True)  # fmt: skip
 
