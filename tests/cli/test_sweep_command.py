@@ -15,13 +15,13 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 DEMO = str(REPOSITORY / "configs" / "demo.yaml")
 SMALL = ["sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:3", "--cycles", "20"]
 
+Captured = pytest.CaptureFixture[str]
 
-def test_json_is_one_object_with_what_computed_each_scene(capsys, tmp_path):
+
+def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_path: Path) -> None:
     out = tmp_path / "a.h5"
-    assert (
-        main([*SMALL, "--vary", "bus.rate=100,4000", "--controllers", "direct,guarded", "--out", str(out), "--json"])
-        == 0
-    )
+    words = ["--vary", "bus.rate=100,4000", "--controllers", "direct,guarded", "--out", str(out), "--json"]
+    assert main([*SMALL, *words]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["scenes"] == result["finished"] == 12
     assert result["status"] == {"completed": 6, "refused": 6}
@@ -30,7 +30,7 @@ def test_json_is_one_object_with_what_computed_each_scene(capsys, tmp_path):
     assert any("does not fit the bus" in entry["remark"] for entry in result["remarks"])
 
 
-def test_the_table_says_engine_and_reason(capsys, tmp_path):
+def test_the_table_says_engine_and_reason(capsys: Captured) -> None:
     assert main([*SMALL, "--set", "simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"]) == 0
     shown = capsys.readouterr().out
     assert "computed by: 3 scalar" in shown
@@ -50,7 +50,7 @@ def test_the_table_says_engine_and_reason(capsys, tmp_path):
         (["--dask", "nonsense://"], "--dask nonsense://"),
     ],
 )
-def test_bad_input_ends_with_2_and_one_clear_error(capsys, arguments, message):
+def test_bad_input_ends_with_2_and_one_clear_error(capsys: Captured, arguments: list[str], message: str) -> None:
     assert main([*SMALL, *arguments]) == 2
     assert message in capsys.readouterr().err
 
@@ -58,27 +58,17 @@ def test_bad_input_ends_with_2_and_one_clear_error(capsys, arguments, message):
 @pytest.mark.parametrize(
     "arguments", [["--sample", "lhs"], ["--sample", "sobol:5"], ["--workers", "-1"], ["--duration", "5"]]
 )
-def test_bad_options_are_refused_by_the_parser(capsys, arguments):
+def test_bad_options_are_refused_by_the_parser(capsys: Captured, arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as raised:
         main([*SMALL, *arguments])
     assert raised.value.code == 2
+    assert f"argument {arguments[0]}: " in capsys.readouterr().err
 
 
-def test_a_map_of_a_sweep(capsys, tmp_path):
+def test_a_map_of_a_sweep(capsys: Captured, tmp_path: Path) -> None:
     out, picture = tmp_path / "a.h5", tmp_path / "map.png"
-    main(
-        [
-            *SMALL,
-            "--vary",
-            "bus.rate=100,200",
-            "--controllers",
-            "direct",
-            "--out",
-            str(out),
-            "--set",
-            "environment.damping=0",
-        ]
-    )
+    words = ["--vary", "bus.rate=100,200", "--controllers", "direct", "--set", "environment.damping=0"]
+    main([*SMALL, *words, "--out", str(out)])
     capsys.readouterr()
     assert main(["map", str(out), "--png", str(picture)]) == 0
     assert "Colgate" in capsys.readouterr().out
@@ -90,13 +80,15 @@ def test_a_map_of_a_sweep(capsys, tmp_path):
     assert main(["map", str(out), "--axis", "elbow"]) == 2
 
 
-def test_a_design_that_cannot_be_made_says_why(capsys):
+def test_a_design_that_cannot_be_made_says_why(capsys: Captured) -> None:
     assert main(["design", DEMO, "--margin", "-1", "--json"]) == 2
     assert "expected 0 <= margin" in json.loads(capsys.readouterr().out)["faults"][0]
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])
-def test_progress_is_shown_where_somebody_can_see_it(capsys, monkeypatch, is_terminal):
+def test_progress_is_shown_where_somebody_can_see_it(
+    capsys: Captured, monkeypatch: pytest.MonkeyPatch, is_terminal: bool
+) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal to rich
     monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
     with scene_progress("walls") as show:
@@ -105,7 +97,7 @@ def test_progress_is_shown_where_somebody_can_see_it(capsys, monkeypatch, is_ter
     assert ("3/12" in shown) is is_terminal
 
 
-def test_the_tool_is_the_same_command():
+def test_the_tool_is_the_same_command() -> None:
     command = [sys.executable, "tools/sweep.py", DEMO, "--vary", "environment.stiffness=-1,1"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY, check=False)
     assert done.returncode == 2

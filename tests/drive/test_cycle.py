@@ -200,7 +200,7 @@ def test_a_stall_skips_syncs_and_never_bursts(bench: MakeBench, late: int) -> No
 def test_a_full_queue_is_tried_once_more_and_then_stops_the_rig(bench: MakeBench) -> None:
     b = started(bench)
     b.run(3, torque=2.0)
-    failures = [2]
+    failures = [1]
 
     def refuse(message: can.Message) -> can.Message:
         if message.arbitration_id == 0x205 and failures[0]:
@@ -208,7 +208,6 @@ def test_a_full_queue_is_tried_once_more_and_then_stops_the_rig(bench: MakeBench
             raise OSError(errno.ENOBUFS, "No buffer space available")
         return message
 
-    failures[0] = 1
     b.tampered.on_send = refuse
     b.run(1, torque=2.0)
     assert b.rig.link_statistics()["send_failures"] == 1

@@ -7,7 +7,7 @@ import pytest
 from drive_bench import Bench, axis
 
 from canhaptic.drive.link_policy import StopReason
-from canhaptic.errors import CommandLostError, EmergencyError, NotFollowingError, TorqueLimitedError
+from canhaptic.errors import CommandLostError, EmergencyError, NotFollowingError, StateLeftError, TorqueLimitedError
 from canhaptic.object_dictionary import StatusBit
 from canhaptic.sim.state_machine import DriveState
 
@@ -130,7 +130,7 @@ def test_leaving_the_state_counts_at_once_though_bit_12_goes_with_it(bench: Make
     b.rig.start()
     b.run(5, torque=1.0)
     b.buses[0].send(can.Message(arbitration_id=0x605, is_extended_id=False, data=bytes.fromhex("2b40600006000000")))
-    with pytest.raises(Exception, match="STATE_LEFT"):
+    with pytest.raises(StateLeftError, match="STATE_LEFT"):
         b.run(3, torque=1.0)
 
 

@@ -99,8 +99,7 @@ def test_an_interrupt_by_the_operator_ramps_down(bench: MakeBench) -> None:
 
     with pytest.raises(KeyboardInterrupt), b.rig:
         interrupt()
-    torques = b.torques_sent()
-    assert torques[torques.index(400) :].count(0) < len(torques[torques.index(400) :]) - 20
+    assert [torque for torque in b.torques_sent() if 0 < torque < 400] == [400 - 20 * step for step in range(1, 20)]
     assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
 
 

@@ -36,18 +36,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if (PROJECT / name).is_file():  # the tree as it is, without what a build leaves in it
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             (source / name).write_bytes((PROJECT / name).read_bytes())
-    run(
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "--quiet",
-        "--no-deps",
-        "--wheel-dir",
-        folder / "dist",
-        source,
-        folder=folder,
-    )
+    pip = (sys.executable, "-m", "pip")
+    run(*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder / "dist", source, folder=folder)
     [wheel] = (folder / "dist").glob("canhaptic-*.whl")
     venv.create(folder / "environment", with_pip=True)
     programs = folder / "environment" / "bin"

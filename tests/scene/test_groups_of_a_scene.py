@@ -1,6 +1,8 @@
 """Groups of axes and simulated mechanisms in a scene: read, checked, resolved, told to schema and `check`."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -167,9 +169,6 @@ def test_the_schema_knows_the_keys_of_groups_and_mechanisms() -> None:
 
 
 def test_a_scene_of_axes_alone_imports_no_mechanism_and_no_network() -> None:
-    import subprocess
-    import sys
-
     script = (
         "import sys\nfrom canhaptic.scene.build import build\nfrom canhaptic.scene.load import load_scene\n"
         f"build(load_scene({str(CONFIGS / 'demo.yaml')!r})).close()\n"

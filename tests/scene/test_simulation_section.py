@@ -5,9 +5,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from scene_text import scene_file
+from scene_text import faults, scene_file
 
-from canhaptic.errors import SceneError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
@@ -18,12 +17,6 @@ STOPS = (
     "[{type: hard_stop, position: 1e-9, stiffness: 1e10}, "
     "{type: hard_stop, position: -1e-9, side: lower, stiffness: 1e10}]"
 )
-
-
-def faults(folder: Path, *replacements: tuple[str, str]) -> list[str]:
-    with pytest.raises(SceneError) as caught:
-        load_scene(scene_file(folder, *replacements))
-    return caught.value.faults
 
 
 @pytest.mark.parametrize(
@@ -86,7 +79,6 @@ def test_the_method_line_tells_events_products_and_capped_holds(tmp_path: Path) 
         line = method_line(scene, experiment.plants, 20)
         assert f"exact between SYNCs, {plant.events} event" in line
         assert "products per period; torque acts" in line
-    plant.accuracy = plant.accuracy.model_copy(update={"max_events": 3})
     stuck = load_scene(path, [f"simulation.effects={STOPS}", "accuracy={max_events: 3}"])
     simulation = stuck.axes[0].simulation
     assert simulation is not None
