@@ -43,8 +43,18 @@ def write_run(path: Path, cycles: int = 4000, ports: tuple[str, ...] = ("handle"
 
 
 PORTS = (PortDescription("handle", "m"),)
+TIMING = CycleTiming(1, 2, 3, 4)
 
 
-def append(writer: EnergyLogWriter, k: int) -> None:
+def append(writer: EnergyLogWriter, k: int, fresh: bool = True, timing: CycleTiming = TIMING) -> None:
     """One cycle at rest."""
-    writer.append(k, [Sample(k, 0.0, 0.0, 0x1237, True)], [AT_REST], CycleTiming(1, 2, 3, 4))
+    writer.append(k, [Sample(k, 0.0, 0.0, 0x1237, fresh)], [AT_REST], timing)
+
+
+def write_troubled_run(path: Path) -> None:
+    """100 cycles at 1 kHz: one late, three unanswered, two SYNCs of which nothing is known behind SYNC 39."""
+    writer = EnergyLogWriter(path, PORTS, {}, sample_time_ns=1_000_000, pace="free")
+    for k in [*range(40), *range(42, 102)]:
+        lateness = 950_000 if k == 30 else 900_000  # with the rest of a cycle 5 us beyond its period, 45 us within
+        append(writer, k, k not in {10, 11, 50}, CycleTiming(lateness, 30_000, 20_000, 5_000))
+    writer.close()

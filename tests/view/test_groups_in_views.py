@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from canhaptic.cycle import run
@@ -43,6 +44,15 @@ def test_inspection_gives_the_account_to_the_group_and_counts_frames_once(path: 
         assert result["link"]["missing"] == 0
         log_rows = log.rows
     assert result["cycles"] == log_rows == 500
+
+
+@pytest.mark.parametrize("port", ["x", "stage"])
+def test_the_truths_of_the_parts_of_a_run_add_up_to_that_of_the_whole(path: Path, port: str) -> None:
+    with EnergyLog.open(path) as log:
+        split = (np.abs(log.ports["x"]["h_i"]).argmax() - 0.5) * log.sample_time  # behind it the hold that moved most
+        whole, first, second = (inspect(log, *span)["truth"][port] for span in ((), (None, split), (split, None)))
+    assert first["interaction"] + second["interaction"] == pytest.approx(whole["interaction"], abs=1e-15)
+    assert max(part["believed_error"] for part in (first, second)) <= 2.0 * whole["believed_error"]
 
 
 def test_only_what_a_port_has_is_drawn(path: Path) -> None:

@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 import typed
-from synthetic_run import write_run
+from synthetic_run import write_run, write_troubled_run
 
 from canhaptic.errors import InputError
 from canhaptic.haptics.balance import Branch, EnergyBalance, Ledger
@@ -90,6 +90,25 @@ def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
         inspect(opened, 5.0, None)
 
 
+def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
+    write_troubled_run(tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        file["timing/dropped_before"][60] = 4
+        file.attrs["rows_lost"] = 7
+    with EnergyLog.open(tmp_path / "run.h5") as opened:
+        result, part = inspect(opened), inspect(opened, 0.045)
+    assert result["timing"]["deadlines_missed"] == 1
+    assert result["timing"]["cycle_time"]["p50"] == pytest.approx(55e-6)
+    assert result["timing"]["wakeup_lateness"] == pytest.approx(
+        {"p50": 900e-6, "p99": 950e-6, "p99.9": 950e-6, "max": 950e-6}
+    )
+    assert result["link"] == {
+        "success_rate": 0.97, "missing": 3, "cycles_without_row": 2, "dropped_by_log": 4, "lost_by_damage": 7,
+    }  # fmt: skip
+    assert part["timing"]["deadlines_missed"] == 0
+    assert (part["link"]["missing"], part["link"]["cycles_without_row"]) == (1, 0)
+
+
 @pytest.mark.parametrize(
     ("expression", "holds"),
     [
@@ -127,6 +146,32 @@ def changed(log: Path, path: Path) -> Path:
     with h5py.File(path, "r+") as file:
         file["ports/handle/h_r"][1234] += 1e-18
     return path
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "differ"),
+    [(0.0, -0.0, True), (math.nan, math.nan, False), (math.nan, 1.0, True), (1.0, math.nextafter(1.0, 2.0), True)],
+)
+def test_comparison_is_of_bits(log: Path, tmp_path: Path, first: float, second: float, differ: bool) -> None:
+    paths = tmp_path / "a.h5", tmp_path / "b.h5"
+    for path, value in zip(paths, (first, second), strict=True):
+        path.write_bytes(log.read_bytes())
+        with h5py.File(path, "r+") as file:
+            file["ports/handle/leak"][5] = value
+    with EnergyLog.open(paths[0]) as left, EnergyLog.open(paths[1]) as right:
+        found = compare(left, right)
+    assert [entry["cycle"] for entry in found["differences"]] == ([5] if differ else [])
+    assert found["identical"] is not differ
+
+
+def test_comparison_names_ports_and_rows_that_only_one_log_has(log: Path, tmp_path: Path) -> None:
+    write_run(tmp_path / "two.h5", 3000, ("handle", "knob"))
+    write_run(tmp_path / "short.h5", 3000)
+    with EnergyLog.open(log) as whole, EnergyLog.open(tmp_path / "two.h5") as two:
+        assert compare(whole, two)["missing"] == compare(two, whole)["missing"] == ["ports/knob"]
+    with EnergyLog.open(log) as whole, EnergyLog.open(tmp_path / "short.h5") as short:
+        found = compare(whole, short)
+    assert (found["rows"], found["differences"], found["missing"], found["identical"]) == ([4000, 3000], [], [], False)
 
 
 def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Path) -> None:
