@@ -1,6 +1,6 @@
 """Several simulated drives on one connection to the bus: each frame is received, and copied, once. Several buses."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from typing import Protocol
 
 import can
@@ -32,6 +32,7 @@ class DriveGroup:
 
     def __init__(self, bus: can.BusABC, drives: Sequence[SimulatedDrive]) -> None:
         self._bus = bus
+        self._waiting: Sized = getattr(bus, "waiting", "unknown")
         self.drives = tuple(drives)
         self._asleep = list(self.drives)
         self._hearers: dict[int, tuple[tuple[SimulatedDrive, Handler], ...]] = {}  # by COB-ID
@@ -42,8 +43,8 @@ class DriveGroup:
         """Handles every frame waiting on the bus and every timer due up to `now` [ns]."""
         while self._asleep:
             self._asleep.pop(0).wake(now)
-        receive = self._bus.recv
-        while (message := receive(0.0)) is not None:
+        receive, waiting = self._bus.recv, self._waiting
+        while waiting and (message := receive(0.0)) is not None:
             if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
                 continue
             hearers = self._hearers.get(message.arbitration_id)

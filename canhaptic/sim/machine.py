@@ -4,6 +4,8 @@ Modes are compiled when they are first entered; a scene that never slides backwa
 """
 
 import math
+from collections.abc import Callable
+from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,7 +40,7 @@ class Machine:
         self.tick_time = scene.sample_time / TICKS
         self._settings = Settings(max_events, event_bits, self.tick_time)
         self._modes: list[Mode] = []
-        self._storage_products: list[Any] = []  # by mode: z -> P z with z'Pz the stored energy
+        self._stored: list[Callable[[Array], float]] = []  # by mode
         self._index: dict[tuple[str, ...], int] = {}
         self._tables = Tables(*([] for _ in Tables._fields))
         self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
@@ -117,7 +119,7 @@ class Machine:
     def works(self) -> list[float]:
         """Returns the work booked since the start, in the order of `scene.works` [J]."""
         totals = self._books[0].totals.tolist()  # floats: an operation on so short an array costs ten on them
-        return [s + (c + t) for s, c, t in zip(self._sums, self._carries, totals)]  # noqa: B905 - one for each work
+        return list(map(add, self._sums, map(add, self._carries, totals)))
 
     def tidy(self) -> None:
         """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.
@@ -137,8 +139,8 @@ class Machine:
 
     def stored(self) -> float:
         """Returns the kinetic and elastic energy [J]."""
-        state = self.state
-        return float(self._storage_products[self._counts[MODE]](state).dot(state))
+        stored: Callable[[Array], float] = self._stored[self._counts[MODE]]
+        return stored(self.state)
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Puts one part into another mode, at a time that the scene fixed beforehand."""
@@ -151,17 +153,18 @@ class Machine:
         scenes, at every SYNC.
         """
         state, books = self.state, self._books
-        this = books[0]
-        moved: Array = this.moved
+        this, move = books[0], self._whole
+        moved, contract = this.moved, this.contract
         if state is moved:
             state = state.copy()
         state[-2] = torque
-        self._whole(state, this.both)
-        this.contract(this.vector, this.totals_after)
+        move(state, this.both)
+        contract(this.vector, this.totals_after)
         books[0], books[1] = books[1], this
         self.state, self._moved = moved, state
         self._counts[PRODUCTS] += 1
-        return moved.item(0)
+        position: float = moved.item(0)
+        return position
 
     def run_free(self, ticks: int) -> None:
         """Moves by `ticks` ignoring guards."""
@@ -231,7 +234,7 @@ class Machine:
     def _add(self, mode: Mode) -> None:
         """Puts a mode at the end of the tables."""
         self._modes.append(mode)
-        self._storage_products.append(mode.storage.dot)
+        self._stored.append(stored_by(mode.storage))
         resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
         row = Tables(
             mode.flows, mode.works, mode.base, mode.guards, len(mode.exits), [NONE] * len(mode.exits),
@@ -240,6 +243,27 @@ class Machine:
         )  # fmt: skip
         for table, entry in zip(self._tables, row, strict=True):
             table.append(entry)
+
+
+def stored_by(storage: Array) -> Callable[[Array], float]:
+    """Returns what gives the kinetic and elastic energy [J] of a state.
+
+    A single body stores in one number, its speed; the product says the same bit for bit, at twenty times the price.
+
+    Args:
+        storage: P with z'Pz the stored energy, shape (n, n).
+    """
+    rows, columns = storage.nonzero()
+    if len(rows) == 1 and rows[0] == columns[0]:
+        place, factor = int(rows[0]), float(storage[rows[0], rows[0]])
+
+        def of_one(state: Array) -> float:
+            value = state.item(place)
+            return factor * value * value
+
+        return of_one
+    product = storage.dot
+    return lambda state: float(product(state).dot(state))
 
 
 def matrix_of(product: Any) -> Array:

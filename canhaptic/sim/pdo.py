@@ -1,7 +1,7 @@
 """PDOs of the simulated drive: the rules of mapping (CiA 301, 7.5.2.33-38), and one precompiled codec per PDO."""
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Final
 
@@ -44,6 +44,7 @@ class Pdo:
         on_change: Called when a communication or mapping object was written.
 
     Attributes:
+        pack: Returns the frame of a TPDO with the values of now.
         is_active: Its COB-ID is valid and its map is not empty.
         cob_id: CAN identifier.
         transmission_type: 0..240, 254, 255.
@@ -80,9 +81,9 @@ class Pdo:
         """Takes over what the objects now state."""
         cob_id = COB_ID_INVALID if self._cob_id.value is None else self._cob_id.number
         self.entries = self._mapped()
-        self._codec = struct.Struct("<" + "".join(entry.code for entry in self.entries))
-        self._unpack, self._pack = self._codec.unpack_from, self._codec.pack
-        self.length = self._codec.size
+        image = struct.Struct("<" + "".join(entry.code for entry in self.entries))
+        self._places = tuple(range(len(self.entries)))
+        self.pack, self._unpack, self.length = _packer(image.pack, self.entries), image.unpack_from, image.size
         self.is_active = not cob_id & COB_ID_INVALID and bool(self.entries)
         for entry in self.entries if self.is_active else ():
             if entry.value is None:
@@ -107,16 +108,14 @@ class Pdo:
         self.not_before = 0  # of a TPDO: end of its inhibit time [ns]
         self._syncs = 0
 
-    def pack(self) -> bytes:
-        """Returns the frame of a TPDO with the values of now."""
-        return self._pack(*map(_value_of, self.entries))
-
     def load(self, content: bytes | bytearray) -> None:
         """Takes over the values of an RPDO and lets the drive act on them."""
-        values = self._unpack(content)
+        unpack = self._unpack
+        values = unpack(content)
         if self._takes_all:
-            for entry, value in zip(self.entries, values):  # noqa: B905 - one codec made both
-                entry.value = value
+            entries = self.entries
+            for place in self._places:
+                entries[place].value = values[place]
         else:
             for entry, value, (low, high) in zip(self.entries, values, self._ranges, strict=True):
                 if low <= value <= high:
@@ -213,6 +212,14 @@ def _can_be_beyond(entry: Entry, allowed: tuple[float, float]) -> bool:
     whole = Entry(entry.index, entry.subindex, entry.data_type)
     low, high = allowed
     return whole.low < low or whole.high > high
+
+
+def _packer(pack: Callable[..., bytes], entries: Sequence[Entry]) -> Callable[[], bytes]:
+    """Returns what makes a frame of the values of now; written out for as many objects as a TPDO has in torque mode."""
+    if len(entries) == 3:
+        first, second, third = entries
+        return lambda: pack(first.value, second.value, third.value)
+    return lambda: pack(*map(_value_of, entries))
 
 
 def _require(entry: Entry | None) -> Entry:

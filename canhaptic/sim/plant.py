@@ -99,6 +99,7 @@ class Plant:
     Attributes:
         position: True position of the motor [m or rad].
         encoder_position: The same after the effects of the encoder; what a drive reads.
+        has_ideal_encoder: True when there are none, and both are the same.
         stored_at_start: Kinetic and elastic energy at the start [J].
         state_names: Every state of the scene, and nothing else.
     """
@@ -122,6 +123,7 @@ class Plant:
         self.sample_time_ns = sample_time_ns
         self.seed = seed
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
+        self.has_ideal_encoder = not self.scene.encoders
         machine_type = _compiled_machine() if compiled else Machine
         self._machine = machine_type(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
         self._splitting = Splitting(self._machine, self.accuracy.substeps) if self.scene.efforts else None
@@ -300,7 +302,7 @@ class Plant:
         works = self._machine.works()
         if self._pairs is not None:
             works.append(0.0)
-            (a, b), (c, d), (e, f) = self._pairs
+            a, b, c, d, e, f = self._pairs
             motor, user, dissipated = works[a] + works[b], works[c] + works[d], works[e] + works[f]
         else:
             motor, user, dissipated = self._accounts.dot(works).tolist()
@@ -342,8 +344,8 @@ class Plant:
         return ticks
 
 
-def _pairs(accounts: Sequence[str]) -> list[tuple[int, ...]] | None:
-    """Returns the places of the works of each account, with those of a zero behind the last work where it has fewer.
+def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
+    """Returns two places of works for each account, with those of a zero behind the last work where it has fewer.
 
     None where one has more than two works: only a sum of two is the same in whichever order it is taken.
     """
@@ -351,7 +353,7 @@ def _pairs(accounts: Sequence[str]) -> list[tuple[int, ...]] | None:
     places = [[place for place, a in enumerate(accounts) if a == account] for account in _ACCOUNTS]
     if any(len(of) > 2 for of in places):
         return None
-    return [(*of, *[zero] * (2 - len(of))) for of in places]
+    return tuple(place for of in places for place in (*of, zero, zero)[:2])
 
 
 def _compiled_machine() -> type[Machine]:

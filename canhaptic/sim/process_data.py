@@ -74,7 +74,7 @@ class ProcessData:
         routes: dict[int, Handler] = {}
         for pdo in self._rpdos:
             if pdo.is_active:
-                routes.setdefault(pdo.cob_id, partial(self._on_rpdo, pdo))
+                routes.setdefault(pdo.cob_id, self._rpdo_handler(pdo))
         routes[(self._sync_cob_id.number or SYNC_FRAME_COB_ID) & 0x7FF] = self._on_sync
         active = [pdo for pdo in self._tpdos if pdo.is_active]
         self._sync_tpdos = tuple(pdo for pdo in active if pdo.is_synchronous)
@@ -125,9 +125,10 @@ class ProcessData:
         if self._shows_next_torque:
             self._act_on_synchronous()
             servo.show_torque()
+        send = self._send
         for pdo in self._sync_tpdos:
             if pdo.transmission_type == 1 or pdo.counts_sync():  # 1: at every SYNC
-                self._send(pdo.cob_id, pdo.pack())
+                send(pdo.cob_id, pdo.pack())
         self._act_on_synchronous()
 
     def _act_on_synchronous(self) -> None:
@@ -142,22 +143,25 @@ class ProcessData:
 
     # --- RPDO -------------------------------------------------------------------------------------------------------
 
-    def _on_rpdo(self, pdo: Pdo, content: Content) -> None:
-        if not self.is_operational:
-            return
-        if len(content) < pdo.length:
-            pdo.was_short = True
-            self._emergency.announce(emcy.PDO_TOO_SHORT)
-            return
-        if pdo.was_short:
-            pdo.was_short = False
-            self._emergency.withdraw(emcy.PDO_TOO_SHORT)
-        if pdo.event_time:
-            self._timers.start(self._pdo_timers[pdo], self._servo.now + pdo.event_time)
-        if pdo.is_synchronous:
-            pdo.pending = content
-        else:
-            pdo.load(content)
+    def _rpdo_handler(self, pdo: Pdo) -> Handler:
+        def take(content: Content) -> None:
+            if not self.is_operational:
+                return
+            if len(content) < pdo.length:
+                pdo.was_short = True
+                self._emergency.announce(emcy.PDO_TOO_SHORT)
+                return
+            if pdo.was_short:
+                pdo.was_short = False
+                self._emergency.withdraw(emcy.PDO_TOO_SHORT)
+            if pdo.event_time:
+                self._timers.start(self._pdo_timers[pdo], self._servo.now + pdo.event_time)
+            if pdo.is_synchronous:
+                pdo.pending = content
+            else:
+                pdo.load(content)
+
+        return take  # a closure: a `partial` would send every frame through C and back
 
     def _time_out(self, _pdo: Pdo, _due: int) -> None:
         self._on_loss(emcy.RPDO_TIMEOUT)

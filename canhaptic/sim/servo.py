@@ -34,6 +34,7 @@ from canhaptic.sim.torque_meter import TorqueMeter
 
 _SENSOR_FAULT: Final = 0x7300  # error code of 0x603F: a position that is no number
 _COUNTS: Final = 1 << 32  # 0x6064 and 0x606C are 32 bits wide and wrap, as an encoder counter does
+_HALF: Final = _COUNTS // 2
 _ENABLE_BIT: Final = 0x08  # of the controlword
 _ENABLED: Final = DriveState.OPERATION_ENABLED
 _ENABLED_WORD: Final = STATUSWORDS[_ENABLED]
@@ -47,8 +48,8 @@ _LIMITED: Final = int(StatusBit.INTERNAL_LIMIT)
 class Motor(Protocol):
     """The plant that the drive moves: motor, load and user.
 
-    One that has `encoder_position` or `motor_torque` besides is read there; one that has not, has an encoder, or a
-    current loop, without effects.
+    One that has `encoder_position` or `motor_torque` besides is read there; one that has not, or that says
+    `has_ideal_encoder`, has an encoder, or a current loop, without effects.
     """
 
     @property
@@ -95,9 +96,8 @@ class Servo:
         self.demand, self.torque = 0, 0.0
         self._counts_per_unit = parameters.position_sign * parameters.counts_per_unit
         self._rounds = parameters.encoder == "round"
-        self._read_encoder: Callable[[Motor], float] = attrgetter(
-            "encoder_position" if hasattr(motor, "encoder_position") else "position"
-        )
+        is_ideal = getattr(motor, "has_ideal_encoder", not hasattr(motor, "encoder_position"))
+        self._read_encoder: Callable[[Motor], float] | None = None if is_ideal else attrgetter("encoder_position")
         self._controlword = store.entry(CONTROLWORD, datatypes.UNSIGNED16)
         self._statusword = store.entry(STATUSWORD, datatypes.UNSIGNED16)
         self._mode = store.entry(MODES_OF_OPERATION, datatypes.INTEGER8)
@@ -235,15 +235,16 @@ class Servo:
 
     def sample(self) -> None:
         """Measures at a SYNC; the first one that finds operation enabled starts the motor's clock."""
+        motor, now, encoder = self.motor, self.now, self._read_encoder
         if self.is_running:
-            self.motor.advance_to(self.now, self.torque)
+            motor.advance_to(now, self.torque)
         elif self.machine.state is _ENABLED:
-            self.motor.begin(self.now)
+            motor.begin(now)
             self.is_running = True
-        self._moved_to = self.now
-        self._position.value = self._counts(self._read_encoder(self.motor))
+        self._moved_to = now
+        self._position.value = self._counts(motor.position if encoder is None else encoder(motor))
         if self.measures_velocity:
-            self.velocity_entry.value = self._counts(self.motor.velocity)
+            self.velocity_entry.value = self._counts(motor.velocity)
         self.show_torque()
 
     def show_torque(self) -> None:
@@ -256,8 +257,9 @@ class Servo:
     def measure(self) -> None:
         """Measures now, for an SDO upload or an event-driven TPDO."""
         self._move()
-        self._position.value = self._counts(self._read_encoder(self.motor))
-        self.velocity_entry.value = self._counts(self.motor.velocity)
+        motor, encoder = self.motor, self._read_encoder
+        self._position.value = self._counts(motor.position if encoder is None else encoder(motor))
+        self.velocity_entry.value = self._counts(motor.velocity)
         self.show_torque()
 
     def _move(self) -> None:
@@ -271,7 +273,9 @@ class Servo:
         except (ValueError, OverflowError):
             self.fault_code = _SENSOR_FAULT
             return self._position.number
-        return (counts + _COUNTS // 2) % _COUNTS - _COUNTS // 2
+        if -_HALF <= counts < _HALF:
+            return counts
+        return (counts + _HALF) % _COUNTS - _HALF
 
     def _check_mode(self, mode: int) -> SdoAbort | None:
         """Refuses what 0x6502 does not list; mode m is its bit m - 1, and 0 is no mode."""

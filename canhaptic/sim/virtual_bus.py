@@ -59,6 +59,9 @@ class LeanVirtualBus(VirtualBus):
 
     Args:
         channel: Who shares it shares the bus.
+
+    Attributes:
+        waiting: Frames received and not taken yet; whoever looks here first need not ask an empty bus.
     """
 
     def __init__(self, channel: Any) -> None:
@@ -66,7 +69,7 @@ class LeanVirtualBus(VirtualBus):
         inbox = _Inbox()
         with channels_lock:
             self.channel[self.channel.index(self.queue)] = self.queue = cast(Any, inbox)
-        self._inbox, self._frames = inbox, inbox.frames
+        self._inbox, self.waiting = inbox, inbox.frames
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Puts a copy of the frame into the queue of every other connection.
@@ -102,8 +105,8 @@ class LeanVirtualBus(VirtualBus):
         """
         if not self._open or self._filters is not None:
             return super().recv(timeout)
-        if self._frames:
-            return self._frames.popleft()
+        if self.waiting:
+            return self.waiting.popleft()
         if timeout == 0.0:
             return None
         try:
