@@ -11,7 +11,7 @@ from typing import Protocol
 
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import CycleFailedError, EmergencyError, LogWriteError, RigError
+from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
 from canhaptic.haptics.axis_group import AxisGroup, GroupedControllers
 from canhaptic.haptics.balance import EnergyBalance, Ledger
 from canhaptic.haptics.passivity.protocol import Controller
@@ -46,6 +46,9 @@ class Cycle:
         truths: What the simulated axes really did, read right after their SYNC; None with real drives.
         groups: Axes that render together, each group with one account.
 
+    Raises:
+        InputError: There is not one controller for each axis.
+
     Attributes:
         ledgers: The account of each axis; of one in a group its part of the interaction.
         judge: What the simulated plant says of them; None without truth.
@@ -66,7 +69,12 @@ class Cycle:
         self.groups = tuple(groups)
         self._grouped = GroupedControllers(self.controllers, self.groups) if groups else None
         axes = self._grouped.axes if self._grouped else len(self.controllers)
+        if axes != len(rig.drives):
+            raise InputError(
+                f"cycle: got controllers for {axes} axes and a rig of {len(rig.drives)}; give each axis one"
+            )
         self.ledgers = [Ledger() for _ in range(axes)]
+        self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = TruthJudge(axes, [group.axes for group in self.groups]) if truths is not None else None
         self.cycles = 0
@@ -82,12 +90,15 @@ class Cycle:
         """
         rig = self.rig
         samples = rig.sync()  # SYNC out, position TPDOs in            [rad or m]
-        truths = self._truths() if self._truths is not None else None
+        read = self._truths
+        truths = read() if read is not None else None
         if self._grouped is None:
-            balances = [  # displacement -> energy balance             [J]
-                controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
-                for controller, sample in zip(self.controllers, samples, strict=True)
-            ]
+            balances: list[EnergyBalance] = []  # displacement -> energy balance [J]
+            for axis in self._axes:
+                controller, sample = self.controllers[axis], samples[axis]
+                balances.append(
+                    controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
+                )
         else:
             balances = self._grouped.step(samples)  # the same, where axes render together
         rig.write_torques([balance.torque for balance in balances])  # RPDOs out, held until the next SYNC [N*m or N]
@@ -109,8 +120,8 @@ class Cycle:
     ) -> None:
         """Everything that may happen after the torque is on its way."""
         index = samples[0].sync_index
-        for axis, balance in enumerate(balances):
-            self.ledgers[axis].add(balance, index)
+        for axis in self._axes:
+            self.ledgers[axis].add(balances[axis], index)
         if self.judge is not None and truths is not None:
             self.judge.compare(self.ledgers, truths)
         if self.groups:
@@ -174,12 +185,13 @@ class TruthJudge:
         self.least = [0.0] * (axes + len(groups))
         self.interaction = [0.0] * (axes + len(groups))
         self.believed_error = [0.0] * (axes + len(groups))
+        self._axes = tuple(range(axes))
         self._groups = [(axes + place, tuple(members)) for place, members in enumerate(groups)]
 
     def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth]) -> None:
         """Takes the truth of the SYNC whose balances the ledgers have just taken."""
-        for axis, truth in enumerate(truths):
-            self._take(axis, -truth.energy.motor, ledgers[axis].interaction)
+        for axis in self._axes:
+            self._take(axis, -truths[axis].energy.motor, ledgers[axis].interaction)
         for place, axes in self._groups:
             true = -sum([truths[axis].energy.motor for axis in axes])
             self._take(place, true, sum([ledgers[axis].interaction for axis in axes]))

@@ -38,6 +38,7 @@ class Exchange:
         self.bus = bus
         self.clock = self.links[0].clock
         self._period = bus.sample_time_ns
+        self._latest = self._period // 2  # a deadline overslept by more is skipped
         self._window_ns = round(bus.tpdo_timeout * self._period)
         self._heartbeat_cob_id = HEARTBEAT_BASE + bus.master_id
         self._heartbeat_cycles = bus.heartbeat_cycles
@@ -98,8 +99,8 @@ class Exchange:
         """
         links, period, now = self.links, self._period, self.clock.now
         links[0].pump(self._next)
-        while (lateness := (woken := now()) - self._next) > period // 2:
-            skipped = (lateness + period // 2) // period
+        while (lateness := (woken := now()) - self._next) > self._latest:
+            skipped = (lateness + self._latest) // period
             self.skipped += skipped
             self._next += skipped * period
             links[0].pump(self._next)

@@ -87,8 +87,9 @@ class Link:
         except (can.CanError, OSError):
             self._send_again(message)
         self.statistics.sent += 1
-        if self._recorder is not None:
-            self._recorder(now, can_id, data, False)
+        record = self._recorder
+        if record is not None:
+            record(now, can_id, data, False)
 
     def _send_again(self, message: can.Message) -> None:
         self.statistics.send_failures += 1
@@ -118,9 +119,10 @@ class Link:
         if handler is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             self._put_aside(message)
             return True
-        if self._recorder is not None:
-            self._recorder(self.clock.now(), can_id, message.data, True)
-        handler(message.data)
+        record, data = self._recorder, message.data
+        if record is not None:
+            record(self.clock.now(), can_id, data, True)
+        handler(data)
         return True
 
     def pump(self, deadline: int) -> None:

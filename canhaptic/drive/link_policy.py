@@ -170,14 +170,16 @@ class LinkPolicy:
         self.missed_total = 0
         self.cycles = 0
 
-    def count(self, *, heard: bool) -> None:
-        """Takes the outcome of one SYNC."""
+    def hear(self) -> None:
+        """Takes a SYNC that was answered."""
         self.cycles += 1
-        if heard:
-            self.missed = 0
-        else:
-            self.missed += 1
-            self.missed_total += 1
+        self.missed = 0
+
+    def miss(self) -> None:
+        """Takes a SYNC that was not."""
+        self.cycles += 1
+        self.missed += 1
+        self.missed_total += 1
 
     def action(self) -> Action:
         """Returns what to do in this cycle."""

@@ -53,6 +53,7 @@ class Rig:
         stop_reason: Why the rig stopped; NONE while it runs.
         records: The last cycles, newest last.
         realtime: What the operating system granted to the thread that called `start`.
+        timing: Where the time of the last cycle with torques written went [ns].
 
     Raises:
         InputError: A node ID is used twice on one bus.
@@ -62,6 +63,7 @@ class Rig:
     def __init__(self, link: Link | Sequence[Link], drives: Sequence[ServoDrive], bus: BusParameters) -> None:
         self.links = (link,) if isinstance(link, Link) else tuple(link)
         self.drives = tuple(drives)
+        self._axes = tuple(range(len(self.drives)))
         self.bus = bus
         self.clock = self.links[0].clock
         self.budgets = [_budget([d for d in self.drives if d.link is link], bus) for link in self.links]
@@ -81,7 +83,7 @@ class Rig:
         self._is_running = False
         self._first_samples: list[Sample] | None = None
         self._samples: list[Sample] = []
-        self._computed = self._sent = 0
+        self.timing = CycleTiming(0, 0, 0, 0)
 
     def start(self) -> None:
         """Brings every drive from wherever it is to OPERATION ENABLED with zero torque, each step confirmed.
@@ -128,7 +130,9 @@ class Rig:
         except LinkError as error:
             raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
         self.sync_index = index = self.sync_index + 1
-        self._samples = samples = [drive.sample(index, exchange.periods) for drive in self.drives]
+        self._samples = samples = []
+        for drive in self.drives:
+            samples.append(drive.sample(index, exchange.periods))
         for drive in self.drives:
             reason = drive.fault(exchange.heard)
             if reason:
@@ -140,16 +144,24 @@ class Rig:
 
         Raises:
             ControlError: A torque is not finite; zero was sent and the rig has stopped.
+            InputError: There is not one torque for each axis; the rig has stopped.
             LinkError: A frame could not be sent; the rig has stopped.
         """
         if not self._is_running:
             raise self._not_running()
-        self._computed = self.clock.now()
+        drives, exchange = self.drives, self._exchange
+        computed = self.clock.now()
+        commands: list[int] = []
         try:
-            commands = [drive.command_per_mille(t) for drive, t in zip(self.drives, torques, strict=True)]
-            for axis, drive in enumerate(self.drives):
-                drive.write(commands[axis])
-            self._exchange.beat()
+            if len(torques) != len(drives):
+                raise InputError(
+                    f"write_torques: got {len(torques)} torques for {len(drives)} axes; give each axis one"
+                )
+            for axis in self._axes:
+                commands.append(drives[axis].command_per_mille(torques[axis]))
+            for axis in self._axes:
+                drives[axis].write(commands[axis])
+            exchange.beat()
         except ControlError as error:
             raise self._stopped(StopReason.CONTROLLER, str(error)) from error
         except LinkError as error:
@@ -158,7 +170,9 @@ class Rig:
             self._stopped(StopReason.EXCEPTION, "")
             raise
         self.records.append(_tuple(CycleRecord, (self._samples, commands)))
-        self._sent = self.clock.now()
+        woken, heard = exchange.woken, exchange.heard
+        parts = (woken - exchange.deadline, heard - woken, computed - heard, self.clock.now() - computed)
+        self.timing = _tuple(CycleTiming, parts)
         for line in self._sdo_lines:
             if line.busy:
                 line.step()
@@ -261,14 +275,6 @@ class Rig:
     def is_running(self) -> bool:
         """Whether the drives are enabled and the cycle may go on."""
         return self._is_running
-
-    @property
-    def timing(self) -> CycleTiming:
-        """Where the time of the last cycle went [ns]."""
-        exchange = self._exchange
-        woken, heard, computed = exchange.woken, exchange.heard, self._computed
-        parts = (woken - exchange.deadline, heard - woken, computed - heard, self._sent - computed)
-        return _tuple(CycleTiming, parts)
 
     @property
     def skipped_syncs(self) -> int:

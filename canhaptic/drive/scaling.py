@@ -45,8 +45,11 @@ class AxisScaling:
 
     def position(self, position_counts: int) -> float:
         """Returns the position [m or rad] of the next 0x6064; a step of less than half the range never jumps."""
-        self._counts += (position_counts - self._counts + _HALF) % _WRAP - _HALF
-        return self._counts * self._unit_per_count
+        step = position_counts - self._counts
+        if not -_HALF <= step < _HALF:
+            step = (step + _HALF) % _WRAP - _HALF
+        self._counts = counts = self._counts + step
+        return counts * self._unit_per_count
 
     def torque(self, torque_per_mille: int) -> float:
         """Returns a torque of the drive (0x6071, 0x6074, 0x6077) in [N*m or N]."""

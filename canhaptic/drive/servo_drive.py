@@ -168,11 +168,11 @@ class ServoDrive:
         if not self.is_complete:
             if self.policy.missed == 0:
                 self._held = self.limiter.last
-            self.policy.count(heard=False)
+            self.policy.miss()
             self._acting = self._commanded
             self._last = self._last._replace(sync_index=sync_index, fresh=False)
             return self._last
-        self.policy.count(heard=True)
+        self.policy.hear()
         statusword, counts, reported = self._values
         scaling = self.scaling
         position = scaling.position(counts)
@@ -292,7 +292,8 @@ class ServoDrive:
             LinkError: It could not be sent.
         """
         self._commanded = torque_per_mille
-        self.link.send(self._rpdo_cob_id, self._pack(self.controlword, torque_per_mille))
+        pack = self._pack
+        self.link.send(self._rpdo_cob_id, pack(self.controlword, torque_per_mille))
 
     @staticmethod
     def _packer(rpdo: PdoPlan) -> Callable[[int, int], bytes]:

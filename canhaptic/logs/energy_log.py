@@ -50,6 +50,7 @@ class EnergyLogWriter:
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
         _check_names(ports)
+        self._ports = tuple(range(len(ports)))
         self.path = Path(path).absolute()
         self._free = pace == "free"
         chunk = _FREE_CHUNK if self._free else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))
@@ -94,15 +95,14 @@ class EnergyLogWriter:
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
-        row: list[float] = [self._unreported, sync_index, *timing]
-        for sample, balance in zip(samples, balances, strict=True):
-            row += sample
-            row += balance
+        row: tuple[float, ...] = (self._unreported, sync_index) + timing  # noqa: RUF005 - sums of tuples are quickest
+        for port in self._ports:
+            row += samples[port] + balances[port]
         if truths is not None:
-            for position, energy in truths:
-                row.append(position)
-                row += energy
-        if self._push(row) or (self._free and self._process.push_patiently(self._rows, row)):
+            for truth in truths:
+                row += truth[:1] + truth[1]
+        push = self._push
+        if push(row) or (self._free and self._process.push_patiently(self._rows, row)):
             self._unreported = 0
         else:
             self._unreported += 1

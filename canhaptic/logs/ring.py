@@ -118,8 +118,9 @@ class Ring:
             self._limit = self._cells[self._tail_cell] + self.capacity
             if number >= self._limit:
                 return False
-        start = self._start + number % self.capacity * self._size
-        self._memory[start : start + self._size] = self._pack(*values)
+        pack, size = self._pack, self._size
+        start = self._start + number % self.capacity * size
+        self._memory[start : start + size] = pack(*values)
         self._next = self._cells[self._head_cell] = number + 1
         return True
 

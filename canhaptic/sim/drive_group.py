@@ -32,7 +32,7 @@ class DriveGroup:
 
     def __init__(self, bus: can.BusABC, drives: Sequence[SimulatedDrive]) -> None:
         self._bus = bus
-        self._waiting: Sized = getattr(bus, "waiting", "unknown")
+        self._waiting: Sized = getattr(bus, "waiting", "unknown")  # empty only where the bus says so
         self.drives = tuple(drives)
         self._asleep = list(self.drives)
         self._hearers: dict[int, tuple[tuple[SimulatedDrive, Handler], ...]] = {}  # by COB-ID

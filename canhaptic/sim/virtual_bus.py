@@ -105,8 +105,9 @@ class LeanVirtualBus(VirtualBus):
         """
         if not self._open or self._filters is not None:
             return super().recv(timeout)
-        if self.waiting:
-            return self.waiting.popleft()
+        waiting = self.waiting
+        if waiting:
+            return waiting.popleft()
         if timeout == 0.0:
             return None
         try:

@@ -188,6 +188,7 @@ def test_the_lateness_of_a_wakeup_ends_before_the_sync_is_sent() -> None:
 
     bench.tampered.inner.send = send  # type: ignore[method-assign]
     bench.rig.sync()
+    bench.rig.write_torques([0.0])
     assert (bench.rig.timing.wakeup_lateness, bench.rig.timing.sync_to_last_tpdo) == (0, 7_000)
     bench.close()
 
@@ -235,5 +236,6 @@ def test_the_timing_of_a_cycle_is_recorded() -> None:
     assert bench.rig.timing.compute == 250_000
     bench.clock.wait_until(bench.clock.now() + MS)
     bench.rig.sync()
+    bench.rig.write_torques([0.0])
     assert bench.rig.timing.wakeup_lateness == 250_000
     bench.close()

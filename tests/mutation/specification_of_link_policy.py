@@ -70,7 +70,7 @@ def judge(module: ModuleType) -> None:
         for missed, (action, share) in enumerate(zip(actions.split(), shares, strict=True)):
             assert (policy.missed, policy.missed_total, policy.cycles) == (missed, missed, missed)
             assert (policy.action().name, policy.share()) == (action, share)
-            policy.count(heard=False)
+            policy.miss()
     _counts(module)
 
 
@@ -79,7 +79,7 @@ def _counts(module: ModuleType) -> None:
     assert policy.success_rate() == 1.0
     seen = []
     for heard in (True, False, False, True, False, True, True, True):
-        policy.count(heard=heard)
+        (policy.hear if heard else policy.miss)()
         seen.append((policy.cycles, policy.missed, policy.missed_total, policy.success_rate()))
     assert seen == [
         (1, 0, 0, 1.0),
@@ -91,6 +91,6 @@ def _counts(module: ModuleType) -> None:
         (7, 0, 3, 1 - 3 / 7),
         (8, 0, 3, 5 / 8),
     ]
-    policy.count(heard=False)
+    policy.miss()
     policy.reset()
     assert (policy.cycles, policy.missed, policy.missed_total, policy.success_rate()) == (0, 0, 0, 1.0)

@@ -53,6 +53,9 @@ def _positions(module: ModuleType) -> None:
         for counts in (-(2**31), 2**31 - 1, -16):
             scaling.reset()
             assert scaling.position(counts) == direction * counts / 8.0
+        scaling.reset()
+        half_way = [scaling.position(counts) for counts in (-1, 2**31 - 1)]  # half the range is a step down
+        assert half_way == [direction * count / 8.0 for count in (-1, -(2**31) - 1)]
 
 
 def _axes(module: ModuleType) -> None:

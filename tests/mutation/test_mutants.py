@@ -104,8 +104,12 @@ SUBJECTS = {
         85,
         names={"round": ("int",), "trunc": ("floor", "ceil"), "isfinite": ("isnan",)},
         equivalent={
-            "AxisScaling.position: self._counts += (position_counts - self._counts + _HALF) % _WRAP - _HALF => "
-            "self._counts += (position_counts - self._counts - _HALF) % _WRAP - _HALF": "twice half is the whole range",
+            "AxisScaling.position: step = (step + _HALF) % _WRAP - _HALF => "
+            "step = (step - _HALF) % _WRAP - _HALF": "twice half is the whole range",
+            "AxisScaling.position: if not -_HALF <= step < _HALF: => "
+            "if not -_HALF < step < _HALF:": "the remainder leaves every step inside the range as it is",
+            "AxisScaling.position: if not -_HALF <= step < _HALF: => "
+            "if not +_HALF <= step < _HALF:": "the remainder leaves every step inside the range as it is",
             "AxisScaling.torque_per_mille: if not low <= per_mille * self._torque_quantum <= high: => "
             "if not low < per_mille * self._torque_quantum <= high:": "a whole number rounds toward zero to itself",
             "AxisScaling.torque_per_mille: if not low <= per_mille * self._torque_quantum <= high: => "
