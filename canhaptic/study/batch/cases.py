@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
 from canhaptic.errors import ParameterError
+from canhaptic.parameters import Parameters
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant import PlantParameters
@@ -107,8 +108,8 @@ def _numbers(
     case: LoopCase, simulation: AxisSimulation, sample_time_ns: float, varied: Mapping[str, Array]
 ) -> dict[str, Array | float | None]:
     numbers: dict[str, Array | float | None] = {
-        **numbers_of("environment", case.environment),  # type: ignore[arg-type]
-        **numbers_of("passivity", case.parameters),  # type: ignore[arg-type]
+        **numbers_of("environment", cast(Parameters, case.environment)),
+        **numbers_of("passivity", cast(Parameters, case.parameters)),
         **numbers_of("loop", case.loop),
         "counts_per_unit": case.counts_per_unit,
         "torque_quantum": case.torque_quantum,
@@ -134,7 +135,7 @@ def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[
 
 def _case(case: LoopCase, numbers: dict[str, Any]) -> BatchCase:
     states = sum(name.startswith("start.") for name in numbers)
-    parameters: Any = case.parameters
+    parameters = cast(Parameters, case.parameters)
     return BatchCase(case.environment, case.algorithm, parameters, case.loop, case.delay, FURTHEST, states + 2, numbers)
 
 

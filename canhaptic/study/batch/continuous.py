@@ -264,7 +264,7 @@ class _Group:
             until = left
             if turns.any():
                 until = np.where(turns, _root(series[1:, 1], series[0, 1], left, ends[1]), left)
-            state, at, crossed = self._piece(rows, state, series, until, np.where(turns, state[1], state[1] + ends[1]))
+            state, at, crossed = self._piece(rows, series, until, np.where(turns, state[1], state[1] + ends[1]))
             state[1, turns & ~crossed] = 0.0
             left = left - at
             goes_on = (turns | crossed) & (left > 0.0)
@@ -273,9 +273,7 @@ class _Group:
         self._next[:, rows] = state
         self._enter(began)
 
-    def _piece(
-        self, rows: _Rows, state: Array, series: Array, until: Array, way: Array
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _piece(self, rows: _Rows, series: Array, until: Array, way: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Returns (state at the end of a piece that moves one way, its duration, whether it ended at a surface)."""
         lower, upper, mode = self._linear.lower[rows], self._linear.upper[rows], self._mode[rows]
         up = way > 0.0

@@ -293,9 +293,8 @@ def _leaves_early(item: ast.If) -> bool:
     return any(isinstance(part, ast.Return | ast.Break | ast.Continue) for part in ast.walk(item))
 
 
-def _as_read(target: ast.expr) -> Any:
-    copy = ast.parse(ast.unparse(target), mode="eval").body
-    return copy
+def _as_read(target: ast.expr) -> ast.expr:
+    return ast.parse(ast.unparse(target), mode="eval").body
 
 
 @cache

@@ -5,6 +5,7 @@ the source: the compiler then sees that rows do not overlap, and turns the inner
 is contracted or reordered: the same operations on the same numbers as in NumPy.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
@@ -114,9 +115,12 @@ def _block(rows: list[Any], count: int) -> Array:
 @lru_cache(maxsize=64)
 def compiled(source: str, lists: int) -> Callable[..., None]:
     """Returns the function of a source, compiled for its only types."""
-    names: dict[str, Any] = {name: getattr(np, name) for name in ("floor",)}
-    names |= {name: getattr(__import__("math"), name) for name in ("sqrt", "exp", "sin", "cos", "tan", "asin", "inf")}
-    names |= {"copied": numba.njit(_copied, inline="always"), "place": numba.njit(_place, inline="always")}
+    names: dict[str, Any] = {name: getattr(math, name) for name in ("sqrt", "exp", "sin", "cos", "tan", "asin", "inf")}
+    names |= {
+        "floor": np.floor,
+        "copied": numba.njit(_copied, inline="always"),
+        "place": numba.njit(_place, inline="always"),
+    }
     exec(compile(source, "<batch>", "exec"), names)
     types = [
         "int64",

@@ -235,7 +235,7 @@ def _reduced(
         rewrite = Rewrite(graph, {**same, **two_valued})
         thens = {name: rewrite(node) for name, node in thens.items() if graph.slot(name, node) not in same}
         out, ends = rewrite(out), {name: rewrite(node) for name, node in ends.items()}
-    live = _live(graph, thens, [out, *ends.values()])
+    live = _live(thens, [out, *ends.values()])
     firsts, thens = {name: firsts[name] for name in live}, {name: thens[name] for name in live}
     inputs = tuple(node for node in below([*thens.values(), out]) if node.op == "input")
     return Program(firsts, thens, out, ends, kinds, inputs)
@@ -314,22 +314,19 @@ def _value(node: Node) -> Any:
     return node.value if node.op == "const" else node
 
 
-def _live(graph: Graph, then: dict[str, Node], wanted: Iterable[Node]) -> list[str]:
-    """Returns the names of the states on which the wanted nodes depend, now or later."""
+def _live(then: dict[str, Node], wanted: Iterable[Node]) -> list[str]:
+    """Returns the names of the states on which the wanted nodes depend, now or later.
+
+    Raises:
+        NotBatchableError: One of them has no next value.
+    """
     found: dict[str, None] = {}
     waiting = list(wanted)
     while waiting:
-        for node in below(waiting):
-            if node.op in _HELD:
-                found.setdefault(node.value)
-        waiting = [then[name] for name in found if name in then]
-        before = len(found)
-        for node in below(waiting):
-            if node.op in _HELD:
-                found.setdefault(node.value)
-        if len(found) == before:
-            break
-    missing = [name for name in found if name not in then]
-    if missing:
-        raise NotBatchableError(f"states without a next value: {', '.join(missing)}")
+        fresh = {node.value: None for node in below(waiting) if node.op in _HELD and node.value not in found}
+        missing = [name for name in fresh if name not in then]
+        if missing:
+            raise NotBatchableError(f"states without a next value: {', '.join(missing)}")
+        found |= fresh
+        waiting = [then[name] for name in fresh]
     return sorted(found)

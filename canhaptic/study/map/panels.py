@@ -65,11 +65,9 @@ def _usual_panels(field: Field, chosen: Chosen) -> list[Panel]:
     x = chosen.x or others[0]
     y = chosen.y if chosen.y not in (None, z) else next((key for key in others if key != x), None)
     judgement = chosen.judgement or usual_judgement(field)
-    panels: list[Panel] = [_width(field, z, x, y, judgement)]
-    for metric in ("margin", "stiffness_rendered.share", "damping_rendered.mean", _ERROR):
-        if field.has(metric):
-            panels.append(_metric_panel(field, Chosen(x, z), metric))
-    return panels
+    metrics = ("margin", "stiffness_rendered.share", "damping_rendered.mean", _ERROR)
+    of_metrics = [_metric_panel(field, Chosen(x, z), metric) for metric in metrics if field.has(metric)]
+    return [_width(field, z, x, y, judgement), *of_metrics]
 
 
 def _preference(key: str) -> int:
