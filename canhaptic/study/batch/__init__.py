@@ -30,7 +30,8 @@ import numpy as np
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.cases import batch_case, check_values, why_not_batchable, why_not_beforehand
-from canhaptic.study.batch.marching import Engine, march
+from canhaptic.study.batch.engine import Engine
+from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.meter import ALL, CONTINUOUS, METRICS
 from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.radius import spectral_radius

@@ -3,13 +3,12 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from importlib.util import find_spec
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.errors import ParameterError
 from canhaptic.study.batch.continuous import ContinuousRuns, why_not_continuous
+from canhaptic.study.batch.engine import WORTH_COMPILING, ChosenEngine, Engine, chosen_engine
 from canhaptic.study.batch.layout import known_values, widened
 from canhaptic.study.batch.meter import metrics_of, sums_of
 from canhaptic.study.batch.numpy_form import BLOCK, NumpyForm
@@ -17,14 +16,10 @@ from canhaptic.study.batch.program import INPUTS, BatchCase, Program, Structure,
 from canhaptic.study.figures import last_rows
 from canhaptic.study.loop import Array
 
-Engine = Literal["numpy", "numba", "auto"]
-
 CHUNK: Final = 8192
 """Scenes that are moved together: many enough that a call costs less than its numbers, few enough for the cache."""
 PART: Final = 1 << 15
 """Scenes for which numbers are laid out at a time."""
-_WORTH: Final = 2e7
-"""Scenes times cycles from which compiling pays."""
 _COUNTED: Final = ("diverged", "cycles", "continuous_travel", "continuous_rest", "continuous")
 """Sums that are not states: the loop over the scenes and the continuous runs know them."""
 _FORCES: Final = ("continuous", "force_squares", "force_worst")
@@ -35,22 +30,7 @@ _COMPARED: Final = ("continuous_travel", "position_squares", "position_worst", *
 class _Form(NamedTuple):
     program: Program
     run: Any
-    engine: str
-
-
-def chosen_engine(engine: Engine, scenes: int, cycles: int) -> str:
-    """Returns the engine to be used.
-
-    Raises:
-        ParameterError: An unknown name, or numba is asked for and not installed.
-    """
-    if engine not in ("numpy", "numba", "auto"):
-        raise ParameterError(f"engine: got {engine!r}, expected numpy, numba or auto")
-    if engine == "auto":
-        return "numba" if scenes * cycles >= _WORTH and find_spec("numba") else "numpy"
-    if engine == "numba" and not find_spec("numba"):
-        raise ParameterError("engine: got numba, which is not installed; pip install 'canhaptic[fast]', or use numpy")
-    return engine
+    engine: ChosenEngine
 
 
 def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Sequence[str]) -> dict[str, Array]:
@@ -69,7 +49,8 @@ def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Se
     names = list(metrics)
     sums = sums_of(names)
     case = replace(case, numbers={**case.numbers, "last_from": _last_from(case, cycles)})
-    form = _form(case, tuple(name for name in sums if name not in _COUNTED), chosen_engine(engine, scenes, cycles))
+    chosen = chosen_engine(engine, scenes * cycles >= WORTH_COMPILING)
+    form = _form(case, tuple(name for name in sums if name not in _COUNTED), chosen)
     found: dict[str, Array] = {name: np.empty(scenes) for name in sums}
     size = PART if form.engine == "numba" else CHUNK
     for first in range(0, scenes, size):
@@ -165,12 +146,12 @@ def _with_escapes(
     return states, when
 
 
-def _form(case: BatchCase, sums: tuple[str, ...], engine: str) -> _Form:
+def _form(case: BatchCase, sums: tuple[str, ...], engine: ChosenEngine) -> _Form:
     return _known_form(Structure(case), sums, engine)
 
 
 @lru_cache(maxsize=64)
-def _known_form(structure: Structure, sums: tuple[str, ...], engine: str) -> _Form:
+def _known_form(structure: Structure, sums: tuple[str, ...], engine: ChosenEngine) -> _Form:
     program = build_program(structure.case, sums)
     if engine == "numba":
         from canhaptic.study.batch.numba_form import NumbaForm

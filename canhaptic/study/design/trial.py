@@ -11,6 +11,7 @@ The rig is that of the scene. Where the scene is of real drives its plant is wha
 mass and damping, which is what the certificates rest on.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
@@ -22,12 +23,12 @@ from canhaptic.errors import InputError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.study.batch.cases import why_not_beforehand
+from canhaptic.study.batch.engine import Engine, chosen_engine
 from canhaptic.study.loop import Array
-from canhaptic.study.sweep.chunk import ENGINES, ChunkResult, run_chunk
+from canhaptic.study.sweep.chunk import COMPLETED, ENGINES, REFUSED, ChunkResult, run_chunk
 from canhaptic.study.sweep.places import places_of
 from canhaptic.study.sweep.points import CONTROLLER, Column, make_points
 from canhaptic.study.sweep.recipe import Recipe, make_recipe
-from canhaptic.study.sweep.sweep import Engine, chosen_engine
 from canhaptic.study.sweep.vary import listed, ranged
 from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 
@@ -109,7 +110,7 @@ class Trial:
         self._judged = "least_covered" if axis.loop.device_damping else "least_interaction"
         hand = _hand(axis)
         travel = 2.0 * force / hand["stiffness"]
-        motion = {"amplitude": travel, "frequency": _FREQUENCY, "phase": 1.5707963267948966}
+        motion = {"amplitude": travel, "frequency": _FREQUENCY, "phase": math.pi / 2.0}
         self.scene = _with_user(scene, {"damping": hand["damping"], "push": -force})
         leans = {"stiffness": 0.0, "motion.amplitude": 0.0, "push": -force}
         presses = {"stiffness": hand["stiffness"], "motion.amplitude": travel, "push": 0.0}
@@ -141,7 +142,7 @@ class Trial:
         with np.errstate(all="ignore"):
             damped = np.array(figures["damping_rendered.mean"][1] / np.where(damping > 0.0, damping, np.nan))
         least, judged = (figures[metric].min(axis=0) for metric in ("least_interaction", self._judged))
-        ran = (result.status == 1).reshape(2, count) & (figures["diverged"] == 0.0) & (figures["contact"] > 0.0)
+        ran = (result.status == COMPLETED).reshape(2, count) & (figures["diverged"] == 0.0) & (figures["contact"] > 0.0)
         passive = ran.all(axis=0) & (judged >= -self._allowance)
         error = np.maximum(np.abs(share - 1.0), np.where(damping > 0.0, np.abs(damped - 1.0), 0.0))
         within = [passive & (error <= tolerance) for tolerance in (self._tolerance, self._tolerance * (1.0 + SLACK))]
@@ -153,7 +154,7 @@ class Trial:
         Raises:
             InputError: Every wall is refused.
         """
-        if (result.status == 2).all():
+        if (result.status == REFUSED).all():
             raise InputError(f"{self.scene.source}: no wall can be tried: {result.texts[0]}")
         self.engine = ENGINES[int(result.engine.max())]
         self.remark = next((text for text in result.texts if "told" in text), self.remark)
@@ -205,5 +206,5 @@ def _recipe(scene: Scene, hands: Mapping[str, tuple[float, float]], engine: Engi
     varied = [ranged(STIFFNESS, 1e-3, STIFFEST, 2, "log"), ranged(DAMPING, 0.0, MOST_DAMPING, 2)]
     points = make_points([*varied, *(listed(key, values) for key, values in hands.items())], [ALGORITHM])
     cycles = _BATCHES * DURATION / scene.bus.sample_time
-    chosen = "numpy" if engine == "auto" and cycles < _WORTH_COMPILING else chosen_engine(engine, 0.0, cycles)
+    chosen = chosen_engine(engine, pays=cycles >= _WORTH_COMPILING)
     return make_recipe(scene, points, metrics=_METRICS, engine=chosen, duration=DURATION)

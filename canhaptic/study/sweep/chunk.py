@@ -164,7 +164,7 @@ class _Chunk:
                 return reason
             varied = self._varied(built, scene, index, rows, batched)
             try:
-                figures = run_batch(scene, varied, cycles, recipe.engine, metrics)  # type: ignore[arg-type]
+                figures = run_batch(scene, varied, cycles, recipe.engine, metrics)
             except ParameterError as error:
                 return f"the batch refused: {error}".splitlines()[0]
             found |= {f"{name}/{metric}": figures[metric] for metric in metrics}

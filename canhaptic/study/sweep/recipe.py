@@ -15,6 +15,7 @@ from canhaptic.errors import InputError, ParameterError, SceneConflictError, Sce
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.study.algorithms import PLANT_OF, able_under, chosen_algorithms
+from canhaptic.study.batch.engine import ChosenEngine
 from canhaptic.study.scenes import at_rate, cycles_of
 from canhaptic.study.sweep.places import places_of
 from canhaptic.study.sweep.points import CONTROLLER, Points, scene_seed
@@ -43,7 +44,7 @@ class Recipe:
         duration: Of every scene [s]; None: that of the scene.
         cycles: SYNCs of every scene; None: by the duration.
         metrics: Asked for.
-        engine: "numpy" or "numba", for scenes that fit a batch.
+        engine: For scenes that fit a batch; chosen once, so that workers need not agree on it.
         beyond_bus: Whether a rate is judged that the bus could not carry.
         seed: From which every scene's own follows.
         alone: Why every scene runs by itself although it might fit a batch; "" where batches pay.
@@ -58,7 +59,7 @@ class Recipe:
     duration: float | None
     cycles: int | None
     metrics: tuple[str, ...]
-    engine: str
+    engine: ChosenEngine
     beyond_bus: bool
     seed: int
     alone: str = ""
@@ -77,7 +78,7 @@ def make_recipe(
     points: Points,
     *,
     metrics: tuple[str, ...],
-    engine: str,
+    engine: ChosenEngine,
     duration: float | None = None,
     cycles: int | None = None,
     beyond_bus: bool = False,

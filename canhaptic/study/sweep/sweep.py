@@ -5,7 +5,6 @@ bits; only the order in which chunks become ready differs.
 """
 
 import hashlib
-import importlib.util
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from canhaptic.errors import CanHapticError, InputError, WorkersLostError
 from canhaptic.scene.models import Scene
 from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import why_not_batchable
+from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
 from canhaptic.study.scenes import cycles_of
 from canhaptic.study.sweep.chunk import FIGURES, USUAL, ChunkResult, is_batch_key, run_chunk
 from canhaptic.study.sweep.points import Points, make_points
@@ -29,13 +29,12 @@ from canhaptic.study.sweep.table import Columnset, SweepTable, create
 from canhaptic.study.sweep.vary import Varied, parse_vary
 from canhaptic.study.sweep.workers import Pool, SerialExecutor
 
-Engine = Literal["auto", "numpy", "numba"]
-
 _BATCH_CHUNK: Final = (1000, 5000)
 """Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
 _SCALAR_CHUNK: Final = (1, 50)
-_WORTH_COMPILING: Final = (2e7, 1e4)
-"""Scenes times cycles, and batches times cycles, from which "auto" compiles: 1 to 10 s in each worker."""
+_WORTH_COMPILING: Final = 1e4
+"""Batches times cycles from which "auto" compiles, too: each cycle of a batch costs NumPy some hundred calls, however
+few its scenes, and compiling takes 1 to 10 s in each worker."""
 _FEWEST_CHUNKS: Final = 16
 _FEWEST_TOGETHER: Final = 8
 """Scenes of one kind in a sweep, below which making their batch costs more than running them."""
@@ -148,7 +147,7 @@ def make_sweep(
         scene,
         points,
         metrics=tuple(dict.fromkeys(metrics or USUAL)),
-        engine=chosen_engine(engine, 0.0, 0.0),
+        engine=chosen_engine(engine, pays=False),
         duration=duration,
         cycles=cycles,
         beyond_bus=beyond_bus,
@@ -161,28 +160,9 @@ def make_sweep(
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
     count, per_scene = len(points), recipe.cycles or cycles_of(scene, duration)
     batches = max(-(-count // chunk), count // max(1, together))
-    recipe = replace(recipe, engine=chosen_engine(engine, count * per_scene, batches * per_scene))
+    pays = count * per_scene >= WORTH_COMPILING or batches * per_scene >= _WORTH_COMPILING
+    recipe = replace(recipe, engine=chosen_engine(engine, pays))
     return Sweep(recipe, points, chunk, _identity(scene, recipe, points))
-
-
-def chosen_engine(engine: Engine, scene_cycles: float, batch_cycles: float) -> str:
-    """Returns the engine that "auto" stands for here; decided once, so that workers need not agree on it.
-
-    Args:
-        engine: As asked for.
-        scene_cycles: SYNCs of all scenes together: what a compiled loop saves is in proportion to them.
-        batch_cycles: SYNCs of all batches together: each one costs NumPy some hundred calls, however few its scenes.
-
-    Raises:
-        InputError: numba is asked for and not installed.
-    """
-    there = importlib.util.find_spec("numba") is not None
-    if engine == "numba" and not there:
-        raise InputError("engine numba is not installed; install it with: pip install 'canhaptic[fast]', or take numpy")
-    if engine != "auto":
-        return engine
-    pays = scene_cycles >= _WORTH_COMPILING[0] or batch_cycles >= _WORTH_COMPILING[1]
-    return "numba" if there and pays else "numpy"
 
 
 class _Run:
