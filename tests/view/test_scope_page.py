@@ -1,0 +1,92 @@
+"""The page of the scope without a browser: what it takes from the log, and what it says."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic_run import write_run
+
+from canhaptic.cycle import run
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.view.live_log import LiveLog
+
+pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def page_of(path: Path, window: float = 1.0) -> tuple[Any, Any]:
+    """A page and the document of its visitor."""
+    from bokeh.document import Document
+
+    from canhaptic.view.scope_page import ScopePage
+
+    document = Document()
+    return ScopePage(document, LiveLog(path), window, 0.2), document
+
+
+def status_of(document: Any) -> str:
+    return str(document.select_one({"name": "status"}).text)
+
+
+def columns_of(document: Any) -> list[dict[str, Any]]:
+    from bokeh.models import ColumnDataSource
+
+    return [dict(source.data) for source in document.select({"type": ColumnDataSource})]
+
+
+def titles_of(document: Any) -> list[str]:
+    from bokeh.plotting import figure
+
+    return [panel.yaxis[0].axis_label for panel in document.select({"type": figure})]
+
+
+def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    page, document = page_of(path)
+    page.update()
+    assert "waiting for" in status_of(document)
+    write_run(path, cycles=3000, ports=("handle", "knob"))
+    page.update()
+    titles = [f"{name}: {what}" for name in ("handle", "knob") for what in ("position", "torque")]
+    units = ["[m]", "[N]", "[rad]", "[N*m]"]
+    assert sorted(titles_of(document)) == sorted(
+        [
+            *(f"{title} {unit}" for title, unit in zip(titles, units, strict=True)),
+            *["energy [J]"] * 2,
+            "cycle time [us]",
+        ]
+    )
+    for columns in columns_of(document):
+        assert columns["time"][-1] == 2.999
+        assert 1.999 <= columns["time"][0] < 2.01
+        assert np.all(np.diff(columns["time"]) > 0.0)
+    assert "complete" in status_of(document)
+    assert "3000 cycles" in status_of(document)
+    assert "SYNC 1500 emcy handle: 0x8130 heartbeat lost" in status_of(document)
+
+
+def test_another_run_in_the_same_file_begins_anew(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    page, document = page_of(path)
+    write_run(path, cycles=3000)
+    page.update()
+    write_run(path, cycles=500)
+    page.update()
+    assert all(columns["time"][0] == 0.0 for columns in columns_of(document))
+    assert "500 cycles" in status_of(document)
+
+
+def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with build(load_scene(CONFIGS / "xy_box.yaml"), "free", path) as experiment:
+        run(experiment.cycle, 50)
+    page, document = page_of(path)
+    page.update()
+    assert sorted(titles_of(document)) == [
+        "cycle time [us]", "energy [J]", "stage: torque [N]",
+        "x: position [m]", "x: torque [N]", "y: position [m]", "y: torque [N]",
+    ]  # fmt: skip
+    assert "stage: " in status_of(document)
+    assert "x: " not in status_of(document)
