@@ -209,9 +209,7 @@ def _read_object(source: _Source, section: str, index: int) -> ODVariable | ODAr
 
 def _read_compact(source: _Source, section: str, holder: ODArray | ODRecord, count: int) -> None:
     """Adds the subindices 1..count that `CompactSubObj` describes in one entry (CiA 306, 4.6.4)."""
-    number = ODVariable("NrOfObjects", holder.index, 0)
-    number.data_type, number.access_type, number.default = datatypes.UNSIGNED8, "ro", count
-    holder.add_member(number)
+    _add_count(holder, "ro", count)
     names = source.sections.get(f"{section}name", {})
     values = source.sections.get(f"{section}value", {})
     for subindex in range(1, count + 1):
@@ -244,9 +242,13 @@ def _add_counts(dictionary: ObjectDictionary) -> None:
     for holder in dictionary.values():
         if not isinstance(holder, ODVariable) and holder.subindices and 0 not in holder.subindices:
             first = holder.subindices[min(holder.subindices)]
-            number = ODVariable("NrOfObjects", holder.index, 0)
-            number.data_type, number.access_type = datatypes.UNSIGNED8, "rw" if first.writable else "ro"
-            holder.add_member(number)
+            _add_count(holder, "rw" if first.writable else "ro")
+
+
+def _add_count(holder: ODArray | ODRecord, access: str, count: int | None = None) -> None:
+    number = ODVariable("NrOfObjects", holder.index, 0)
+    number.data_type, number.access_type, number.default = datatypes.UNSIGNED8, access, count
+    holder.add_member(number)
 
 
 def _read_variable(source: _Source, section: str, index: int, subindex: int, name: str) -> ODVariable:

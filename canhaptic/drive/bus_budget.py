@@ -16,7 +16,7 @@ from canhaptic.errors import BusBudgetError
 _LONGEST_DATA: Final = 8
 _HEARTBEAT_LENGTH: Final = 1
 _BIT_RATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
-_ROUND_RATES: Final = tuple(m * 10**e for e in range(5) for m in (1, 2, 4, 5, 8))
+_ROUND_RATES: Final = tuple(m * 10**e for e in range(5) for m in (1, 1.25, 2, 2.5, 4, 5, 8))
 
 
 def worst_case_bits(length: int) -> int:
@@ -42,9 +42,9 @@ class BusBudget:
     """The arithmetic of one cycle."""
 
     rows: tuple[BudgetRow, ...]
-    bitrate: int
-    compute_latency: float
-    sample_time: float
+    bitrate: int  # [bit/s]
+    compute_latency: float  # of the host [s]
+    sample_time: float  # [s]
 
     @property
     def worst_cycle(self) -> float:
@@ -87,6 +87,11 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)
 
 
+def round_rate(limit: float) -> float:
+    """Returns the highest round rate [Hz] that is not above `limit`; 1 Hz at least."""
+    return float(max((rate for rate in _ROUND_RATES if rate <= limit), default=1))
+
+
 def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
     """Whether each cycle has room for one SDO request behind its RPDOs, and the next for the answer.
 
@@ -114,7 +119,8 @@ def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
 def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
     """Returns what to change, nearest first."""
     budget = bus_budget(bus, maps)
-    ways = [f"rate: {_nearest_rate(1.0 / budget.worst_cycle)}"]
+    most = 1.0 / budget.worst_cycle
+    ways = [f"rate: {round_rate(most):g} (at most {most:.0f} Hz)"]
     smaller = _without_read_back(budget, maps)
     if smaller is not None and smaller <= budget.sample_time:
         ways.append(f"read_back: none on every axis ({smaller * 1e6:.0f} us; the energy is then believed, not exact)")
@@ -127,11 +133,6 @@ def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
         each = f"{half.worst_cycle * 1e6:.0f} us each; `bus` a list, `bus` of each axis its name"
         ways.append(f"two buses ({each})" if half.fits else "more buses and a lower rate")
     return ways
-
-
-def _nearest_rate(limit: float) -> str:
-    """Returns the highest round rate [Hz] that is not above `limit`."""
-    return f"{max((r for r in _ROUND_RATES if r <= limit), default=1):g} (at most {limit:.0f} Hz)"
 
 
 def _without_read_back(budget: BusBudget, maps: Sequence[AxisMap]) -> float | None:

@@ -13,6 +13,7 @@ from typing import Final
 from canopen import ObjectDictionary
 
 from canhaptic import object_dictionary as od
+from canhaptic.drive.bus_budget import round_rate
 from canhaptic.drive.pdo_map import is_writable
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
@@ -32,7 +33,6 @@ _MARKED: Final = re.compile(rf"\s#\s*{TO_SET}\b")
 _TRAILING_COMMENT: Final = re.compile(r"^( *[^#\s][^#\n]*?) +# ", re.MULTILINE)
 _EDS_TOKEN: Final = "@EDS@"  # put in last: nothing else may touch a path
 _FASTEST: Final = 1000.0  # [Hz]
-_ROUND_RATES: Final = (1000, 800, 500, 400, 250, 200, 125, 100, 50, 40, 20, 10)
 
 _TEXT: Final = Template("""\
 # $title
@@ -197,10 +197,8 @@ def _bus(simulate: bool) -> str:
 
 def _rate(found: Survey) -> float:
     """Returns the highest round rate [Hz] up to 1 kHz at which one axis fits the bus."""
-    if not found.loads:
-        return _FASTEST
-    worst = max(load.worst_cycle for load in found.loads)
-    return float(next((rate for rate in _ROUND_RATES if rate * worst <= 1.0), _ROUND_RATES[-1]))
+    worst = max((load.worst_cycle for load in found.loads), default=0.0)
+    return round_rate(min(_FASTEST, 1.0 / worst)) if worst else _FASTEST
 
 
 def _identity(found: Survey, drive: str | None) -> str:
