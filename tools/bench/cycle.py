@@ -21,11 +21,9 @@ import can
 from canhaptic.drive.clock import Clock
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.state_machine import DriveState
 from canhaptic.sim.virtual_bus import LeanVirtualBus
-from tools.bench.demo import CONFIG
+from tools.bench.demo import CONFIG, COUNT, PERIOD, drive_of, require_rendered
 from tools.bench.peers import (
-    COUNT,
     ENABLE,
     RPDO,
     RPDO_IMAGE,
@@ -42,7 +40,6 @@ from tools.bench.report import Row, in_turn, publish
 
 CYCLES = 5_000
 REPEATS = 7
-PERIOD = 1_000_000  # [ns]
 TARGET = 15_000.0
 TARGET_RATIOS = {"canopen": 2.5, "bare frames": 0.5}
 OUR_BUS = "bare frames on our bus"
@@ -110,10 +107,7 @@ def product() -> float:
                 step()
 
         rate = timed(loop)
-        assert experiment.far_side is not None
-        [drive] = experiment.far_side.drives
-        if drive.state is not DriveState.OPERATION_ENABLED or not drive.truth().energy.motor < -0.01:
-            raise SystemExit(f"the loop did not render the wall: {drive.state.name}, {drive.truth()}")
+        require_rendered(drive_of(experiment))
         experiment.rig.stop()
         experiment.close()
     return rate

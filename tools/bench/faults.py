@@ -22,26 +22,19 @@ from typing import cast
 from rich.console import Console
 from rich.table import Table
 
-from canhaptic.cycle import Cycle, run
+from canhaptic.cycle import run
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import RigError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.state_machine import DriveState
 from canhaptic.sim.timers import NEVER
-from tools.bench.demo import CONFIG
+from tools.bench.demo import CONFIG, IN_CONTACT, PERIOD, AccountWatch, drive_of
 from tools.bench.report import RESULTS, write_result
 
 BEGIN, CYCLES = 500, 1_500
-PERIOD = 1_000_000  # [ns]
 LIMIT = 20.0  # [N]
-COUNT = 1e-6  # [m]
-SCENE = (
-    "environment.position=0",
-    "environment.side=above",  # the hand is in the wall for the first second
-    "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N, lost_frames: 4}",
-)
+SCENE = (*IN_CONTACT, "environment.side=above")  # the hand is in the wall for the first second
 FROM_BEGIN = "during: [{begin: 0.5 s, duration: 1000 s}]"
 ON_THE_BUS = {
     "1 % of frames lost": f"drop: 0.01, {FROM_BEGIN}",
@@ -70,7 +63,7 @@ ON_THE_BUS = {
 
 
 def _fault(experiment: Experiment) -> None:
-    _drive(experiment).inject_fault(0x2310)
+    drive_of(experiment).inject_fault(0x2310)
 
 
 def _command(*data: int) -> Callable[[Experiment], None]:
@@ -141,9 +134,9 @@ class Watch:
 
     def __init__(self, experiment: Experiment, trigger: Callable[[Experiment], None] | None) -> None:
         self._experiment, self._trigger = experiment, trigger
-        self._last = self.variation = self.overbelieved = 0.0
+        self.account = AccountWatch(experiment)
         self.within_limit = True
-        self._drive = _drive(experiment)
+        self._drive = drive_of(experiment)
         self._first_sync: int | None = None
         self._zero_since: int | None = None
         self._triggered: int | None = None
@@ -177,27 +170,11 @@ class Watch:
 
     def look(self, cycles: int) -> None:
         """Called once per cycle."""
-        cycle, drive = self._experiment.cycle, self._drive
-        self.within_limit &= abs(drive.torque) <= LIMIT
-        self.variation += abs(drive.torque - self._last)
-        self._last = drive.torque
-        self.overbelieved = max(self.overbelieved, self._excess(cycle))
+        self.within_limit &= abs(self._drive.torque) <= LIMIT
+        self.account.look()
         if cycles == BEGIN and self._trigger is not None:
             self._triggered = self._experiment.clock.now()
             self._trigger(self._experiment)
-
-    @staticmethod
-    def _excess(cycle: Cycle) -> float:
-        """Returns how much more the account says than came in; only where a position has just closed it."""
-        if cycle.judge is None or not cycle.rig.records[-1].samples[0].fresh:
-            return 0.0
-        return cycle.ledgers[0].interaction - cycle.judge.interaction[0]
-
-
-def _drive(experiment: Experiment) -> SimulatedDrive:
-    assert experiment.far_side is not None
-    [drive] = experiment.far_side.drives
-    return drive
 
 
 def _allowed(name: str, experiment: Experiment) -> int:
@@ -221,20 +198,20 @@ def outcome(name: str, effects: str | None, trigger: Callable[[Experiment], None
         except RigError as error:
             records = len(error.records)
             zero = watch.cycles_to_zero()
-        drive = _drive(experiment)
+        drive = drive_of(experiment)
         judge, allowed = experiment.cycle.judge, _allowed(name, experiment)
         assert judge is not None
-        least, bound = judge.least[0], 0.5 * COUNT * watch.variation
+        least, over, bound = judge.least[0], watch.account.overbelieved, watch.account.bound
         met = (
             watch.within_limit
             and drive.torque == 0.0
             and drive.state is not DriveState.OPERATION_ENABLED
-            and watch.overbelieved <= bound
+            and over <= bound
             and least >= -bound
             and (zero is None or (records > 0 and zero <= allowed))
         )
         state = drive.state.name.replace("_", " ")
-        return Outcome(name, rig.stop_reason.name, state, zero, allowed, least, watch.overbelieved, bound, records, met)
+        return Outcome(name, rig.stop_reason.name, state, zero, allowed, least, over, bound, records, met)
 
 
 def publish_outcomes(outcomes: list[Outcome]) -> None:

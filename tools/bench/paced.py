@@ -16,8 +16,8 @@ from typing import NamedTuple, Protocol
 import can
 
 from canhaptic.scene.build import Experiment
+from tools.bench.demo import COUNT, PERIOD
 from tools.bench.peers import (
-    COUNT,
     ENABLE,
     RPDO,
     RPDO_IMAGE,
@@ -29,7 +29,6 @@ from tools.bench.peers import (
 )
 from tools.bench.report import Row
 
-PERIOD = 1_000_000  # [ns]
 CYCLES = 3_000
 MARGIN = 200_000  # [ns] of spinning, as the configuration has it
 _PATIENCE = 500_000  # [ns] that bare frames wait for a TPDO, as the configuration has it

@@ -16,12 +16,10 @@ from pathlib import Path
 from canhaptic.cycle import run
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
-from tools.bench.demo import CONFIG
+from tools.bench.demo import CONFIG, IN_CONTACT, PERIOD, AccountWatch
 from tools.bench.peers import SYNC, TPDO
 from tools.bench.report import Row, publish
 
-PERIOD = 1_000_000  # [ns]
-COUNT = 1e-6  # [m]
 QUIET = 2  # [s] without faults at both ends: start and stop are not what is counted here
 LEAST_MINUTES = 0.2
 MOST_GROWTH = 2.0  # [MB] of resident memory; a leak of 64 bytes a cycle is 30 in ten minutes
@@ -33,8 +31,7 @@ def overrides_for(minutes: float) -> list[str]:
     window = f"during: [{{begin: {QUIET} s, duration: {60.0 * minutes:g} s}}]"
     stall = "stall: [{begin: 5 s, duration: 10 ms, every: 60 s}]"
     return [
-        "environment.position=0",
-        "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N, lost_frames: 4}",
+        *IN_CONTACT,
         f"simulation.bus={{drop: 0.01, jitter: 0.2 ms, {window}, {stall}}}",
     ]
 
@@ -43,28 +40,21 @@ class Watch:
     """Looks at every cycle and, after a fifth and at the end, at what the processes hold."""
 
     def __init__(self, experiment: Experiment, cycles: int) -> None:
-        assert experiment.far_side is not None
         assert experiment.energy_log is not None
         assert experiment.bus_log is not None
-        self._experiment = experiment
-        [self._drive] = experiment.far_side.drives
+        self.account = AccountWatch(experiment)
         self._processes = [os.getpid(), experiment.energy_log.writer_pid, experiment.bus_log.writer_pid]
         self._times = (cycles // 5, cycles)
         self._exchange = experiment.rig._exchange  # noqa: SLF001 - knows when each SYNC was sent
-        self._last_sync, self._last_torque = 0, 0.0
-        self.bursts = 0
-        self.variation = self.overbelieved = 0.0
+        self._last_sync = self.bursts = 0
         self.held: list[tuple[float, float, int]] = []  # memory of the master and of the writers [MB], descriptors
 
     def look(self, cycles: int) -> None:
         """Called once per cycle."""
-        cycle, torque, woken = self._experiment.cycle, self._drive.torque, self._exchange.woken
+        woken = self._exchange.woken
         self.bursts += woken - self._last_sync < PERIOD // 2
-        self.variation += abs(torque - self._last_torque)
-        self._last_sync, self._last_torque = woken, torque
-        assert cycle.judge is not None
-        if cycle.rig.records[-1].samples[0].fresh:
-            self.overbelieved = max(self.overbelieved, cycle.ledgers[0].interaction - cycle.judge.interaction[0])
+        self._last_sync = woken
+        self.account.look()
         if cycles in self._times:
             master, *writers = map(memory, self._processes)
             self.held.append((master, sum(writers), sum(map(descriptors, self._processes))))
@@ -100,10 +90,10 @@ def soak(minutes: float) -> list[Row]:
         link, judge, rig = experiment.rig.link_statistics(), experiment.cycle.judge, experiment.rig
         lost = lost_answers(experiment)
         assert judge is not None
-        bound = 0.5 * COUNT * watch.variation
+        over, bound = watch.account.overbelieved, watch.account.bound
         (master_then, writers_then, open_then), (master_now, writers_now, open_now) = watch.held
         grown, writers_grown = master_now - master_then, writers_now - writers_then
-        done, missed, over, least = experiment.cycle.cycles, link["missed_tpdos"], watch.overbelieved, judge.least[0]
+        done, missed, least = experiment.cycle.cycles, link["missed_tpdos"], judge.least[0]
         dropped = sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log is not None)
         late = experiment.cycle.timing["wakeup_lateness"].quantile(0.5) * 1e6
         return [
