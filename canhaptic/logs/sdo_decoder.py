@@ -110,8 +110,7 @@ def _object(data: bytes) -> tuple[int, int]:
 
 def _expedited(data: bytes) -> bytes:
     """The value of an expedited transfer; all four bytes when its size is not indicated (0x22, 0x42)."""
-    size = 4 - (data[0] >> 2 & 0x03) if data[0] & 0x01 else 4
-    return data[4 : 4 + size]
+    return data[4 : 8 - (data[0] >> 2 & 0x03)]
 
 
 def _segment(data: bytes) -> str:

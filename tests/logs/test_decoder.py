@@ -129,7 +129,7 @@ def test_segments_belong_to_the_object_whose_transfer_they_continue(decoder: Bus
     ("requests", "response"),
     [
         (["2F001A0001000000"], "80001A0022000008"),
-        (["2F001A0001000000"], "60011A0000000000"),  # another object
+        (["2F011A0001000000"], "60001A0000000000"),  # another object
         (["2F001A0001000000", "21001A0001000000"], "60001A0000000000"),  # what came in segments is not known
         (["40001A0000000000"], "60001A0000000000"),
     ],
