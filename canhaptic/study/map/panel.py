@@ -7,8 +7,9 @@ from typing import Final, Literal
 import numpy as np
 
 from canhaptic.study.loop import Array
+from canhaptic.view.palette import BLUE, GREEN, ORANGE, PURPLE, SKY
 
-_COLOURS: Final = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY)
 _FEW: Final = 8
 
 
