@@ -7,6 +7,7 @@ the same plant under torques given beforehand and has no controller in it. Peers
 
 import resource
 from collections.abc import Callable
+from itertools import product
 from time import perf_counter
 from typing import Any
 
@@ -30,6 +31,15 @@ from tools.bench.report import Row, publish
 SCENES, CYCLES, RATE, REPEATS = 10_000, 1000, 1000.0, 5
 FIVE = ("diverged", "least_interaction", "margin", "believed_error", "torque_peak")
 FIGURE = f"{SCENES} scenes x {CYCLES} cycles"
+PLAIN, ENCODER = "five figures", "five figures, encoder of 10 um"
+TARGETS = {
+    ("numpy", "direct", PLAIN): 30.0,
+    ("numpy", "guarded", PLAIN): 10.0,
+    ("numpy", "guarded", ENCODER): 5.0,
+    ("numba", "direct", PLAIN): 100.0,
+    ("numba", "guarded", ENCODER): 20.0,
+}
+"""[1e6 cycles/s]"""
 Array = Any
 
 
@@ -55,62 +65,47 @@ def stability_map(algorithm: str, scenes: int, encoder_count: float = 0.0, *, ev
     return loop_in_arrays(case, PLANT, USER_S, numbers, varied)
 
 
-def rate_of(
-    case: BatchCase, engine: Any, metrics: tuple[str, ...], scenes: int = SCENES, repeats: int = REPEATS
-) -> float:
+def rate_of(case: BatchCase, engine: Any, metrics: tuple[str, ...], repeats: int) -> float:
     """Returns the cycles per second [1e6/s], compiled beforehand: the best of some repeats."""
-    march(case, scenes, 3, engine, metrics)
+    march(case, SCENES, 3, engine, metrics)
     best = 0.0
     for _ in range(repeats):
         begin = perf_counter()
-        march(case, scenes, CYCLES, engine, metrics)
-        best = max(best, scenes * CYCLES / (perf_counter() - begin) / 1e6)
+        march(case, SCENES, CYCLES, engine, metrics)
+        best = max(best, SCENES * CYCLES / (perf_counter() - begin) / 1e6)
     return best
+
+
+def kinds_of(algorithm: str) -> dict[str, tuple[BatchCase, tuple[str, ...]]]:
+    """Returns what is timed of an algorithm: maps, and the figures asked of each."""
+    plain = stability_map(algorithm, SCENES)
+    return {
+        PLAIN: (plain, FIVE),
+        f"all {len(METRICS)} figures": (plain, tuple(METRICS)),
+        "five figures, plant and hand differ": (stability_map(algorithm, SCENES, every_key=True), FIVE),
+        ENCODER: (stability_map(algorithm, SCENES, 1e-5), FIVE),
+        "five figures and position error": (plain, (*FIVE, "position_error.rms")),
+    }
 
 
 def rate_rows() -> list[Row]:
     """Returns cycles per second of every engine, beside MuJoCo's rollout and the scalar loop."""
-    targets = {("direct", "numpy"): 30.0, ("guarded", "numpy"): 10.0, ("direct", "numba"): 100.0}
     rollout = mujoco_rollout(easy(CYCLES))
     peer = max(rollout() for _ in range(3)) / 1e6 if rollout else None
     name = "MuJoCo rollout, one thread" if rollout else "MuJoCo rollout: peer absent"
     rows = []
-    for engine in ("numpy", "numba"):
-        for algorithm in ("direct", "guarded"):
-            kinds: dict[str, tuple[BatchCase, tuple[str, ...], int]] = {
-                "five figures": (stability_map(algorithm, SCENES), FIVE, SCENES),
-                f"all {len(METRICS)} figures": (stability_map(algorithm, SCENES), tuple(METRICS), SCENES),
-                "five figures, plant and hand differ": (stability_map(algorithm, SCENES, every_key=True), FIVE, SCENES),
-                "five figures, encoder of 10 um": (stability_map(algorithm, SCENES, 1e-5), FIVE, SCENES),
-                "five figures and position error": (
-                    stability_map(algorithm, SCENES),
-                    (*FIVE, "position_error.rms"),
-                    SCENES,
-                ),
-            }
-            for kind, (case, metrics, scenes) in kinds.items():
-                rate = rate_of(case, engine, metrics, scenes, 2 if "encoder" in kind else REPEATS)
-                target = targets.get((algorithm, engine)) if kind == "five figures" else None
-                if kind.endswith("10 um") and algorithm == "guarded":
-                    target = {"numpy": 5.0, "numba": 20.0}[engine]
-                rows.append(
-                    Row(
-                        f"{FIGURE}: {algorithm}, {engine}, {kind}", rate, "M cycles/s", name, peer,
-                        rate / peer if peer else None, f">= {target:g}" if target else "",
-                        rate >= target if target else None,
-                    )
-                )  # fmt: skip
-            if algorithm == "direct" and peer:
-                ratio = rows[-5].value / peer
-                rows.append(
-                    Row(
-                        f"{FIGURE}: direct, {engine}, over MuJoCo's rollout",
-                        ratio,
-                        "",
-                        target=">= 50",
-                        met=ratio >= 50.0,
-                    )
-                )
+    for engine, algorithm in product(("numpy", "numba"), ("direct", "guarded")):
+        rates = {}
+        for kind, (case, metrics) in kinds_of(algorithm).items():
+            rate = rates[kind] = rate_of(case, engine, metrics, 2 if kind == ENCODER else REPEATS)
+            target = TARGETS.get((engine, algorithm, kind))
+            label = f"{FIGURE}: {algorithm}, {engine}, {kind}"
+            ratio = rate / peer if peer else None
+            asked, met = ("", None) if target is None else (f">= {target:g}", rate >= target)
+            rows.append(Row(label, rate, "M cycles/s", name, peer, ratio, asked, met))
+        if algorithm == "direct" and peer:
+            ratio, label = rates[PLAIN] / peer, f"{FIGURE}: direct, {engine}, over MuJoCo's rollout"
+            rows.append(Row(label, ratio, "", target=">= 50", met=ratio >= 50.0))
     return rows
 
 
@@ -161,7 +156,7 @@ def _grows(mass: float, damping: Array, hand: Array, stiffness: Array) -> Array:
     case = standard_case(wall, "direct", RATE, user, plant=plant)
     varied = {"simulation.plant.damping": damping, "simulation.user.stiffness": hand}
     arrays = loop_in_arrays(case, plant, user, {"environment.stiffness": stiffness}, varied)
-    half, whole = (march(arrays, len(damping), n, "auto", ("travel",)).metrics["travel"] for n in (8000, 16000))
+    half, whole = (march(arrays, len(damping), n, "auto", ("travel",))["travel"] for n in (8000, 16000))
     return whole > half
 
 
