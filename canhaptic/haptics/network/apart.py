@@ -64,19 +64,25 @@ class AxesApart:
         self._committed = [
             sent[max(0, hold - losses) : min(hold, self._delay) + 1] for hold in range(1, self._holds + 1)
         ]
-        self._largest = [max(abs(values[i]) for values in sent) for i in range(len(torques))]
-        self._norm = math.sqrt(sum(r * t * t for r, t in zip(self._responses, self._largest, strict=True)))
-        self._norm += axes.hand
+        self._largest = [max([abs(values[i]) for values in sent]) for i in range(len(torques))]
         self._starts = []
         for i, moved in enumerate(displacement):
             slack = axes.count[i] + blur[i]
             along = slack + moved, slack - moved
             self._starts.append([(start, axes.lost[i] * max(0.0, -start)) for start in along])
 
-    def _cells(self, torques: Values) -> list[list[Parabola]]:
-        """Returns what each axis may give out in each hold: the largest of some parabolas, and of 0."""
-        added = [r * max(0.0, t * t - f * f) for r, t, f in zip(self._responses, torques, self._largest, strict=True)]
-        norm, more = self._norm, math.sqrt(sum(added))
+    def _cells(self, torques: Sequence[float], fixed: Sequence[float] = ()) -> list[list[Parabola]]:
+        """Returns what each axis may give out in each hold: the largest of some parabolas, and of 0.
+
+        Args:
+            torques: W, (axes,), of which the share l is to be found.
+            fixed: Torques sent whatever l is, on axes without W; none where left out.
+        """
+        largest = [max(f, abs(t)) for f, t in zip(self._largest, fixed, strict=True)] if fixed else self._largest
+        norm = math.sqrt(sum([r * f * f for r, f in zip(self._responses, largest, strict=True)])) + self._axes.hand
+        more = math.sqrt(
+            sum([r * max(0.0, t * t - f * f) for r, t, f in zip(self._responses, torques, largest, strict=True)])
+        )
         cells = []
         for index, committed in enumerate(self._committed):
             hold, mine = index + 1, index - self._delay
@@ -87,9 +93,11 @@ class AxesApart:
                     base = start + hold * (lost + root * norm)
                     slope = root * grown
                     old = max([sign * values[i] for values in committed], default=0.0)
+                    new = sign * torques[i]
+                    if mine >= 0 and fixed:
+                        old = max(old, sign * fixed[i])
                     if old > 0.0:
                         pieces.append((old * base, old * slope, 0.0))
-                    new = sign * torques[i]
                     if mine >= 0 and new > 0.0:
                         pieces.append((0.0, new * base, new * slope))
                 cells.append(pieces)
@@ -98,7 +106,7 @@ class AxesApart:
     def needed_by_hand(self) -> float:
         """Returns the most energy [J] that the torques under way may give out to a hand within its declared force."""
         nothing = (0.0,) * len(self._roots)
-        return sum(max([0.0, *[piece[0] for piece in pieces]]) for pieces in self._cells(nothing))
+        return sum([max([0.0, *[piece[0] for piece in pieces]]) for pieces in self._cells(nothing)])
 
     def share_by_hand(self, torques: Values, budget: float, moved: float) -> float:
         """Returns the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
@@ -108,27 +116,31 @@ class AxesApart:
             budget: [J].
             moved: What a mover will take out with W [J], >= 0.
         """
-        cells = self._cells(torques)
-        cells.append([(0.0, moved, 0.0)])
-        share = 1.0
-        for _ in range(_PASSES):
-            fixed = linear = square = 0.0
-            for pieces in cells:
-                most = 0.0
-                active = 0.0, 0.0, 0.0
-                for piece in pieces:
-                    value = piece[0] + share * (piece[1] + share * piece[2])
-                    if value > most:
-                        most, active = value, piece
-                fixed, linear, square = fixed + active[0], linear + active[1], square + active[2]
-            size = abs(fixed) + share * (abs(linear) + share * square)
-            if fixed + share * (linear + share * square) <= budget + _ROUNDING * size:
-                return share
-            smaller = share_within(budget - fixed, linear, square)
-            if not smaller < share:
-                return 0.0
-            share = smaller
-        return 0.0
+        return _largest_share([*self._cells(torques), [(0.0, moved, 0.0)]], budget)
+
+    def raised(self, torques: Values, share: float, budget: float) -> Values:
+        """Returns torques of which axes that move against theirs get more than the share of all.
+
+        Such an axis takes energy in whatever the others do; without it no group would begin from an empty account, as
+        the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of a group turns by it while the account
+        is short. What costs nothing at all is sent in debt as well.
+
+        Args:
+            torques: W, (axes,) [N*m or N].
+            share: That all axes may have.
+            budget: [J].
+        """
+        found = [share * torque for torque in torques]
+        starts = [
+            self._starts[i][0 if torque > 0.0 else 1][0] * abs(torque) for i, torque in enumerate(torques)
+        ]  # fmt: skip
+        budget = max(budget, self.needed_by_hand())
+        for axis in sorted(range(len(torques)), key=starts.__getitem__):
+            if starts[axis] < 0.0:
+                alone = [torque if i == axis else 0.0 for i, torque in enumerate(torques)]
+                others = [0.0 if i == axis else torque for i, torque in enumerate(found)]
+                found[axis] = max(share, _largest_share(self._cells(alone, others), budget)) * torques[axis]
+        return tuple(found)
 
     def needs(self, torques: Values, power: int) -> tuple[list[float], list[float]]:
         """Returns sums over all holds of |f_i|^power by the torques under way, and what l^power of new ones adds.
@@ -146,3 +158,26 @@ class AxesApart:
                 if index >= self._delay:
                     new[i] += max(0.0, abs(torque) ** power - held)
         return old, new
+
+
+def _largest_share(cells: list[list[Parabola]], budget: float) -> float:
+    """Returns the largest l <= 1 at which the cells, each the largest of its parabolas and 0, sum to the budget [J]."""
+    share = 1.0
+    for _ in range(_PASSES):
+        fixed = linear = square = 0.0
+        for pieces in cells:
+            most = 0.0
+            active = 0.0, 0.0, 0.0
+            for piece in pieces:
+                value = piece[0] + share * (piece[1] + share * piece[2])
+                if value > most:
+                    most, active = value, piece
+            fixed, linear, square = fixed + active[0], linear + active[1], square + active[2]
+        size = abs(fixed) + share * (abs(linear) + share * square)
+        if fixed + share * (linear + share * square) <= budget + _ROUNDING * size:
+            return share
+        smaller = share_within(budget - fixed, linear, square)
+        if not smaller < share:
+            return 0.0
+        share = smaller
+    return 0.0

@@ -75,7 +75,7 @@ class GroupCommands:
         command = self._queue.popleft()
         displacement = tuple([q - q0 for q, q0 in zip(positions, last, strict=True)])
         if torques_applied != command.torques:
-            command = _as_applied(command, torques_applied)
+            command = as_applied(command, torques_applied)
         skipped, self._skipped = self._skipped, ()
         return EndedHold(displacement, command.damper, command.modulated, command.ports, command.power, skipped)
 
@@ -107,7 +107,7 @@ class GroupCommands:
         return [command.torques for command in self._queue] if self.delay else []
 
 
-def _as_applied(command: GroupCommand, applied: Values) -> GroupCommand:
+def as_applied(command: GroupCommand, applied: Values) -> GroupCommand:
     """Returns the efforts inside torques that were not applied as sent: in proportion, axis by axis."""
     shares = [min(1.0, max(0.0, a / t)) if t else 0.0 for a, t in zip(applied, command.torques, strict=True)]
     sent = sum(t * t for t in command.torques)

@@ -7,6 +7,8 @@ from canhaptic.haptics.network import bound
 from canhaptic.haptics.network.apart import AxesApart
 from canhaptic.haptics.network.bound import Axes
 from canhaptic.haptics.network.commands import GroupCommands, Values
+from canhaptic.haptics.passivity import lost_samples
+from canhaptic.haptics.passivity.lost_samples import Gap
 from canhaptic.haptics.passivity.settlement import settle
 
 
@@ -62,34 +64,44 @@ class GroupAccount:
     def ended_gap(self, displacement: Values, sent: tuple[Values, ...]) -> float:
         """Takes several holds of which only the whole displacement is known; returns how much less may have come in.
 
-        In every hold but the last, whose torque was read back, each axis may have held any torque sent to it. The
-        energy is wrong by at most their difference times the excursion in the hold, which the reach of hand and
-        torques bounds - not the displacement: a reversal has next to none.
+        In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
+        then, or the one of the hold before (`lost_samples`).
+
+        Args:
+            displacement: In all of them, (axes,) [rad or m].
+            sent: Torques for each of the holds, (axes,) each; of the last one those applied [N*m or N].
         """
-        axes, holds, last = self._axes, len(sent), sent[-1]
-        if self._losses > 1:
-            sent = (self._torques, *sent)  # an older torque may have stayed
-        largest = [max(abs(torques[i]) for torques in sent) for i in range(len(last))]
+        axes, holds, last, before = self._axes, len(sent), sent[-1], self._torques
+        largest = [max([abs(torques[i]) for torques in (before, *sent)]) for i in range(len(last))]
         reached = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
-        push = math.sqrt(sum(r * t * t for r, t in zip(reached, largest, strict=True))) + axes.hand
-        unsure = 0.0
+        push = math.sqrt(sum([r * t * t for r, t in zip(reached, largest, strict=True)])) + axes.hand
+        doubt = 0.0
         blur: list[float] = []
         for i, moved in enumerate(displacement):
-            count = axes.count[i]
-            excursion = abs(moved) + count
-            if axes.by_hand:
-                step = math.sqrt(reached[i]) * push
-                start = abs(self._displacement[i]) + self._blur[i] + count
-                excursion += holds * (start + holds * step)
-                blur.append(0.5 * (holds - 1) * step + axes.lost[i] * holds * excursion)
-            elif axes.path:
-                excursion = axes.path
-            unsure += (holds - 1) * max(abs(torques[i] - last[i]) for torques in sent) * excursion
+            count, step = axes.count[i], math.sqrt(reached[i]) * push if axes.by_hand else 0.0
+            gap = Gap(holds, moved, self._displacement[i], count, self._blur[i] + count, step, axes.lost[i])
+            doubt += self._doubt(
+                i, gap, [[before[i], *[torques[i] for torques in sent[:j]]] for j in range(1, holds)], last[i]
+            )
+            excursion = abs(moved) + count + holds * (abs(gap.start) + gap.blur + holds * step)
+            blur.append(0.5 * (holds - 1) * step + axes.lost[i] * holds * excursion)
             self._unsure += holds * count * largest[i]
-        self._blur = tuple(blur) or self._still
-        self.unsure = self._unsure + sum(0.5 * c * abs(t) for c, t in zip(axes.count, last, strict=True))
+            certain = abs(moved) - count
+            if certain > 0.0:
+                self.dissipated += axes.damping[i] * certain * certain / holds
+        self._blur = tuple(blur) if axes.by_hand else self._still
+        self.unsure = self._unsure + sum([0.5 * c * abs(t) for c, t in zip(axes.count, last, strict=True)])
         self._displacement, self._torques = tuple([d / holds for d in displacement]), last
-        return unsure
+        return doubt if doubt > 0.0 else 0.0
+
+    def _doubt(self, axis: int, gap: Gap, candidates: list[list[float]], last: float) -> float:
+        """Returns how much less than booked may have come in by one axis [J]."""
+        axes = self._axes
+        if axes.by_hand:
+            return lost_samples.worst(gap, last, candidates)
+        if axes.path:
+            return lost_samples.worst_of_path(axes.path, last, candidates)
+        return lost_samples.worst_damped(gap, last, candidates, axes.damping[axis])
 
     def book(self, h_i: float, h_pas: float, lost: float, ceiling: float) -> tuple[float, float, float, float]:
         """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
@@ -185,6 +197,20 @@ class GroupAccount:
             budget = energy - sum(bound.path_need(axes, acting) for acting in under_way)
             by_speed = budget / (bound.path_need(axes, torques) + max(0.0, moved)) if budget > 0.0 else 0.0
         return by_force, by_damping, by_speed
+
+    def raised(self, torques: Values, share: float, energy: float) -> Values:
+        """Returns torques scaled by a share, or more on axes that take energy in; see `AxesApart.raised`.
+
+        Right after `shares`, of a group that was not lent any energy by a mover.
+
+        Args:
+            torques: W, (axes,) [N*m or N].
+            share: Admitted by the hand-force certificate.
+            energy: That may be taken out [J].
+        """
+        if self._apart is None or not self._axes.by_hand:
+            return tuple([share * torque for torque in torques])
+        return self._apart.raised(torques, share, energy)
 
     def _free_apart(self, apart: AxesApart, energy: float) -> float:
         axes = self._axes

@@ -13,7 +13,7 @@ from canhaptic.errors import ControlError, ParameterError
 from canhaptic.haptics.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.haptics.kinematics.protocol import Kinematics
 from canhaptic.haptics.network.bound import axes_of
-from canhaptic.haptics.network.commands import EndedHold, GroupCommand, GroupCommands, Values
+from canhaptic.haptics.network.commands import EndedHold, GroupCommand, GroupCommands, Values, as_applied
 from canhaptic.haptics.network.group_account import GroupAccount
 from canhaptic.haptics.network.motion import GroupMotion, Wish
 from canhaptic.haptics.network.protocol import GroupBalance, NetworkEnvironment, group_at_rest
@@ -80,6 +80,7 @@ class GuardedGroup:
         self._quanta = [loop.torque_quantum for loop in loops]
         self._quantised = any(self._quanta)
         self._commands = GroupCommands(axes, motion.ports, delay)
+        self._splits = parameters.lost_frames > 0 and not motion.moves
         self._account = GroupAccount(known, self._commands, parameters.credit, parameters.lost_frames)
         self.reset()
 
@@ -167,7 +168,12 @@ class GuardedGroup:
             share * s + lead_share * a + damper_share * d
             for s, a, d in zip(wish.port_spring, wish.port_lead, wish.port_damper, strict=True)
         ]
+        wished = GroupCommand(tuple(torques), tuple(damper), tuple(modulated), tuple(ports))
         sent, factor, certificate = self._certified(torques, ports, energy, covered)
+        if self._splits and factor < 1.0:
+            command = self._split(wished, factor, energy)
+            self._commands.send(command)
+            return command, factor * rendered, certificate
         command = GroupCommand(
             sent,
             tuple([factor * d for d in damper]),
@@ -177,6 +183,21 @@ class GuardedGroup:
         self._commands.send(command)
         return command, factor * rendered, certificate
 
+    def _split(self, wished: GroupCommand, factor: float, energy: float) -> GroupCommand:
+        """Returns a command of which axes that take energy in have more than the certified share of all.
+
+        What the drives leave of it by their grid is a part of what was certified, axis by axis.
+        """
+        most = self._within_limits(wished.torques)
+        torques = tuple([most * t for t in wished.torques])
+        found = self._account.raised(torques, factor / most, energy)
+        found = tuple([int(t / q) * q if q else t for t, q in zip(found, self._quanta, strict=True)])
+        return as_applied(wished, found)
+
+    def _within_limits(self, torques: Sequence[float]) -> float:
+        """Returns the largest share of torques, up to 1, that no limit cuts."""
+        return min([1.0] + [limit / abs(t) for t, limit in zip(torques, self._limits, strict=True) if abs(t) > limit])
+
     def _certified(
         self, torques: list[float], ports: list[float], energy: float, covered: bool
     ) -> tuple[Values, float, int]:
@@ -185,7 +206,7 @@ class GuardedGroup:
             return tuple(torques), 1.0, Certificate.EXACT.value
         moved = self._motion.taken_next(ports)
         by_force, by_damping, by_speed = self._account.shares(torques, energy, moved)
-        factor = min([1.0] + [limit / abs(t) for t, limit in zip(torques, self._limits, strict=True) if abs(t) > limit])
+        factor = self._within_limits(torques)
         largest = max(by_force, by_damping, by_speed)
         if factor > largest:
             factor, covered = largest, False

@@ -44,6 +44,7 @@ class GroupMotion:
         displacement: Of the ports in the last motion [m or rad].
         elapsed: Time of the last motion [s].
         began: Whether the last positions were the first inside the limits of the mechanism.
+        moves: Whether a mover may give or take energy.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class GroupMotion:
         self._sample_time, self._delay = loops[0].sample_time, loops[0].delay
         self.network = SampledNetwork(network, self._sample_time, compiled)
         self.ports, self._axes = network.ports, kinematics.axes
-        self._moves = geometry.mover(0.0) is not None
+        self.moves = geometry.mover(0.0) is not None
         self._windows = [
             AdaptiveWindow(self._sample_time, loop.encoder_count, max(2, round(_LONGEST_WINDOW / self._sample_time)))
             if loop.encoder_count
@@ -162,7 +163,7 @@ class GroupMotion:
             self._coordinates = None
             return
         values, rows = self._geometry.measure(pose.position)
-        if self._moves:
+        if self.moves:
             offset = self._geometry.mover(self._sample * self._sample_time) or self._still
             values = tuple([c - w for c, w in zip(values, offset, strict=True)])
         self._coordinates = values
@@ -186,7 +187,7 @@ class GroupMotion:
         self._velocity = velocity
 
     def _mover_motion(self, first: int, last: int) -> tuple[float, ...]:
-        if not self._moves:
+        if not self.moves:
             return self._still
         before = self._geometry.mover(first * self._sample_time) or self._still
         after = self._geometry.mover(last * self._sample_time) or self._still
@@ -200,7 +201,7 @@ class GroupMotion:
     def supplied(self, efforts: Values) -> float:
         """Returns what the mover gave in the hold that ended [J], the ports having had given efforts."""
         total = 0.0
-        if self._moves:
+        if self.moves:
             for effort, moved in zip(efforts, self._moved, strict=True):
                 total -= effort * moved
         return total
@@ -208,7 +209,7 @@ class GroupMotion:
     def taken_next(self, efforts: Values) -> float:
         """Returns what the mover takes [J] in the hold in which the next command acts with given port efforts."""
         total = 0.0
-        if self._moves:
+        if self.moves:
             first = self._sample + self._delay
             for effort, moved in zip(efforts, self._mover_motion(first, first + 1), strict=True):
                 total += effort * moved

@@ -269,7 +269,7 @@ def test_lost_samples_are_booked_at_their_worst(delay):
         pending.append(balance.torques)
         held = pending.pop(0)
         plant.advance(held)
-    assert (unsure > 0.0) == (delay == 1)  # without delay the repeated command is the one that acted
+    assert unsure > 0.0  # an RPDO may have been lost as well
     assert over <= 1e-9
 
 

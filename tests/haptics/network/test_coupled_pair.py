@@ -19,12 +19,12 @@ def two_hands(t, q, v, _torque):
     return np.array([grip * lead - 1.0 * v[0], -20.0 * grip * q[1] - 1.0 * v[1]])
 
 
-def coupled_run(duration, loss, seed):
-    """Returns (least true energy of both ports together, distance at rest at the end [m], share of cycles lost)."""
-    rng, lost = random.Random(seed), 0
-    controller, plant = group(COUPLING, delay=1), Table(1e-3, two_hands, longest=5e-4)
+def coupled_run(duration, loss, seed, **own):
+    """Returns (least true energy of both ports together, distance in the end and rms [m], share of cycles lost)."""
+    rng, lost, cycles, squares = random.Random(seed), 0, round(duration / 1e-3), 0.0
+    controller, plant = group(COUPLING, delay=1, **own), Table(1e-3, two_hands, longest=5e-4)
     held, pending = [0.0, 0.0], [0.0, 0.0]
-    for cycle in range(round(duration / 1e-3)):
+    for cycle in range(cycles):
         tpdo = cycle < 3 or (rng.random() >= loss and rng.random() >= loss)  # of either axis
         lost += not tpdo
         balance = controller.step(plant.q.tolist(), tuple(held)) if tpdo else controller.hold()
@@ -33,18 +33,23 @@ def coupled_run(duration, loss, seed):
                 held[axis] = pending[axis]
         pending = list(balance.torques)
         plant.advance(held)
-    return plant.least, abs(float(plant.q[0] - plant.q[1])), lost / (duration / 1e-3)
+        squares += float(plant.q[0] - plant.q[1]) ** 2
+    return plant.least, abs(float(plant.q[0] - plant.q[1])), math.sqrt(squares / cycles), lost / cycles
 
 
-def test_two_handles_keep_together_and_passive_while_frames_are_lost():
-    least, apart, lost = coupled_run(2.5, 0.01, 1)
+@pytest.mark.parametrize(("lost_frames", "rms"), [(0, 3e-4), (1, 8e-4), (4, 2e-3)])
+def test_two_handles_keep_together_and_passive_while_frames_are_lost(lost_frames, rms):
+    """From the first motion on, at an empty account; uncoupled they would be 22 mm (rms) apart."""
+    least, _, apart, lost = coupled_run(2.5, 0.01, 1, lost_frames=lost_frames)
     assert lost > 0.01
     assert least >= -1e-6
-    assert apart < 5e-3  # held apart by the hands
+    assert apart < rms
 
 
 @pytest.mark.slow
-def test_two_handles_have_not_drifted_after_a_minute():
-    least, apart, _ = coupled_run(60.0, 0.01, 2)
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("lost_frames", [0, 1, 2, 4])
+def test_two_handles_have_not_drifted_after_a_minute(lost_frames):
+    least, apart, *_ = coupled_run(60.0, 0.01, 2, lost_frames=lost_frames)
     assert least >= -1e-6
     assert apart < 1e-4
