@@ -1,0 +1,36 @@
+"""What the page on safety says of a host that stalls is so."""
+
+from documents import ROOT
+
+from canhaptic.cycle import run
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+
+STALLED = [
+    "bus.rate=250",
+    "bus.heartbeat_timeout=1",
+    "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}",  # up to 15 SYNCs in a row
+]
+
+
+def stalled_run(lost_frames: int) -> tuple[float, float, int]:
+    """Returns the least energy believed and true [J], and the SYNCs skipped."""
+    scene = load_scene(ROOT / "configs" / "demo.yaml", [*STALLED, f"passivity.lost_frames={lost_frames}"])
+    with build(scene) as experiment:
+        run(experiment.cycle, cycles=600)
+        account = experiment.cycle.ledgers[0].summary()
+        return account.least_interaction, experiment.cycle.judge.least[0], experiment.rig.skipped_syncs
+
+
+def test_holds_longer_than_certified_give_energy_out_and_the_account_says_so() -> None:
+    believed, true, skipped = stalled_run(lost_frames=0)
+    assert skipped > 200
+    assert true < -1e-3
+    assert abs(believed - true) < 1e-4
+
+
+def test_a_torque_certified_for_the_lost_frames_survives_them() -> None:
+    believed, true, skipped = stalled_run(lost_frames=16)
+    assert skipped > 200
+    assert true >= -1e-6
+    assert believed >= -1e-4
