@@ -1,4 +1,5 @@
 import io
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -26,7 +27,7 @@ def port(factor: float = 1.0) -> dict[str, object]:
     }
 
 
-def result(names: list[str]) -> dict[str, object]:
+def result(names: list[str]) -> dict[str, Any]:
     return {
         "status": "ok",
         "config_hash": "ab12cd34ef56ab12",
@@ -90,11 +91,66 @@ def test_every_part_of_the_result_is_in_the_report() -> None:
     assert "sticky" not in text
 
 
+def row_of(content: dict[str, object], label: str) -> str:
+    """What stands behind a label of the table."""
+    (line,) = (line for line in printed(content).splitlines() if line.strip().startswith(label))
+    return line.strip().removeprefix(label).strip()
+
+
 def test_a_port_that_gave_energy_away_is_marked() -> None:
-    lines = {
-        line.split("  ")[1].strip(): line for line in printed(result(["still", "handle"])).splitlines() if "  " in line
-    }
-    assert lines["passive (eq. 3)"].split()[-2:] == ["yes", "NO"]
+    assert row_of(result(["still", "handle"]), "passive (eq. 3)").split() == ["yes", "NO"]
+
+
+@pytest.mark.parametrize(
+    ("least", "unsure", "verdict"),
+    [
+        (0.0, 0.0, "yes"),
+        (-0.9e-6, 0.0, "yes"),  # below the tolerance, which is for rounding and encoder
+        (-1.1e-6, 0.0, "NO"),
+        (-1e-3, 1e-3, "in doubt"),
+        (-1e-3, 0.99e-3, "NO"),
+    ],
+)
+def test_a_port_is_passive_in_doubt_or_not(least: float, unsure: float, verdict: str) -> None:
+    content = result(["handle"])
+    content["ports"]["handle"] |= {"least_interaction": least, "unsure": unsure}
+    assert row_of(content, "passive (eq. 3)") == verdict
+
+
+@pytest.mark.parametrize(
+    ("label", "changed", "shown"),
+    [
+        ("reached at", {"margin": {"value": 0.0, "cycle": 0, "time": 0.0}}, "never below 0"),
+        ("reached at", {}, "0.123 s"),
+        ("damping rendered", {"damping_rendered": {"least": 4.0, "most": 4.0}, "unit": "rad"}, "4 N*m*s/rad"),
+        ("energy known to", {"read_back": "demand", "read_back_bound": 0.0}, "exact"),
+        ("energy known to", {"read_back": "none", "read_back_bound": 0.0}, "believed"),
+        ("energy known to", {"read_back": "actual", "read_back_bound": 2.5e-3}, "2.500 mJ"),
+        ("in by movers, not motors", {"supplied": 0.25}, "250.0 mJ"),
+        ("in doubt, taken off `in`", {"unsure": 0.25}, "250.0 mJ"),
+        ("holds limited: singular", {"limits": {"singular": 12, "workspace": 0}}, "12"),
+    ],
+)
+def test_each_row_says_it_in_words(label: str, changed: dict[str, object], shown: str) -> None:
+    content = result(["handle"])
+    content["ports"]["handle"] |= {"margin": {"value": -2.2e-3, "cycle": 123, "time": 0.123}} | changed
+    assert row_of(content, label) == shown
+
+
+def test_a_limit_that_never_acted_has_no_row() -> None:
+    content = result(["handle"])
+    content["ports"]["handle"] |= {"limits": {"workspace": 0}, "supplied": 0.0}
+    assert "holds limited" not in printed(content)
+    assert "movers" not in printed(content)
+
+
+def test_a_group_stands_before_its_axes() -> None:
+    content = result(["x", "y", "stage"])
+    for name in ("x", "y"):
+        content["ports"][name] = {"group": "stage", "in": 1.0, "out": 0.0, "unit": "m"}
+    heads = next(line for line in printed(content).splitlines() if "energy account" in line)
+    assert heads.split()[2:] == ["stage", "x", "y"]
+    assert row_of(content, "dissipated").split()[2:] == ["-", "-"]
 
 
 @pytest.mark.parametrize("ports", [1, 3, 4, 9])

@@ -1,6 +1,7 @@
 import json
 from pathlib import Path
 
+import h5py
 import pytest
 import typed
 
@@ -58,5 +59,29 @@ def test_a_bus_log_alone_can_be_inspected_with_its_scene(
 def test_another_scene_is_refused(logs: tuple[Path, Path], tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(DEMO.read_text().replace("stiffness: ", "stiffness: 1"))
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=r"other\.yaml: is not the scene of .*run\.h5"):
         typed.inspect(logs[0], "--recompute", "--config", other)
+
+
+def test_a_scene_that_is_gone_is_asked_for(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    moved = tmp_path / "run.h5"
+    moved.write_bytes(logs[0].read_bytes())
+    with h5py.File(moved, "r+") as file:
+        file.attrs["config_source"] = str(tmp_path / "gone.yaml")
+    with pytest.raises(InputError, match=r"its scene '.*gone\.yaml' is not there; name it with --config"):
+        typed.inspect(moved, "--recompute")
+
+
+def test_a_recomputation_that_differs_is_shown_and_ends_with_one(
+    logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tampered = tmp_path / "run.h5"
+    tampered.write_bytes(logs[0].read_bytes())
+    with h5py.File(tampered, "r+") as file:
+        file["ports/handle/h_r"][1200] += 1.0
+    assert typed.inspect(tampered, "--recompute") == 1
+    assert "recomputed h_r of cycle 1200 is" in capsys.readouterr().out
+    assert typed.inspect(tampered, "--recompute", "--json") == 1
+    (found,) = json.loads(capsys.readouterr().out)["recomputed"]
+    assert found["port"] == "handle"
+    assert found["mismatch"]["logged"] == pytest.approx(found["mismatch"]["recomputed"] + 1.0)
