@@ -30,6 +30,27 @@ def test_frames_alone_give_the_logged_account_bit_for_bit(
     assert "recomputed, every output equal bit for bit" in text
 
 
+@pytest.mark.parametrize(
+    "override",
+    [
+        "axes.0.demand_reported=after",
+        "simulation.bus={drop: 0.02, ids: [0x181, 0x201]}",
+        "axes.0.read_back=actual",
+    ],
+)
+def test_the_account_is_derived_whatever_the_drive_reports_and_the_bus_loses(
+    override: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    energy, bus = tmp_path / "run.h5", tmp_path / "run.log"
+    words = ["run", str(DEMO), "--duration", "1.3", "--pace", "free", "--log", str(energy), "--bus-log", str(bus)]
+    assert main([*words, "--json", "--set", override]) == 0
+    capsys.readouterr()
+    assert typed.inspect(energy, "--bus-log", bus, "--recompute", "--json", "--check", "in > 1 mJ") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["rederived"]["cycles"], result["rederived"]["differences"]) == (1300, [])
+    assert result["rederived"]["ports"]["handle"]["in"] == pytest.approx(result["ports"]["handle"]["in"], rel=1e-12)
+
+
 def test_one_flipped_bit_in_one_recorded_position_is_found(
     logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
