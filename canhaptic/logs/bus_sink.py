@@ -6,6 +6,7 @@ The second word names the bus. R is a frame received by the master, T one that i
 """
 
 import os
+import re
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -90,9 +91,8 @@ class BusSink:
 
     def _put_aside(self) -> None:
         os.close(self._descriptor)
-        aside = aside_files(self._path)
-        number = int(aside[-1].suffixes[-2][1:]) + 1 if aside else 1
-        self._path.rename(self._path.with_suffix(f".{number:05d}{self._path.suffix}"))
+        number = max(_numbered(self._path), default=0) + 1
+        self._path.rename(self._path.with_name(f"{self._path.stem}.{number:05d}{self._path.suffix}"))
         for old in aside_files(self._path)[: -(self._files - 1) or None]:
             old.unlink()
         self._begin()
@@ -121,5 +121,10 @@ def format_frames(frames: bytes, channels: Sequence[str]) -> bytes:
 
 def aside_files(path: Path) -> list[Path]:
     """Returns the files put aside before `path`, oldest first."""
-    pattern = f"{path.stem}.[0-9][0-9][0-9][0-9][0-9]{path.suffix}"
-    return sorted(path.parent.glob(pattern))
+    return [file for _, file in sorted(_numbered(path).items())]
+
+
+def _numbered(path: Path) -> dict[int, Path]:
+    name = re.compile(rf"{re.escape(path.stem)}\.(\d{{5,}}){re.escape(path.suffix)}")
+    files = path.parent.iterdir() if path.parent.is_dir() else ()
+    return {int(found[1]): file for file in files if (found := name.fullmatch(file.name))}

@@ -55,8 +55,9 @@ def test_more_frames_than_the_ring_holds_all_arrive_in_order_at_free_pace(tmp_pa
     assert all(line.endswith(f"181#{k.to_bytes(8, 'little').hex().upper()} R".encode()) for k, line in enumerate(lines))
 
 
-def test_a_series_of_files_never_exceeds_its_number_and_size_and_keeps_the_newest(tmp_path: Path) -> None:
-    path = tmp_path / "run.log"
+@pytest.mark.parametrize("name", ["run.log", "run", "run.2.log", "run[1].log"])
+def test_a_series_of_files_never_exceeds_its_number_and_size_and_keeps_the_newest(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
     log = BusLogWriter(path, "can0", pace="free", file_size=300_000, files=3)
     for k in range(100_000):
         log(k * 1000, 0x181, k.to_bytes(8, "little"), True)
