@@ -47,7 +47,10 @@ def write_index(folder: Path) -> None:
     lines = [
         "# What accuracy costs in time: five scenes", "",
         "Made by `python -m tools.accuracy_gallery`. Evaluations are the same on every machine; times are of the one",
-        "named in each JSON file, least of interleaved repeats.", "",
+        "named in each JSON file, least of interleaved repeats. The line in the third column is for the scene's",
+        "`accuracy` section: the fewest evaluations of which no finer setting misses the tolerance. `cheaper yet` is a",
+        "textbook method that a scene cannot name and that needs fewer. `canhaptic accuracy CONFIG`: yours.",
+        "",
         "| scene | tolerance | cheapest that lasts | error | evaluations a period | us a period | cheaper yet |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
