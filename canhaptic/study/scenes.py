@@ -6,7 +6,7 @@ from typing import Final, cast
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.effects import Effect
 from canhaptic.sim.plant import PlantParameters
@@ -90,5 +90,10 @@ def _device_damping(axis: AxisScene) -> float:
         return axis.loop.device_damping
     if axis.simulation is None:
         return 0.0
-    viscous = (effect for effect in axis.simulation.effects if effect.name == "viscous_friction")
-    return axis.simulation.plant.damping + sum(float(getattr(one.parameters, "damping", 0.0)) for one in viscous)
+    return axis.simulation.plant.damping + viscous_friction(axis.simulation)
+
+
+def viscous_friction(simulation: AxisSimulation) -> float:
+    """Returns the damping that effects add to that of the plant [N*s/m or N*m*s/rad]."""
+    viscous = (effect.parameters for effect in simulation.effects if effect.name == "viscous_friction")
+    return sum((float(getattr(effect, "damping", 0.0)) for effect in viscous), 0.0)

@@ -15,6 +15,7 @@ from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.propagator import Array
 from canhaptic.sim.textbook.motion import Motion
 from canhaptic.sim.user import UserParameters
+from canhaptic.study.scenes import viscous_friction
 
 _EXPRESSIBLE: Final = ("viscous_friction", "encoder_noise", "encoder_quantisation")
 
@@ -41,9 +42,7 @@ class MujocoPlant:
         self._mujoco = import_module("mujoco")
         self._plant, self._user = simulation.plant, simulation.user or UserParameters()
         self._step, self._substeps = sample_time_ns * 1e-9 / substeps, substeps
-        drags: list[Any] = [e.parameters for e in simulation.effects if e.name == "viscous_friction"]
-        drag = sum(effect.damping for effect in drags)
-        damping = self._user.damping + self._plant.damping + drag
+        damping = self._user.damping + self._plant.damping + viscous_friction(simulation)
         self._model = self._mujoco.MjModel.from_xml_string(f"""
 <mujoco><option timestep="{self._step!r}" gravity="0 0 0" integrator="{integrator}"><flag contact="disable"/></option>
 <worldbody><body><joint name="x" type="slide" axis="1 0 0" stiffness="{self._user.stiffness!r}"

@@ -1,7 +1,7 @@
 """Stability of the linear sampled loop by closed form: one matrix and its eigenvalues for each scene."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,10 +11,10 @@ from canhaptic.sim.stability_map import Loops, decay_per_hold
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch.cases import check_values
 from canhaptic.study.loop import Array
-from canhaptic.study.scenes import environment_of
+from canhaptic.study.scenes import environment_of, viscous_friction
 
-_NO_PART: tuple[str, ...] = ("tremor",)
-"""Effects that move the hand and have no part in stability."""
+_IN_IT: Final = ("viscous_friction", "tremor")
+"""Effects of a linear loop; tremor moves the hand and has no part in stability."""
 
 
 def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
@@ -39,18 +39,16 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
         raise ParameterError(
             f"{scene.source}: spectral radius: {axis.environment.name} has no linear stiffness; run the scenes instead"
         )
+    for effect in simulation.effects:
+        if effect.name not in _IN_IT:
+            raise ParameterError(f"{scene.source}: spectral radius: effect {effect.name} is not in it; leave it out")
     count, user = check_values(scene, varied), simulation.user or UserParameters()
 
     def number(key: str, value: float) -> Any:
         return varied.get(key, value)
 
     damping = number("simulation.plant.damping", simulation.plant.damping)
-    damping = damping + number("simulation.user.damping", user.damping)
-    for effect in simulation.effects:
-        if effect.name == "viscous_friction":
-            damping = damping + getattr(effect.parameters, "damping")  # noqa: B009 - any effect's parameters
-        elif effect.name not in _NO_PART:
-            raise ParameterError(f"{scene.source}: spectral radius: effect {effect.name} is not in it; leave it out")
+    damping = damping + number("simulation.user.damping", user.damping) + viscous_friction(simulation)
     loops = Loops(
         number("simulation.plant.mass", simulation.plant.mass),
         damping,

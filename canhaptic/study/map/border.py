@@ -21,6 +21,7 @@ from canhaptic.scene.models import Scene
 from canhaptic.study.batch import scene_with
 from canhaptic.study.loop import Array
 from canhaptic.study.map.field import Field, Mask
+from canhaptic.study.scenes import viscous_friction
 from canhaptic.study.sweep.chunk import BATCHED, RADIUS
 from canhaptic.study.sweep.places import batch_key
 from canhaptic.view.energy_table import PASSIVE_TOLERANCE
@@ -148,12 +149,8 @@ def theory_at(field: Field, values: Mapping[str, float]) -> Theory:
     if simulation is None or not hasattr(environment, "stiffness"):
         return Theory(None, None)
     delay = scene.bus.delay
-    viscous = sum(
-        float(getattr(effect.parameters, "damping", 0.0))
-        for effect in simulation.effects
-        if effect.name == "viscous_friction"
-    )
-    device, wall = simulation.plant.damping + viscous, float(getattr(environment, "damping", 0.0))
+    device = simulation.plant.damping + viscous_friction(simulation)
+    wall = float(getattr(environment, "damping", 0.0))
     colgate = colgate_stiffness(device, wall, scene.bus.sample_time, delay)
     counts = [hint.limit for hint in stability_hints(axis) if "quantisation" in hint.what]
     friction = counts[0] if counts and counts[0] and math.isfinite(counts[0]) else None
