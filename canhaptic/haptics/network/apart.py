@@ -15,8 +15,8 @@ of the interval are enough. With the new torques scaled by l <= 1, N <= N_0 + l 
 N_1^2 = sum(r_i max(0, W_i^2 - f_i^2)), f_i the largest sent before. Every term is a parabola in l, their sum convex,
 and the largest l within the budget is found by solving for the terms that count at the last one, from l = 1 down.
 
-The hand counts axis by axis as well: a force across the torque of the group that pulls one axis along its own torque is
-part of the declared force.
+A mover's motion, known in advance, is taken off D_ij (`bound`). The hand counts axis by axis as well: a force across
+the torque of the group that pulls one axis along its own torque is part of the declared force.
 """
 
 import math
@@ -51,7 +51,10 @@ class AxesApart:
         self._first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
         self._holds = delay + 1 + losses
 
-    def take(self, displacement: Values, blur: Values, torques: Values, under_way: Sequence[Values]) -> None:
+    def take(
+        self, displacement: Values, blur: Values, torques: Values, under_way: Sequence[Values],
+        coming: tuple[Values, ...] = (),
+    ) -> None:  # fmt: skip
         """Takes the hold that ended and the torques that may still act.
 
         Args:
@@ -59,7 +62,9 @@ class AxesApart:
             blur: How much further each axis may have moved in it (axes,).
             torques: Held in it, (axes,) [N*m or N].
             under_way: Sent, and to act before the next command.
+            coming: Motion of a mover in the holds to come, (axes,) each; empty where nothing moves [rad or m].
         """
+        self._coming = coming
         axes, losses, sent = self._axes, self._losses, (torques, *under_way)
         self._committed = [
             sent[max(0, hold - losses) : min(hold, self._delay) + 1] for hold in range(1, self._holds + 1)
@@ -91,6 +96,8 @@ class AxesApart:
                 pieces = []
                 for sign, (start, lost) in zip((1.0, -1.0), self._starts[i], strict=True):
                     base = start + hold * (lost + root * norm)
+                    if self._coming:
+                        base -= sign * self._coming[index][i]
                     slope = root * grown
                     old = max([sign * values[i] for values in committed], default=0.0)
                     new = sign * torques[i]
@@ -108,15 +115,14 @@ class AxesApart:
         nothing = (0.0,) * len(self._roots)
         return sum([max([0.0, *[piece[0] for piece in pieces]]) for pieces in self._cells(nothing)])
 
-    def share_by_hand(self, torques: Values, budget: float, moved: float) -> float:
+    def share_by_hand(self, torques: Values, budget: float) -> float:
         """Returns the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
 
         Args:
             torques: W, (axes,) [N*m or N].
             budget: [J].
-            moved: What a mover will take out with W [J], >= 0.
         """
-        return _largest_share([*self._cells(torques), [(0.0, moved, 0.0)]], budget)
+        return _largest_share(self._cells(torques), budget)
 
     def raised(self, torques: Values, share: float, budget: float) -> Values:
         """Returns torques of which axes that move against theirs get more than the share of all.
@@ -157,6 +163,21 @@ class AxesApart:
                 old[i] += held
                 if index >= self._delay:
                     new[i] += max(0.0, abs(torque) ** power - held)
+        return old, new
+
+    def moved(self, torques: Values) -> tuple[float, float]:
+        """Returns what a mover takes at most [J] of the torques under way, and how much more of new ones.
+
+        Args:
+            torques: W, (axes,); zeros for those under way alone.
+        """
+        old = new = 0.0
+        for index, (committed, motion) in enumerate(zip(self._committed, self._coming, strict=False)):
+            for i, moved in enumerate(motion):
+                held = max([0.0, *[-values[i] * moved for values in committed]])
+                old += held
+                if index >= self._delay:
+                    new += max(0.0, -torques[i] * moved - held)
         return old, new
 
 

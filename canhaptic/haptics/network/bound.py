@@ -23,12 +23,16 @@ Forces that come from an inertia changing with the pose (Coriolis, centrifugal) 
 axis. What it lowers counts only for one axis alone: where M couples them, friction on one axis pushes the others, and
 counts with the hand's force.
 
+**Mover.** A wall that moves by w in a hold gives the energy that its force takes over w: with u the motion of the
+motors that would go with it, W . u, so that D - u stands wherever D is multiplied by a torque. u is known in advance.
+
 **Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d serves every user.
 
 **Hand speed.** sum |F_i| v_max T <= E.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from canhaptic.haptics.network.tables import Vector
@@ -153,6 +157,14 @@ def base_of(
         elif total < 0.0:
             total -= axes.lost[0] * total
         total += response_to(torques, acting, axes.before) + hand
+    return total
+
+
+def taken_by_mover(torques: Sequence[float], moved: Sequence[float]) -> float:
+    """Returns what a mover takes [J] in a hold, its motion given as one of the motors (axes,) [rad or m]."""
+    total = 0.0
+    for i in range(len(moved)):
+        total -= torques[i] * moved[i]
     return total
 
 

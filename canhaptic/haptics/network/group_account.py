@@ -61,7 +61,7 @@ class GroupAccount:
         self._blur = self._still
         self._displacement, self._torques = displacement, torques
 
-    def ended_gap(self, displacement: Values, sent: tuple[Values, ...]) -> float:
+    def ended_gap(self, displacement: Values, sent: tuple[Values, ...], carried: tuple[Values, ...]) -> float:
         """Takes several holds of which only the whole displacement is known; returns how much less may have come in.
 
         In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
@@ -70,6 +70,7 @@ class GroupAccount:
         Args:
             displacement: In all of them, (axes,) [rad or m].
             sent: Torques for each of the holds, (axes,) each; of the last one those applied [N*m or N].
+            carried: Motion of a mover in each of them, (axes,) each; empty where nothing moves [rad or m].
         """
         axes, holds, last, before = self._axes, len(sent), sent[-1], self._torques
         largest = [max([abs(torques[i]) for torques in (before, *sent)]) for i in range(len(last))]
@@ -80,9 +81,10 @@ class GroupAccount:
         for i, moved in enumerate(displacement):
             count, step = axes.count[i], math.sqrt(reached[i]) * push if axes.by_hand else 0.0
             gap = Gap(holds, moved, self._displacement[i], count, self._blur[i] + count, step, axes.lost[i])
-            doubt += self._doubt(
-                i, gap, [[before[i], *[torques[i] for torques in sent[:j]]] for j in range(1, holds)], last[i]
-            )
+            candidates = [[before[i], *[torques[i] for torques in sent[:j]]] for j in range(1, holds)]
+            doubt += self._doubt(i, gap, candidates, last[i])
+            for torques, motion in zip(candidates, carried, strict=False):  # not of the last hold
+                doubt += max([(last[i] - torque) * motion[i] for torque in torques])
             excursion = abs(moved) + count + holds * (abs(gap.start) + gap.blur + holds * step)
             blur.append(0.5 * (holds - 1) * step + axes.lost[i] * holds * excursion)
             self._unsure += holds * count * largest[i]
@@ -103,7 +105,9 @@ class GroupAccount:
             return lost_samples.worst_of_path(axes.path, last, candidates)
         return lost_samples.worst_damped(gap, last, candidates, axes.damping[axis])
 
-    def book(self, h_i: float, h_pas: float, lost: float, ceiling: float) -> tuple[float, float, float, float]:
+    def book(
+        self, h_i: float, h_pas: float, lost: float, ceiling: float, coming: tuple[Values, ...]
+    ) -> tuple[float, float, float, float]:
         """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
 
         Args:
@@ -111,11 +115,12 @@ class GroupAccount:
             h_pas: Part of it taken by the modulated damper [J].
             lost: What the dissipators of the network took [J]; below 0 counts as 0.
             ceiling: What the network stores at its state [J]; more is not kept.
+            coming: Motion of a mover in the holds to come, (axes,) each; empty where nothing moves [rad or m].
         """
         h_s, surplus = self.h_s + h_i - h_pas, self.h_dis - h_pas
         slack = 0.0
         if lost > 0.0 or h_s > ceiling:
-            slack = min(self._free(h_s - surplus + self._credit), h_s)
+            slack = min(self._free(h_s - surplus + self._credit, coming), h_s)
         self.h_s, self.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, lost, ceiling, slack)
         self._kept_back += h_r + leak - paid
         return h_r, deficit, leak, paid
@@ -142,66 +147,82 @@ class GroupAccount:
         along = bound.along_last(axes, torques, self._displacement, self._blur)
         return bound.base_of(axes, torques, self._displacement, along, self._torques, under_way)
 
-    def _extractions(self, under_way: list[Values]) -> list[float]:
+    def _extractions(self, under_way: list[Values], coming: tuple[Values, ...]) -> list[float]:
         """Returns the most energy [J] that each of the torques under way may take out in its hold."""
         return [
-            self._base(torques, under_way[:k]) + bound.gain_of(self._axes, torques) if any(torques) else 0.0
+            self._base(torques, under_way[:k])
+            + bound.gain_of(self._axes, torques)
+            + (bound.taken_by_mover(torques, coming[k]) if coming else 0.0)
+            if any(torques)
+            else 0.0
             for k, torques in enumerate(under_way)
         ]
 
-    def _free(self, energy: float) -> float:
+    def _moved_at_most(self, under_way: list[Values], coming: tuple[Values, ...]) -> float:
+        """Returns what a mover takes [J] in the holds of torques under way in which it takes anything."""
+        total = 0.0
+        for torques, moved in zip(under_way, coming, strict=False):
+            taken = bound.taken_by_mover(torques, moved)
+            if taken > 0.0:
+                total += taken
+        return total
+
+    def _free(self, energy: float, coming: tuple[Values, ...]) -> float:
         """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
         axes, under_way = self._axes, self._commands.under_way
         if self._apart is not None:
-            return self._free_apart(self._apart, energy)
+            return self._free_apart(self._apart, energy, coming)
         if not under_way:
             return energy + self.dissipated
-        free = 0.0
+        free, moved = 0.0, self._moved_at_most(under_way, coming)
         if axes.by_hand:
             worst = given = 0.0
-            for extraction in self._extractions(under_way):
+            for extraction in self._extractions(under_way, coming):
                 given += extraction
                 worst = max(worst, given)
             free = energy - worst
         if axes.path:
-            free = max(free, energy - sum(bound.path_need(axes, torques) for torques in under_way))
+            free = max(free, energy - moved - sum(bound.path_need(axes, torques) for torques in under_way))
         if axes.by_damping:
-            needed = sum(bound.damping_need(axes, torques) for torques in under_way)
+            needed = moved + sum(bound.damping_need(axes, torques) for torques in under_way)
             free = max(free, energy + self.dissipated - needed)
         return free if free > 0.0 else 0.0
 
-    def shares(self, torques: Sequence[float], energy: float, moved: float = 0.0) -> tuple[float, float, float]:
+    def shares(self, torques: Sequence[float], energy: float, coming: tuple[Values, ...]) -> tuple[float, float, float]:
         """Returns how much of the torques each certificate admits: hand force, device damping, hand speed; may be > 1.
 
         Args:
             torques: W, for the next free hold [N*m or N].
             energy: That may be taken out [J].
-            moved: What a mover will take out with W in its hold [J].
+            coming: Motion of a mover in the holds to come, (axes,) each; empty where nothing moves [rad or m].
         """
         axes, under_way = self._axes, self._commands.under_way
         if self._apart is not None:
-            return self._shares_apart(self._apart, tuple(torques), energy, moved)
-        by_force = by_damping = by_speed = 0.0
+            return self._shares_apart(self._apart, tuple(torques), energy, coming)
+        by_force = by_damping = by_speed = moved = 0.0
+        if coming:
+            moved = bound.taken_by_mover(torques, coming[self._commands.delay])
         if axes.by_hand:
             budget = energy
-            for acting, extraction in zip(under_way, self._extractions(under_way), strict=True):
+            for acting, extraction in zip(under_way, self._extractions(under_way, coming), strict=True):
                 same = sum(a * b for a, b in zip(acting, torques, strict=True)) >= 0.0
                 budget -= extraction if same else max(0.0, extraction)
             base = self._base(torques, under_way) + moved
             by_force = bound.share_within(budget, base, bound.gain_of(axes, torques))
         if axes.by_damping:
-            budget = energy + self.dissipated - max(0.0, moved)
+            budget = energy + self.dissipated - max(0.0, moved) - self._moved_at_most(under_way, coming)
             budget -= sum(bound.damping_need(axes, acting) for acting in under_way)
             by_damping = math.sqrt(budget / bound.damping_need(axes, torques)) if budget > 0.0 else 0.0
         if axes.path:
-            budget = energy - sum(bound.path_need(axes, acting) for acting in under_way)
+            budget = energy - self._moved_at_most(under_way, coming)
+            budget -= sum(bound.path_need(axes, acting) for acting in under_way)
             by_speed = budget / (bound.path_need(axes, torques) + max(0.0, moved)) if budget > 0.0 else 0.0
         return by_force, by_damping, by_speed
 
     def raised(self, torques: Values, share: float, energy: float) -> Values:
         """Returns torques scaled by a share, or more on axes that take energy in; see `AxesApart.raised`.
 
-        Right after `shares`, of a group that was not lent any energy by a mover.
+        Right after `shares`.
 
         Args:
             torques: W, (axes,) [N*m or N].
@@ -212,38 +233,39 @@ class GroupAccount:
             return tuple([share * torque for torque in torques])
         return self._apart.raised(torques, share, energy)
 
-    def _free_apart(self, apart: AxesApart, energy: float) -> float:
+    def _free_apart(self, apart: AxesApart, energy: float, coming: tuple[Values, ...]) -> float:
         axes = self._axes
-        apart.take(self._displacement, self._blur, self._torques, self._commands.under_way)
+        apart.take(self._displacement, self._blur, self._torques, self._commands.under_way, coming)
         nothing, free = (0.0,) * len(axes.count), 0.0
+        moved = apart.moved(nothing)[0]
         if axes.by_hand:
             free = energy - apart.needed_by_hand()
         if axes.path:
-            free = max(free, energy - axes.path * sum(apart.needs(nothing, 1)[0]))
+            free = max(free, energy - moved - axes.path * sum(apart.needs(nothing, 1)[0]))
         if axes.by_damping:
             old = zip(apart.needs(nothing, 2)[0], axes.damping, strict=True)
-            free = max(free, energy + self.dissipated - sum(f / (4.0 * b) for f, b in old))
+            free = max(free, energy + self.dissipated - moved - sum(f / (4.0 * b) for f, b in old))
         return free if free > 0.0 else 0.0
 
     def _shares_apart(
-        self, apart: AxesApart, torques: Values, energy: float, moved: float
+        self, apart: AxesApart, torques: Values, energy: float, coming: tuple[Values, ...]
     ) -> tuple[float, float, float]:
         """Returns `shares` for axes that may act apart; none is above 1 by hand force."""
-        axes, moved = self._axes, max(0.0, moved) * (1 + self._losses)
-        apart.take(self._displacement, self._blur, self._torques, self._commands.under_way)
+        axes = self._axes
+        apart.take(self._displacement, self._blur, self._torques, self._commands.under_way, coming)
         by_force = by_damping = by_speed = 0.0
+        moved, more = apart.moved(torques)
         if axes.by_hand:
-            by_force = apart.share_by_hand(torques, energy, moved)
+            by_force = apart.share_by_hand(torques, energy)
         if axes.by_damping:
             old, new = apart.needs(torques, 2)
-            budget = (
-                energy + self.dissipated - moved - sum(f / (4.0 * b) for f, b in zip(old, axes.damping, strict=True))
-            )
+            budget = energy + self.dissipated - moved - more
+            budget -= sum(f / (4.0 * b) for f, b in zip(old, axes.damping, strict=True))
             need = sum(f / (4.0 * b) for f, b in zip(new, axes.damping, strict=True))
             by_damping = _root_of(budget, need)
         if axes.path:
             old, new = apart.needs(torques, 1)
-            by_speed = _root_of(energy - axes.path * sum(old), axes.path * sum(new) + moved) ** 2
+            by_speed = _root_of(energy - moved - axes.path * sum(old), axes.path * sum(new) + more) ** 2
         return by_force, by_damping, by_speed
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Final
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.haptics.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.haptics.kinematics.protocol import Kinematics
-from canhaptic.haptics.network.bound import axes_of
+from canhaptic.haptics.network.bound import axes_of, taken_by_mover
 from canhaptic.haptics.network.commands import EndedHold, GroupCommand, GroupCommands, Values, as_applied
 from canhaptic.haptics.network.group_account import GroupAccount
 from canhaptic.haptics.network.motion import GroupMotion, Wish
@@ -72,6 +72,7 @@ class GuardedGroup:
             )
         self._sample_time, self._delay, self._alpha = sample_time, delay, parameters.alpha
         self._lead = parameters.lead + delay
+        self._holds = delay + 1 + parameters.lost_frames
         self._caps = [min(_NO_CAP, damping_cap(delay, loop.moving_mass, sample_time)) for loop in loops]
         self._calm = _CALM / (sample_time * (0.5 + delay)) if known.by_hand else 0.0
         self._damped = [2.0 * b / (1 + delay) for b in known.damping] if known.by_damping else []
@@ -80,7 +81,7 @@ class GuardedGroup:
         self._quanta = [loop.torque_quantum for loop in loops]
         self._quantised = any(self._quanta)
         self._commands = GroupCommands(axes, motion.ports, delay)
-        self._splits = parameters.lost_frames > 0 and not motion.moves
+        self._splits = parameters.lost_frames > 0
         self._account = GroupAccount(known, self._commands, parameters.credit, parameters.lost_frames)
         self.reset()
 
@@ -114,10 +115,12 @@ class GuardedGroup:
             self._account.reset()
             motion.begin(positions)
             return group_at_rest(self.axes)
-        unsure = self._end(hold, applied)
-        motion.follow(positions, hold.displacement, 1 + len(hold.skipped))
+        holds = 1 + len(hold.skipped)
+        motion.follow(positions, hold.displacement, holds)
+        carried = motion.carried(-holds, holds)
+        unsure = self._end(hold, applied, carried)
         interactions = tuple([-t * d for t, d in zip(applied, hold.displacement, strict=True)])
-        supplied = motion.supplied(hold.ports)
+        supplied = -sum([taken_by_mover(applied, moved) for moved in carried])
         h_i = math.fsum(interactions) + supplied - unsure
         h_pas = lost = 0.0
         if not hold.skipped:  # of several holds the dampers' share of the motion is not known
@@ -125,8 +128,9 @@ class GuardedGroup:
                 h_pas += modulated * moved
                 lost += damper * moved
         ceiling = motion.energy
-        h_r, deficit, leak, paid = self._account.book(h_i, h_pas, lost + motion.internal, ceiling)
-        command, rendered, certificate = self._render(ceiling)
+        coming = motion.carried(0, self._holds)
+        h_r, deficit, leak, paid = self._account.book(h_i, h_pas, lost + motion.internal, ceiling, coming)
+        command, rendered, certificate = self._render(ceiling, coming)
         branch = self._branch(h_i, leak, deficit)
         self._was_engaged = motion.engaged
         account = EnergyBalance(
@@ -135,9 +139,9 @@ class GuardedGroup:
         )  # fmt: skip
         return GroupBalance(command.torques, account, interactions, supplied, unsure, motion.limit)
 
-    def _end(self, hold: EndedHold, applied: Values) -> float:
+    def _end(self, hold: EndedHold, applied: Values, carried: tuple[Values, ...]) -> float:
         if hold.skipped:
-            return self._account.ended_gap(hold.displacement, (*hold.skipped, applied))
+            return self._account.ended_gap(hold.displacement, (*hold.skipped, applied), carried)
         self._account.ended_hold(hold.displacement, applied)
         return 0.0
 
@@ -148,8 +152,13 @@ class GuardedGroup:
             return Branch.EXACT.value if self._was_engaged else Branch.START.value
         return Branch.EXIT.value if self._was_engaged or h_i or leak else Branch.FREE.value
 
-    def _render(self, ceiling: float) -> tuple[GroupCommand, float, int]:
-        """Sends the torques for the next free hold; returns (command, damping rendered, certificate)."""
+    def _render(self, ceiling: float, coming: tuple[Values, ...]) -> tuple[GroupCommand, float, int]:
+        """Sends the torques for the next free hold; returns (command, damping rendered, certificate).
+
+        Args:
+            ceiling: What the network stores [J].
+            coming: How a mover moves in the holds to come (`GroupMotion.carried`).
+        """
         motion, account, nothing = self._motion, self._account, self._commands.nothing
         if not motion.engaged:
             self._commands.send(nothing)
@@ -169,7 +178,7 @@ class GuardedGroup:
             for s, a, d in zip(wish.port_spring, wish.port_lead, wish.port_damper, strict=True)
         ]
         wished = GroupCommand(tuple(torques), tuple(damper), tuple(modulated), tuple(ports))
-        sent, factor, certificate = self._certified(torques, ports, energy, covered)
+        sent, factor, certificate = self._certified(torques, energy, covered, coming)
         if self._splits and factor < 1.0:
             command = self._split(wished, factor, energy)
             self._commands.send(command)
@@ -199,13 +208,12 @@ class GuardedGroup:
         return min([1.0] + [limit / abs(t) for t, limit in zip(torques, self._limits, strict=True) if abs(t) > limit])
 
     def _certified(
-        self, torques: list[float], ports: list[float], energy: float, covered: bool
+        self, torques: list[float], energy: float, covered: bool, coming: tuple[Values, ...]
     ) -> tuple[Values, float, int]:
         """Returns the torques to send, their share of those asked for, and the certificate."""
         if not any(torques):
             return tuple(torques), 1.0, Certificate.EXACT.value
-        moved = self._motion.taken_next(ports)
-        by_force, by_damping, by_speed = self._account.shares(torques, energy, moved)
+        by_force, by_damping, by_speed = self._account.shares(torques, energy, coming)
         factor = self._within_limits(torques)
         largest = max(by_force, by_damping, by_speed)
         if factor > largest:
@@ -218,11 +226,13 @@ class GuardedGroup:
             elif by_force >= factor:
                 certificate = Certificate.HAND_FORCE
         if self._quantised:
-            return *self._on_grid(torques, moved, energy, factor), certificate.value
+            return *self._on_grid(torques, energy, factor, coming), certificate.value
         sent = tuple(torques) if factor == 1.0 else tuple([factor * t for t in torques])
         return sent, factor, certificate.value
 
-    def _on_grid(self, torques: list[float], moved: float, energy: float, factor: float) -> tuple[Values, float]:
+    def _on_grid(
+        self, torques: list[float], energy: float, factor: float, coming: tuple[Values, ...]
+    ) -> tuple[Values, float]:
         """Returns torques rounded towards 0 to what the drives apply, and certified as such.
 
         Rounding one axis alone is safe; of several it turns the force a little, so that the certificate is asked again.
@@ -234,7 +244,7 @@ class GuardedGroup:
             )  # fmt: skip
             if self.axes == 1 or not any(sent):
                 return sent, factor
-            share = max(self._account.shares(sent, energy, factor * moved))
+            share = max(self._account.shares(sent, energy, coming))
             if share >= 1.0:
                 return sent, factor
             factor *= _GRID_BACK * share

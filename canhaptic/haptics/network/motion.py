@@ -88,6 +88,7 @@ class GroupMotion:
         self._holds, self._sample = 1, 0
         self._velocity = [0.0] * self._axes
         self._moved = self._still
+        self._at_motors = [[0.0] * self._axes for _ in range(self.ports)]
         self._coordinates: tuple[float, ...] | None = None
         self.displacement: tuple[float, ...] = self._still
         self.elapsed, self.began = self._sample_time, True
@@ -206,14 +207,27 @@ class GroupMotion:
                 total -= effort * moved
         return total
 
-    def taken_next(self, efforts: Values) -> float:
-        """Returns what the mover takes [J] in the hold in which the next command acts with given port efforts."""
-        total = 0.0
-        if self.moves:
-            first = self._sample + self._delay
-            for effort, moved in zip(efforts, self._mover_motion(first, first + 1), strict=True):
-                total += effort * moved
-        return total
+    def carried(self, after: int, holds: int) -> tuple[tuple[float, ...], ...]:
+        """Returns the mover's motion in some holds, as one of the motors at this pose; empty where nothing moves.
+
+        Args:
+            after: Samples from the last one to the first of the holds; negative for holds that ended.
+            holds: How many; (holds, axes) [rad or m].
+        """
+        if not self.moves:
+            return ()
+        first = self._sample + after
+        return tuple([self._as_motors(self._mover_motion(first + k, first + k + 1)) for k in range(holds)])
+
+    def _as_motors(self, moved: tuple[float, ...]) -> tuple[float, ...]:
+        """Returns the least motion of the motors that moves the ports as the mover does."""
+        found = [0.0] * self._axes
+        for distance, row in zip(moved, self._at_motors, strict=True):
+            square = sum([a * a for a in row])
+            if square > 0.0:
+                for axis, a in enumerate(row):
+                    found[axis] += a * distance / square
+        return tuple(found)
 
     def efforts(self, lead: float) -> Wish:
         """Returns what the network would have the motors do, with its springs `lead` holds ahead."""

@@ -45,7 +45,7 @@ def test_a_torque_that_stays_for_all_losses_gives_out_the_whole_budget(losses, d
     apart, mass = apart_of(1, delay, losses, PULL), Mass(velocity)
     last = mass.hold(PULL)  # the hand pulls before, without a torque
     apart.take((last,), (0.0,), (0.0,), [(0.0,)] * delay)
-    torque = apart.share_by_hand((wanted,), budget, 0.0) * wanted
+    torque = apart.share_by_hand((wanted,), budget) * wanted
     assert 0.0 < torque < wanted
     given = sum(torque * mass.hold(PULL + torque) for _ in range(losses + 1)) if not delay else 0.0
     if delay:
