@@ -1,6 +1,7 @@
 """A log of any length at 1 kHz, written column by column in seconds: contacts, one spike, one fault."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,8 @@ SPIKE = 0.7
 """Of the position, in one row."""
 
 
-def write_hour(path: Path, rows: int = HOUR) -> None:
+def columns_of(rows: int) -> dict[str, Any]:
+    """The columns that are not zero throughout."""
     time = np.arange(rows) * 1e-3
     depth = np.minimum(0.0, 0.05 * np.sin(2 * np.pi * 0.5 * time) + 0.02)
     touching = depth < 0.0
@@ -25,7 +27,7 @@ def write_hour(path: Path, rows: int = HOUR) -> None:
     position = 0.05 * np.sin(2 * np.pi * 0.5 * time)
     position[rows // 3] = SPIKE
     h_i[rows // 2] -= 5.0  # the worst margin, and the account stays below
-    columns = {
+    return {
         "timing/sync_index": np.arange(rows),
         "timing/wakeup_lateness": 1000 + 500 * np.abs(noise),
         "timing/sync_to_last_tpdo": 60_000 + 4000 * np.abs(noise),
@@ -43,6 +45,11 @@ def write_hour(path: Path, rows: int = HOUR) -> None:
         "ports/handle/damping_rendered": np.where(touching, 4.0, 0.0),
         "ports/handle/statusword": np.full(rows, 0x1237),
     }
+
+
+def write_hour(path: Path, rows: int = HOUR) -> None:
+    """Writes the log."""
+    columns = columns_of(rows)
     schema = LogSchema((PortDescription("handle", "m"),), 1_000_000, False, 4096, False, {})
     with Hdf5File(path, "w") as file:
         attributes = {"format": FORMAT_NAME, "format_version": FORMAT_VERSION, "sample_time_ns": 1_000_000}

@@ -58,6 +58,25 @@ def test_a_run_is_drawn_into_the_kind_of_file_its_suffix_names(
     assert len(content) > 20_000
 
 
+def test_a_picture_names_the_least_margin_the_wall_and_the_faults_and_shades_every_contact(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.h5", 3000)
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        draw_energy(log, tmp_path / "run.svg")
+        port = log.ports["handle"]
+        margin = np.cumsum(port["h_i"]) - np.cumsum(port["h_r"])
+        touching = len(contacts(port["branch"]))
+    text = (tmp_path / "run.svg").read_text()
+    least, time = 1e6 * float(margin.min()), int(margin.argmin()) * 1e-3
+    for words in (f"least {least:.1f} uJ at {time:.4g} s", "wall", "1.5 s: emcy 0x8130 heartbeat lost", "applied"):
+        assert f"<!-- {words} -->" in text
+    assert touching == 2
+    assert text.count('"fill: #4d4d4d; opacity: 0.05"') == 4 * touching  # in each of the four panels
+    assert text.count('"fill: #4d4d4d; opacity: 0.1"') == 1  # inside the wall
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        draw_energy(log, tmp_path / "part.svg", 0.0, 0.5)
+    assert "emcy" not in (tmp_path / "part.svg").read_text()
+
+
 def test_a_run_without_contact_is_drawn_too(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", 300)
     with EnergyLog.open(tmp_path / "run.h5") as log:
