@@ -20,10 +20,11 @@ from canhaptic.haptics.kinematics.identity import Identity
 from canhaptic.haptics.network import build_group_controller
 from canhaptic.haptics.network.box import Box
 from canhaptic.haptics.network.compiled import CompiledEquation
+from canhaptic.haptics.network.equation import new_room
 from canhaptic.haptics.network.guarded_group import GuardedGroupParameters
 from canhaptic.haptics.network.protocol import GroupController
 from canhaptic.haptics.network.sphere import Sphere
-from canhaptic.haptics.network.step import advance, new_room
+from canhaptic.haptics.network.step import advance
 from canhaptic.haptics.network.virtual_mass import VirtualMass
 from canhaptic.haptics.passivity.protocol import LoopProperties
 from tools.bench.report import Row, publish

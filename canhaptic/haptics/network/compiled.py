@@ -1,4 +1,4 @@
-"""The equation of a network compiled by numba; needs the extra `fast`. The source is that of `tables` and `step`.
+"""The equation of a network compiled by numba; needs the extra `fast`. The source is that of `plain_loops`.
 
 Compiling takes some seconds, once in a process. Only the equation is compiled, as `step_scaling` uses it and groups of
 which something is a function of one's own; of other groups the whole step is (`compiled_group`).
@@ -7,30 +7,23 @@ which something is a function of one's own; of other groups the whole step is (`
 from collections.abc import Callable
 from functools import cache
 from types import FunctionType
-from typing import Any, Final
+from typing import Any
 
 import numba
 import numpy as np
 
-from canhaptic.haptics.network import step, tables
-from canhaptic.haptics.network.step import Room
+from canhaptic.haptics.network.equation import Room
+from canhaptic.haptics.network.plain_loops import MODULES, plain_functions
 from canhaptic.haptics.network.tables import Tables
-
-_LOGIC: Final = (
-    "extension", "discrete_gradient", "engaged_share", "drive", "dissipate", "evaluate", "merit_of", "add_square",
-    "add_product", "linearise", "pivot_of", "eliminate", "solve_linear", "descend", "advance",
-)  # fmt: skip
-"""Functions of `tables` and `step`, each after those that it calls."""
 
 
 @cache
 def compiled_advance() -> Callable[..., int]:
     """Returns `step.advance`, compiled at its first call."""
-    names = {**vars(tables), **vars(step)}
-    for name in _LOGIC:
-        function = names[name]
-        rebound = FunctionType(function.__code__, names, name, function.__defaults__)
-        names[name] = numba.njit(rebound)
+    names = {name: value for module in MODULES for name, value in vars(module).items()}
+    for function in plain_functions():
+        rebound = FunctionType(function.__code__, names, function.__name__, function.__defaults__)
+        names[function.__name__] = numba.njit(rebound)
     advance: Callable[..., int] = names["advance"]
     return advance
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from canhaptic.errors import ParameterError
-from canhaptic.haptics.network import step
+from canhaptic.haptics.network import equation, step
 from canhaptic.haptics.network.model import Network
 from canhaptic.haptics.network.tables import Tables, extension, gradient, stored_energy
 
@@ -22,7 +22,7 @@ def never_left(network: Network) -> bool:
     )  # fmt: skip
 
 
-def compiled_equation(tables: Tables, room: step.Room, network: Network) -> Any:
+def compiled_equation(tables: Tables, room: equation.Room, network: Network) -> Any:
     """Returns the equation of a network, compiled.
 
     Raises:
@@ -72,7 +72,7 @@ class SampledNetwork:
         self.user = network.user
         self.always = never_left(network)
         self.edged = [i for i in range(n) if tables.lower[i] != tables.upper[i]]
-        self.room = step.new_room(n, len(tables.viscous))
+        self.room = equation.new_room(n, len(tables.viscous))
         self._equation = compiled_equation(self.tables, self.room, network) if compiled else None
         self._next, self._ahead = [0.0] * n, [0.0] * n
         self.begin((0.0,) * network.ports)
@@ -110,7 +110,7 @@ class SampledNetwork:
         room, tables = self.room, self.tables
         self.internal = 0.0
         if not tables.moving:  # s = g dc: nothing to solve, and nothing dissipated beyond the ports
-            step.drive(tables, self.state, displacement, room)
+            equation.drive(tables, self.state, displacement, room)
             self.evaluations = 1
             return True
         changed = self._network.structure_at is not None
@@ -214,7 +214,7 @@ class SampledNetwork:
         if touched is not None:
             for j in range(len(room.engaged)):
                 room.engaged[j] = 1.0
-        step.dissipate(tables, displacement, elapsed, room)
+        equation.dissipate(tables, displacement, elapsed, room)
         state = self.state if touched is None else touched
         for j, row in enumerate(tables.on_ports):
             storage = tables.beside[j]
@@ -244,7 +244,7 @@ class SampledNetwork:
         largest = 0.0
         for i in self.edged:
             changed = self.room.step[i]
-            share = step.engaged_share(self.tables, i, after[i] - changed, changed)
+            share = equation.engaged_share(self.tables, i, after[i] - changed, changed)
             if share > largest:
                 largest = share
         return largest if largest > 0.0 else 1.0

@@ -6,17 +6,25 @@ J is skew and e . s = H(x + s) - H(x), so that whatever T is
 
     H(x + s) - H(x) = y . dc - T sum(phi_j f_j),    y = g'e + sum(b_j phi_j),    phi_j f_j >= 0
 
-Newton's method solves for s. A network whose state is moved by its ports alone (springs and dampers, no masses) has
-s = g dc and nothing to solve.
+A network whose state is moved by its ports alone (springs and dampers, no masses) has s = g dc and nothing to solve.
+Else Newton's method solves for s, with a residual that falls from step to step. Beside a double well the residual can
+have a minimum that is no solution; from there on the power r . de along a step counts, r the residual and de the change
+of the efforts. Where springs act on masses it is the slope of a potential (the masses' change of velocity, the losses
+and the integral of the springs' discrete gradients) whose every level place is a solution, so that the way goes down
+until it is level.
 """
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
-from canhaptic.haptics.network.tables import Matrix, Tables, Vector, discrete_gradient, extension
+from canhaptic.haptics.network.elimination import solve_linear
+from canhaptic.haptics.network.equation import Room, dissipate, drive, evaluate, linearise
+from canhaptic.haptics.network.tables import Tables, Vector, discrete_gradient
 
 EVALUATIONS: Final = 60
 """Most evaluations of the equation in one sample."""
+_BY_RESIDUAL: Final = 18
+"""Evaluations after which a residual that falls step by step has not fallen enough."""
 _CLOSE: Final = 4e-16
 """Of the terms of the equation: rounding."""
 _FLOOR: Final = 1e-11
@@ -27,210 +35,13 @@ _HALVINGS: Final = 8
 """Of a Newton step after which the residual has not fallen; the shortest is taken all the same."""
 _LEAST_SCALE: Final = 1e-3
 """Added to the root of a stiffness, for states that it leaves without a scale."""
-
-
-class Room(NamedTuple):
-    """Where a step writes; shapes (n,), (d,) and (n, n)."""
-
-    step: Vector  # s; the guess before, the solution after
-    efforts: Vector  # e
-    slopes: Vector
-    flows: Vector  # f_j
-    losses: Vector  # phi_j(f_j)
-    factors: Vector  # d phi_j / d f_j
-    engaged: Vector  # share of the motion in which dissipator j was engaged, 0..1
-    driven: Vector  # g dc
-    residual: Vector
-    direction: Vector  # of Newton's step
-    scale: Vector  # of the residual, fixed in the first evaluation of a sample
-    jacobian: Matrix
-    mobility: Matrix  # T (J - R) as it acts on e
-
-
-def new_room(states: int, dissipators: int) -> Room:
-    """Returns empty lists of the sizes that a network needs."""
-
-    def zeros(count: int) -> list[float]:
-        return [0.0] * count
-
-    n, d = states, dissipators
-    return Room(
-        zeros(n), zeros(n), zeros(n), zeros(d), zeros(d), zeros(d), zeros(d), zeros(n), zeros(n), zeros(n), zeros(n),
-        [zeros(n) for _ in range(n)], [zeros(n) for _ in range(n)],
-    )  # fmt: skip
-
-
-def drive(tables: Tables, state: Vector, displacement: Vector, room: Room) -> None:
-    """Writes g dc, and how much of the motion every dissipator beside a storage took part in."""
-    driven, step = room.driven, room.step
-    for i in range(len(driven)):
-        row, total = tables.gain[i], 0.0
-        for j in range(len(row)):
-            total += row[j] * displacement[j]
-        driven[i] = total
-        if not tables.moving:
-            step[i] = total
-    for j in range(len(room.engaged)):
-        storage = tables.beside[j]
-        room.engaged[j] = 1.0 if storage < 0 else engaged_share(tables, storage, state[storage], step[storage])
-
-
-def engaged_share(tables: Tables, index: int, value: float, change: float) -> float:
-    """Returns the share of a state's change during which its storage was engaged; 0 where it is not at the end."""
-    after = extension(tables, index, value + change)
-    if tables.lower[index] == tables.upper[index]:
-        return 1.0
-    if after == 0.0:
-        return 0.0
-    return (after - extension(tables, index, value)) / change if change != 0.0 else 1.0
-
-
-def dissipate(tables: Tables, displacement: Vector, sample_time: float, room: Room) -> None:
-    """Writes flow, effort and slope of every dissipator at the efforts of the step."""
-    efforts = room.efforts
-    for j in range(len(room.flows)):
-        flow = 0.0
-        row = tables.on_ports[j]
-        for i in range(len(row)):
-            flow += row[i] * displacement[i]
-        flow /= sample_time
-        if tables.moving:
-            row = tables.on_states[j]
-            for i in range(len(row)):
-                flow += row[i] * efforts[i]
-        room.flows[j] = flow
-        r, r2, friction, share = tables.viscous[j], tables.squared[j], tables.coulomb[j], room.engaged[j]
-        size = abs(flow)
-        loss, factor = flow * (r + r2 * size), r + 2.0 * r2 * size
-        if friction != 0.0:
-            corner = tables.corner[j]
-            root = math.sqrt(flow * flow + corner * corner)
-            loss += friction * flow / root
-            factor += friction * corner * corner / (root * root * root)
-        room.losses[j] = share * loss
-        room.factors[j] = share * factor
-
-
-def evaluate(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> float:
-    """Writes the residual of the equation at `room.step`; returns its largest entry over the rounding of its terms."""
-    n = len(room.step)
-    discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
-    if user is not None:
-        user.add_discrete_gradient(state, room.step, room.efforts)
-    dissipate(tables, displacement, sample_time, room)
-    worst = 0.0
-    for i in range(n):
-        row, total = tables.structure[i], 0.0
-        size = abs(room.step[i]) + abs(room.driven[i])
-        for k in range(n):
-            if row[k] != 0.0:
-                term = row[k] * room.efforts[k]
-                total += term
-                size += sample_time * abs(term)
-        for j in range(len(room.losses)):
-            a = tables.on_states[j][i]
-            if a != 0.0:
-                term = a * room.losses[j]
-                total -= term
-                size += sample_time * abs(term)
-        missing = room.step[i] - sample_time * total - room.driven[i]
-        room.residual[i] = missing
-        if abs(missing) > worst * size:
-            worst = abs(missing) / size
-    return worst
-
-
-def merit_of(room: Room) -> float:
-    """Returns the size of the residual in the scale of the sample."""
-    total = 0.0
-    for i in range(len(room.residual)):
-        part = room.residual[i] * room.scale[i]
-        total += part * part
-    return total
-
-
-def linearise(tables: Tables, sample_time: float, room: Room, user: Any) -> None:
-    """Writes the Jacobian of the equation, I + T (R' - J) de/ds."""
-    n = len(room.step)
-    mobility, jacobian = room.mobility, room.jacobian
-    for i in range(n):
-        structure, row = tables.structure[i], mobility[i]
-        for k in range(n):
-            row[k] = -sample_time * structure[k]
-    for j in range(len(room.factors)):
-        add_square(mobility, tables.on_states[j], sample_time * room.factors[j])
-    for i in range(n):
-        row, into = mobility[i], jacobian[i]
-        for k in range(n):
-            into[k] = row[k] * room.slopes[k]
-    if tables.coupled:
-        add_product(mobility, tables.quadratic, jacobian)
-    if user is not None:
-        user.add_slopes(mobility, jacobian)
-    for i in range(n):
-        jacobian[i][i] += 1.0
-
-
-def add_square(matrix: Matrix, row: Vector, factor: float) -> None:
-    """Adds factor a a'."""
-    for i in range(len(row)):
-        if row[i] != 0.0:
-            scaled, into = factor * row[i], matrix[i]
-            for k in range(len(row)):
-                into[k] += scaled * row[k]
-
-
-def add_product(left: Matrix, right: Matrix, into: Matrix) -> None:
-    """Adds half the product of two matrices."""
-    n = len(left)
-    for i in range(n):
-        for k in range(n):
-            total = 0.0
-            for j in range(n):
-                total += left[i][j] * right[j][k]
-            into[i][k] += 0.5 * total
-
-
-def solve_linear(matrix: Matrix, right: Vector) -> bool:
-    """Solves in place by elimination with row pivots; returns False where the matrix is singular."""
-    n = len(right)
-    for column in range(n):
-        pivot = pivot_of(matrix, column)
-        if not abs(matrix[pivot][column]) > 0.0:
-            return False
-        if pivot != column:
-            for k in range(column, n):
-                matrix[pivot][k], matrix[column][k] = matrix[column][k], matrix[pivot][k]
-            right[pivot], right[column] = right[column], right[pivot]
-        eliminate(matrix, right, column)
-    for back in range(n):
-        index = n - 1 - back
-        row, total = matrix[index], right[index]
-        for k in range(index + 1, n):
-            total -= row[k] * right[k]
-        right[index] = total / row[index]
-    return True
-
-
-def pivot_of(matrix: Matrix, column: int) -> int:
-    """Returns the row, from the diagonal down, with the largest entry of a column."""
-    pivot, largest = column, abs(matrix[column][column])
-    for row in range(column + 1, len(matrix)):
-        if abs(matrix[row][column]) > largest:
-            pivot, largest = row, abs(matrix[row][column])
-    return pivot
-
-
-def eliminate(matrix: Matrix, right: Vector, column: int) -> None:
-    """Takes a column out of all rows below its diagonal."""
-    n, above = len(right), matrix[column]
-    for index in range(column + 1, n):
-        row = matrix[index]
-        if row[column] != 0.0:
-            factor = row[column] / above[column]
-            for k in range(column + 1, n):
-                row[k] -= factor * above[k]
-            right[index] -= factor * right[column]
+_STEEP: Final = 0.9
+"""Share of the power at the start of a step above which its end is no nearer to level ground: a longer one follows."""
+_LONGER: Final = 3.0
+_LEVEL: Final = 0.5
+"""Share of the power at the start of a step that is level enough for its end."""
+_INSIDE: Final = 0.1
+"""Share of the way between two places, at either end, in which no place between them is tried."""
 
 
 def advance(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> int:
@@ -251,10 +62,18 @@ def advance(tables: Tables, state: Vector, displacement: Vector, sample_time: fl
             user.add_discrete_gradient(state, room.step, room.efforts)
         dissipate(tables, displacement, sample_time, room)
         return 1
-    worst = evaluate(tables, state, displacement, sample_time, room, user)
-    evaluations = 1
     for i in range(len(room.scale)):
         room.scale[i] = math.sqrt(abs(tables.stiffness[i])) + _LEAST_SCALE
+    evaluations = by_residual(tables, state, displacement, sample_time, room, user)
+    if evaluations < 0:
+        evaluations = by_power(tables, state, displacement, sample_time, room, user, -evaluations)
+    return evaluations
+
+
+def by_residual(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> int:
+    """Takes Newton steps, each as far as the residual falls; returns the evaluations, negative where that ends."""
+    worst = evaluate(tables, state, displacement, sample_time, room, user)
+    evaluations = 1
     while worst > _CLOSE:
         before, merit = worst, merit_of(room)
         linearise(tables, sample_time, room, user)
@@ -266,9 +85,18 @@ def advance(tables: Tables, state: Vector, displacement: Vector, sample_time: fl
         evaluations += tried
         if worst <= _FLOOR and worst > 0.25 * before:
             break  # Newton's method gains nothing more: rounding
-        if evaluations >= EVALUATIONS - _HALVINGS:
+        if evaluations >= _BY_RESIDUAL or (tried == _HALVINGS and worst > _ROUNDING and not merit_of(room) < merit):
             return -evaluations
     return evaluations
+
+
+def merit_of(room: Room) -> float:
+    """Returns the size of the residual in the scale of the sample."""
+    total = 0.0
+    for i in range(len(room.residual)):
+        part = room.residual[i] * room.scale[i]
+        total += part * part
+    return total
 
 
 def descend(
@@ -286,6 +114,98 @@ def descend(
             return worst, tried
         share *= 0.5
     return worst, _HALVINGS
+
+
+def by_power(
+    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any, spent: int
+) -> int:
+    """Goes on where the residual falls no more; returns all evaluations, negative where they were not enough.
+
+    The first step is a whole one: after it the equations without forces hold, and the power is that of the forces.
+    """
+    worst = evaluate(tables, state, displacement, sample_time, room, user)
+    evaluations, whole = spent + 1, True
+    while worst > _CLOSE:
+        if evaluations >= EVALUATIONS:
+            return -evaluations
+        before, near = worst, worst <= _FLOOR
+        power = aim(tables, sample_time, room, user)
+        if not (power > 0.0 or near):  # upwards, along a slope below 0: as if it were level
+            for i in range(len(room.slopes)):
+                room.slopes[i] = max(room.slopes[i], 0.0)
+            power = aim(tables, sample_time, room, user)
+        left = 1 if whole or near or not power > 0.0 else EVALUATIONS - evaluations
+        worst, tried = go_down(tables, state, displacement, sample_time, room, user, power, left)
+        evaluations, whole = evaluations + tried, False
+        if worst <= _FLOOR and worst > 0.25 * before:
+            break
+    return evaluations
+
+
+def aim(tables: Tables, sample_time: float, room: Room, user: Any) -> float:
+    """Writes Newton's direction and the change of the efforts along it; returns the power, 0 where it has none."""
+    n = len(room.step)
+    linearise(tables, sample_time, room, user)
+    for i in range(n):
+        room.direction[i] = room.residual[i]
+    if not solve_linear(room.jacobian, room.direction):
+        return 0.0
+    for i in range(n):
+        weight = max(room.slopes[i], 0.0) * room.direction[i]
+        if tables.coupled:
+            for k in range(n):
+                weight += 0.5 * tables.quadratic[i][k] * room.direction[k]
+        room.weights[i] = weight
+    if user is not None:
+        user.add_change(room.direction, room.weights)
+    return power_of(room)
+
+
+def power_of(room: Room) -> float:
+    """Returns r . de."""
+    total = 0.0
+    for i in range(len(room.residual)):
+        total += room.residual[i] * room.weights[i]
+    return total
+
+
+def go_down(
+    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any, power: float,
+    left: int,
+) -> tuple[float, int]:  # fmt: skip
+    """Goes along the direction towards level ground; returns (residual, evaluations).
+
+    Args:
+        tables: The network.
+        state: x, (n,).
+        displacement: Of the ports, (r,).
+        sample_time: T [s].
+        room: `direction` and `weights` say where to.
+        user: Energies given as functions; None for none.
+        power: Where the way begins; > 0.
+        left: Evaluations; with one the whole step is taken.
+    """
+    for i in range(len(room.step)):
+        room.before[i] = room.step[i]
+    share, low, high, at_low, at_high = 1.0, 0.0, 0.0, power, 0.0
+    worst = 1.0
+    for tried in range(1, left + 1):
+        for i in range(len(room.step)):
+            room.step[i] = room.before[i] - share * room.direction[i]
+        worst = evaluate(tables, state, displacement, sample_time, room, user)
+        here = power_of(room) if worst < math.inf else -math.inf
+        if worst <= _FLOOR or abs(here) <= _LEVEL * power or (high == 0.0 and 0.0 < here <= _STEEP * power):
+            return worst, tried
+        if here < 0.0:
+            at_low *= 0.5 if at_high < 0.0 else 1.0  # the same end again: the other counts for less (Illinois)
+            high, at_high = share, here
+        else:
+            low, at_low = share, here
+        if high == 0.0:
+            share *= _LONGER
+        else:
+            share = low + (high - low) * min(max(at_low / (at_low - at_high), _INSIDE), 1.0 - _INSIDE)
+    return worst, left
 
 
 def rest_on_ports(

@@ -76,6 +76,17 @@ class UserEnergies:
                 for row, slopes in zip(mobility, jacobian, strict=True):
                     slopes[at + j] += 0.5 * sum(row[at + i] * column[i] for i in range(size))
 
+    def add_change(self, direction: Sequence[float], changes: list[float]) -> None:
+        """Adds half the Hessian at the middle times a direction, by one difference of the gradient."""
+        for (at, storage), middle in self._at:
+            way = list(direction[at : at + storage.size])
+            length = sum(abs(d) for d in way)
+            if length > 0.0:
+                share = _DIFFERENCE * (sum(abs(v) for v in middle) + _DIFFERENCE) / length
+                moved = storage.gradient([v + share * d for v, d in zip(middle, way, strict=True)])
+                for i, (a, b) in enumerate(zip(storage.gradient(middle), moved, strict=True)):
+                    changes[at + i] += 0.5 * float(b - a) / share
+
 
 def check_gradient(storage: UserEnergy) -> None:
     """Compares a gradient with differences of its energy near 0.

@@ -4,10 +4,13 @@ import random
 
 import pytest
 from networks import random_network
+from test_random_networks import random_sample
 
 from canhaptic.errors import ParameterError
+from canhaptic.haptics.network.equation import new_room
 from canhaptic.haptics.network.model import Network, UserEnergy
 from canhaptic.haptics.network.sampled_network import SampledNetwork
+from canhaptic.haptics.network.step import advance
 
 numba = pytest.importorskip("numba")
 
@@ -34,3 +37,26 @@ def test_energies_given_as_functions_are_not_compiled():
     network = Network([UserEnergy(1, lambda x: 50.0 * x[0] ** 2, lambda x: [100.0 * x[0]])], gain=[[1.0]])
     with pytest.raises(ParameterError, match="leave it out"):
         SampledNetwork(network, 1e-3, compiled=True)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_compiled_and_interpreted_solve_the_same_samples_to_the_last_bit():
+    from canhaptic.haptics.network.compiled import CompiledEquation
+
+    rng = random.Random(9)
+    late = 0
+    for _ in range(4000):
+        network, state, motion, sample_time = random_sample(rng)
+        if not network.tables.moving:
+            continue
+        tables, size = network.tables, (network.states, len(network.tables.viscous))
+        interpreted, compiled = new_room(*size), new_room(*size)
+        evaluations = advance(tables, state, motion, sample_time, interpreted, None)
+        if evaluations <= 12 and rng.random() < 0.9:
+            continue  # most are solved at once: all others are compared, and some of these
+        assert CompiledEquation(tables, compiled).advance(state, motion, sample_time, True) == evaluations
+        assert compiled.step == interpreted.step
+        assert compiled.efforts == interpreted.efforts
+        late += evaluations > 26
+    assert late > 5

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from canhaptic.haptics.network.step import Room
+from canhaptic.haptics.network.equation import Room
 from canhaptic.haptics.network.tables import Tables
 from canhaptic.haptics.network.unfolding.expressions import Expressions
 from canhaptic.haptics.network.unfolding.values import (

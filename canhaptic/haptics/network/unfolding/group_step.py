@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from canhaptic.errors import ControlError
 from canhaptic.haptics.kinematics.protocol import Kinematics, Pose
-from canhaptic.haptics.network import step, tables
+from canhaptic.haptics.network.plain_loops import plain_constants, plain_functions
 from canhaptic.haptics.network.sampled_network import SampledNetwork
 from canhaptic.haptics.network.unfolding.memory import Memory, changing, leaves, loaded, same_shape
 from canhaptic.haptics.network.unfolding.statements import Statements
@@ -31,7 +31,7 @@ import math
 from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Any
 from numba import njit
-from canhaptic.haptics.network.step import Room
+from canhaptic.haptics.network.equation import Room
 from canhaptic.haptics.network.tables import Matrix, Tables, Vector
 """
 _FUNCTIONS: Final = """
@@ -271,27 +271,7 @@ def _constants(memory: Memory, network: SampledNetwork) -> tuple[dict[int, list[
 
 
 def _functions() -> str:
-    """Returns the functions of `tables` and `step`, each after those that it calls, as they are."""
-    text = "".join(
-        f"{name} = {value!r}\n" for name, value in vars(step).items() if name.isupper() or name[1:].isupper()
-    )
-    functions = [f for module in (tables, step) for f in vars(module).values() if _is_own(f, module)]
-    waiting = {f.__name__: f for f in functions}
-    order: list[Any] = []
-
-    def visit(function: Any) -> None:
-        if function.__name__ in waiting:
-            del waiting[function.__name__]
-            for name in function.__code__.co_names:
-                if name in waiting:
-                    visit(waiting[name])
-            order.append(function)
-
-    for function in functions:
-        visit(function)
-    wanted = [f for f in order if f.__name__ != "new_room"]
-    return text + "".join(f'\n@njit(error_model="python", cache=True)\n{inspect.getsource(f)}' for f in wanted)
-
-
-def _is_own(value: Any, module: ModuleType) -> bool:
-    return inspect.isfunction(value) and value.__module__ == module.__name__
+    """Returns the plain functions and their constants as source."""
+    text = "".join(f"{name} = {value!r}\n" for name, value in plain_constants().items())
+    decorated = [f'\n@njit(error_model="python", cache=True)\n{inspect.getsource(f)}' for f in plain_functions()]
+    return text + "".join(decorated)

@@ -7,7 +7,7 @@ from functools import partial
 from types import FunctionType, MethodType
 from typing import Any, Final, NamedTuple
 
-from canhaptic.haptics.network import step, tables
+from canhaptic.haptics.network.plain_loops import MODULES
 from canhaptic.haptics.network.unfolding.calls import Calls
 from canhaptic.haptics.network.unfolding.memory import Memory, source_of
 from canhaptic.haptics.network.unfolding.values import (
@@ -25,7 +25,7 @@ from canhaptic.haptics.network.unfolding.values import (
 )
 from canhaptic.haptics.network.unfolding.writer import Frame, Writer
 
-_AS_THEY_ARE: Final = (tables.__name__, step.__name__)
+_AS_THEY_ARE: Final = tuple(module.__name__ for module in MODULES)
 Follow = Callable[[], Any]
 
 
