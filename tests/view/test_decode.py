@@ -38,6 +38,8 @@ def test_every_frame_becomes_a_line_and_maps_told_before_the_span_are_known(
 
 
 def test_one_kind_of_frame_can_be_asked_for_as_json(bus_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert typed.decode(bus_log, "--only", "SYNC", "--only", "emcy") == 0
+    assert [line.split()[4] for line in capsys.readouterr().out.splitlines()] == ["SYNC", "0010010000000000"]
     assert typed.decode(bus_log, "--only", "emcy", "--json") == 0
     (found,) = capsys.readouterr().out.splitlines()
     assert json.loads(found) == {

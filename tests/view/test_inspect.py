@@ -120,6 +120,12 @@ def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
         ("compute.p99.9 <= 7 us", True),
         ("success_rate >= 1", True),
         ("cycles == 4000", True),
+        ("cycles != 4000", False),
+        ("cycles < 4000", False),
+        ("cycles > 4000", False),
+        ("cycles <= 4000", True),
+        ("cycles >= 4000", True),
+        ("cycles != 3999", True),
         ("in > 90 mJ", True),
     ],
 )
