@@ -21,6 +21,12 @@ def test_the_numbers_of_a_page_are_those_of_the_results(page: Path) -> None:
     assert filled(text, page.name) == text, "run: python -m tools.fill_numbers"
 
 
+@pytest.mark.parametrize("page", fill_numbers.pages(), ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_no_line_of_a_page_begins_with_a_mark(page: Path) -> None:
+    lines = page.read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if line.startswith("<!--n ")] == [], "it would end the paragraph there"
+
+
 def test_the_tool_looks_at_the_pages_that_the_tests_look_at_and_at_the_costs_of_effects() -> None:
     assert fill_numbers.pages() == [*pages(), ROOT / "canhaptic" / "sim" / "effects" / "README.md"]
 
