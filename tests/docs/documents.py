@@ -26,9 +26,17 @@ class Block(NamedTuple):
 
     @property
     def commands(self) -> list[list[str]]:
-        """The command lines of a shell block, split into words, without comments."""
-        joined = self.text.replace("\\\n", " ")
-        return [words for line in joined.splitlines() if (words := shlex.split(line, comments=True))]
+        """The commands of a shell block, split into words, without comments; `&&` parts two on a line."""
+        found: list[list[str]] = []
+        for line in self.text.replace("\\\n", " ").splitlines():
+            parts: list[list[str]] = [[]]
+            for word in shlex.split(line, comments=True):
+                if word == "&&":
+                    parts.append([])
+                else:
+                    parts[-1].append(word)
+            found += [part for part in parts if part]
+        return found
 
 
 def pages() -> list[Path]:
