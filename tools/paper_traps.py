@@ -12,7 +12,7 @@ import numpy as np
 
 from canhaptic.haptics.balance import Branch, EnergyBalance
 from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.passivity import build_controller, internal_dissipation
+from canhaptic.haptics.passivity import build_controller, internal_dissipation, stored_model
 from canhaptic.haptics.passivity.books import Books, Hold
 from canhaptic.haptics.passivity.internal_dissipation import InternalDissipation
 from canhaptic.haptics.passivity.protocol import LoopProperties
@@ -167,7 +167,7 @@ def pairing() -> dict[str, float]:
         return run.variation / standard_reference(FIGURES_7_9, user_f(0.15), 1000.0, 4000).variation
 
     built = variation()
-    with patch.object(internal_dissipation, "Books", _NewestEffort):
+    with patch.object(stored_model, "Books", _NewestEffort):
         return {"as_built": built, "as_printed": variation()}
 
 
