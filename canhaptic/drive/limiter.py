@@ -99,18 +99,20 @@ class TorqueLimiter:
             most = self._power / velocity
         elif velocity < 0.0:
             least = self._power / velocity
+        low = lowest if lowest > -limit else -limit
+        low = least if least > low else low
+        high = highest if highest < limit else limit
+        high = most if most < high else high
         saturation = 0
-        if not -limit <= torque <= limit:
-            saturation = 1
-        if not lowest <= torque <= highest:
-            saturation |= 2
-        if not least <= torque <= most:
-            saturation |= 4
-        self.low = low = max(-limit, lowest, least)
-        self.high = high = min(limit, highest, most)
-        if saturation:
-            torque = max(low, min(high, torque))
+        if not low <= torque <= high:
+            saturation = _cut(torque, ((-limit, limit), (lowest, highest), (least, most)))
+            torque = low if torque < low else high
             self.saturated_cycles += 1
-        self.saturation = saturation
+        self.low, self.high, self.saturation = low, high, saturation
         self.last = torque
         return torque
+
+
+def _cut(torque: float, intervals: tuple[tuple[float, float], ...]) -> int:
+    """Returns which intervals a torque lies outside of, a bit for each, in the order of `Saturation`."""
+    return sum(1 << place for place, (least, most) in enumerate(intervals) if not least <= torque <= most)

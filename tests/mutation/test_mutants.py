@@ -38,10 +38,19 @@ SUBJECTS = {
     "limiter": Subject(
         limiter,
         specification_of_limiter.judge,
-        135,
-        names={"max": ("min",), "min": ("max",)},
+        130,
         equivalent={
             "TorqueLimiter.limit: if last > 0.0: => if last >= 0.0:": "adding a zero to either side is the same",
+            "TorqueLimiter.limit: low = lowest if lowest > -limit else -limit => "
+            "low = lowest if lowest >= -limit else -limit": "of two equal bounds, either",
+            "TorqueLimiter.limit: low = least if least > low else low => "
+            "low = least if least >= low else low": "of two equal bounds, either",
+            "TorqueLimiter.limit: high = highest if highest < limit else limit => "
+            "high = highest if highest <= limit else limit": "of two equal bounds, either",
+            "TorqueLimiter.limit: high = most if most < high else high => "
+            "high = most if most <= high else high": "of two equal bounds, either",
+            "TorqueLimiter.limit: torque = low if torque < low else high => "
+            "torque = low if torque <= low else high": "a torque on a bound is not cut",
         },
     ),
     "cia402": Subject(
