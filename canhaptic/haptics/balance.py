@@ -188,7 +188,8 @@ class Ledger:
 
     def add(self, balance: EnergyBalance, cycle: int) -> None:
         """Adds the account of the hold that ended at SYNC `cycle`."""
-        _, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance
+        # A slice of a tuple of fields is a plain tuple, which comes apart in one go.
+        h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance[1:]
         self._branches[branch] += 1
         self._last = balance
         if surplus > self._surplus_max:

@@ -3,6 +3,7 @@
 from typing import Final
 
 from canhaptic.errors import ParameterError
+from canhaptic.haptics.environments.plain import plain
 from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.haptics.passivity.protocol import Controller, LoopProperties
 from canhaptic.parameters import Parameters
@@ -43,5 +44,5 @@ def build_controller(
             f"passivity algorithm {algorithm_name!r}: got parameters {type(parameters).__name__}, "
             f"expected {algorithm.parameters_type.__name__}"
         )
-    controller: Controller = algorithm(environment, parameters, loop)
+    controller: Controller = algorithm(plain(environment), parameters, loop)
     return controller

@@ -239,10 +239,13 @@ class Guarded:
         """
         h_s, surplus = self._h_s + h_i - h_pas, self._h_dis - h_pas
         slack = 0.0
-        if damped > 0.0 or h_s > ceiling:  # otherwise nothing is dissipated or leaked, and the slack is not needed
+        if damped > 0.0 or h_s > ceiling:
             slack = self._bound.free(h_s - surplus + self._credit, self._under_way)
             if slack > h_s:
                 slack = h_s
+        elif h_s >= 0.0:  # nothing is dissipated, leaked or lacking: nothing is to be settled
+            self._h_s, self._h_dis = h_s, surplus
+            return 0.0, 0.0, 0.0, 0.0
         self._h_s, self._h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, damped, ceiling, slack)
         self._kept_back += h_r + leak - paid
         return h_r, deficit, leak, paid

@@ -74,8 +74,9 @@ class TorqueBound:
             if certain > 0.0:
                 self.dissipated += declared.damping / declared.sample_time * certain * certain
         if count:
-            self._unsure += 0.5 * count * abs(torque - self._torque)
-            self.unsure = self._unsure + 0.5 * count * abs(torque)
+            half = 0.5 * count
+            self._unsure = unsure = self._unsure + half * abs(torque - self._torque)
+            self.unsure = unsure + half * abs(torque)
             newest = self._newest + 1
             if newest == WINDOW:
                 newest = 0
