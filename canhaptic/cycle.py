@@ -101,7 +101,10 @@ class Cycle:
                 )
         else:
             balances = self._grouped.step(samples)  # the same, where axes render together
-        rig.write_torques([balance.torque for balance in balances])  # RPDOs out, held until the next SYNC [N*m or N]
+        torques = []
+        for balance in balances:
+            torques.append(balance.torque)  # a comprehension is a function made and called anew
+        rig.write_torques(torques)  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
 
     def fail_log(self, reason: str) -> None:

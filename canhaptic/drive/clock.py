@@ -14,6 +14,7 @@ import can
 from canhaptic.signals import FarSide
 
 _POLL_STOP: Final = 20_000  # [ns] before a deadline from which the bus is no longer polled, so that none is overslept
+_NEVER: Final = 1 << 62  # [ns], later than any deadline
 _SHORTEST_SLEEP: Final = 60_000  # [ns]; a shorter sleep takes this long anyhow
 
 
@@ -102,7 +103,7 @@ class VirtualClock:
         while self._now < deadline:
             for far_side in self._far_sides:
                 far_side.process(self._now)
-            self._now, _ = self._next_event(deadline)
+            self._now = min(deadline, self._next_event(self._now))
 
     def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
         """Returns the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
@@ -113,18 +114,17 @@ class VirtualClock:
             message = bus.recv(0.0)
             if message is not None or now >= deadline:
                 return message
-            self._now, is_due = self._next_event(deadline)
-            if not is_due:
+            event = self._next_event(now)
+            if event > deadline:
+                self._now = deadline
                 return None
+            self._now = event
 
-    def _next_event(self, deadline: int) -> tuple[int, bool]:
-        """Returns the next instant at which something happens, and whether anything is due then.
-
-        A timer that is overdue cannot hold time up.
-        """
-        now, earliest, is_due = self._now, deadline, False
+    def _next_event(self, now: int) -> int:
+        """Returns when something happens next [ns]; a timer that is overdue cannot hold time up."""
+        earliest = _NEVER
         for far_side in self._far_sides:
             due = far_side.next_due()
-            if now < due <= earliest:
-                earliest, is_due = due, True
-        return earliest, is_due
+            if now < due < earliest:
+                earliest = due
+        return earliest

@@ -75,8 +75,9 @@ class Link:
         Raises:
             LinkError: The interface refused it, at once and once more (a full queue, ENOBUFS, bus-off).
         """
-        message = self._frames.get(can_id)
-        if message is None:
+        try:
+            message = self._frames[can_id]
+        except KeyError:
             message = self._frames[can_id] = can.Message(arbitration_id=can_id, is_extended_id=False, is_rx=False)
         now = self.clock.now()
         message.timestamp = now * 1e-9
@@ -131,11 +132,10 @@ class Link:
         Raises:
             LinkError: The bus failed, or what waits does not end.
         """
-        now = self.clock.now
-        while now() < deadline:
-            if not self.poll(deadline):
+        while self.poll(deadline):
+            if self.clock.now() >= deadline:
+                self.drain()
                 return
-        self.drain()
 
     def drain(self) -> None:
         """Handles the frames that wait already.

@@ -172,7 +172,8 @@ class Rig:
         self.records.append(_tuple(CycleRecord, (self._samples, commands)))
         woken, heard = exchange.woken, exchange.heard
         parts = (woken - exchange.deadline, heard - woken, computed - heard, self.clock.now() - computed)
-        self.timing = _tuple(CycleTiming, parts)
+        timing = self.timing  # at free pace time stands still within a cycle, and it is the same again
+        self.timing = timing if parts == timing else _tuple(CycleTiming, parts)
         for line in self._sdo_lines:
             if line.busy:
                 line.step()

@@ -180,8 +180,9 @@ class SimulatedDrive:
         return self.servo.now
 
     def _send(self, cob_id: int, content: Content) -> None:
-        message = self._frames.get(cob_id)
-        if message is None:
+        try:
+            message = self._frames[cob_id]
+        except KeyError:
             message = self._frames[cob_id] = can.Message(arbitration_id=cob_id, is_extended_id=False)
         message.timestamp = self.servo.now * 1e-9
         message.data, message.dlc = content, len(content)

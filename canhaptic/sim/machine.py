@@ -119,7 +119,11 @@ class Machine:
     def works(self) -> list[float]:
         """Returns the work booked since the start, in the order of `scene.works` [J]."""
         totals = self._books[0].totals.tolist()  # floats: an operation on so short an array costs ten on them
-        return list(map(add, self._sums, map(add, self._carries, totals)))
+        sums, carries = self._sums, self._carries
+        if len(totals) == 3:  # motor, hand and bearings: written out, for it is asked at every SYNC
+            a, b, c = totals
+            return [sums[0] + (carries[0] + a), sums[1] + (carries[1] + b), sums[2] + (carries[2] + c)]
+        return list(map(add, sums, map(add, carries, totals)))
 
     def tidy(self) -> None:
         """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.

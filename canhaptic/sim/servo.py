@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from operator import attrgetter
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from canopen.objectdictionary import datatypes
 
@@ -104,7 +104,7 @@ class Servo:
         self._mode_display = store.entry(MODES_OF_OPERATION_DISPLAY, datatypes.INTEGER8)
         self._supported_modes = store.entry(SUPPORTED_DRIVE_MODES, datatypes.UNSIGNED32)
         self._quick_stop_option = store.entry(QUICK_STOP_OPTION, datatypes.INTEGER16)
-        self._target = store.entry(TARGET_TORQUE, datatypes.INTEGER16)
+        self._target: Any = store.entry(TARGET_TORQUE, datatypes.INTEGER16)
         self._torque_demand = store.entry(TORQUE_DEMAND, datatypes.INTEGER16)
         self._torque_actual = store.entry(TORQUE_ACTUAL, datatypes.INTEGER16)
         self._current_actual = store.entry(CURRENT_ACTUAL, datatypes.INTEGER16)
@@ -198,7 +198,7 @@ class Servo:
         if state is not _ENABLED:
             self._enabled_since = -1
         elif self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
-            target = self._target.number
+            target: int = self._target.value  # a number since `reset`
             demand = self._stage.limit(target)
             word |= _FOLLOWS if demand == target else _FOLLOWS | _LIMITED
         if demand != self.demand:

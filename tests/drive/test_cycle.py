@@ -8,8 +8,12 @@ import can
 import pytest
 from drive_bench import Bench, axis
 
+from canhaptic.cycle import Cycle
 from canhaptic.drive.link_policy import StopReason
-from canhaptic.errors import CommandLostError, DriveFaultError, LinkError
+from canhaptic.errors import CommandLostError, DriveFaultError, InputError, LinkError
+from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.haptics.passivity import build_controller
+from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.sim.state_machine import DriveState
 
 MakeBench = Callable[..., Bench]
@@ -327,3 +331,11 @@ def test_a_few_lost_rpdos_are_no_lost_command(bench: MakeBench) -> None:
     for cycle in range(60):
         b.run(1, torque=4.0 + 0.01 * (cycle % 7))
     assert b.rig.is_running
+
+
+@pytest.mark.parametrize("controllers", [0, 2])
+def test_a_cycle_wants_one_controller_for_each_axis(bench: MakeBench, controllers: int) -> None:
+    wall, loop = SpringDamperWall(stiffness=100.0), LoopProperties(sample_time=1e-3)
+    several = [build_controller(wall, "direct", None, loop) for _ in range(controllers)]
+    with pytest.raises(InputError, match=f"controllers for {controllers} axes and a rig of 1"):
+        Cycle(bench().rig, several)
