@@ -110,7 +110,7 @@ def test_ctrl_c_ends_the_scope(tmp_path: Path) -> None:
 def test_a_browser_sees_a_run_while_it_goes_on(tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     log = tmp_path / "run.h5"
-    words = ["run", str(DEMO), "--pace", "real", "--duration", "8", "--set", "bus.rate=200 Hz", "--log", str(log)]
+    words = ["run", str(DEMO), "--pace", "real", "--duration", "600", "--set", "bus.rate=200 Hz", "--log", str(log)]
     words += ["--set", "bus.heartbeat_timeout=10 s", "--set", "bus.stop_cycles=2000"]  # beside a busy browser
     with chromium(height=900) as page, scope(log) as address:
         assert address.startswith("http://127.0.0.1:")
@@ -119,15 +119,19 @@ def test_a_browser_sees_a_run_while_it_goes_on(tmp_path: Path) -> None:
         status = "[...Bokeh.documents[0]._all_models.values()].find(m => m.name == 'status').text"
         page.wait_for(f"{status}.includes('waiting for')")
         with subprocess.Popen([sys.executable, "-m", "canhaptic", *words], stdout=subprocess.DEVNULL) as run:
-            page.wait_for(f"{status}.includes('running')")
-            source = "[...Bokeh.documents[0]._all_models.values()].find(m => m.data && 'position' in m.data)"
-            page.wait_for(f"({source}).data.position.length > 300")
-            early = page.value(f"({source}).data.time.at(-1)")
-            page.wait_for(f"({source}).data.time.at(-1) > {early} + 0.5")
-            page.screenshot(tmp_path / "scope.png")
-            assert run.poll() is None  # all that was while the run went on
-            text = page.value(status)
-            assert "operation enabled" in text
-            assert "margin" in text
-            page.wait_for(f"{status}.includes('completed')")
+            try:
+                page.wait_for(f"{status}.includes('running')")
+                source = "[...Bokeh.documents[0]._all_models.values()].find(m => m.data && 'position' in m.data)"
+                page.wait_for(f"({source}).data.position.length > 300")
+                early = page.value(f"({source}).data.time.at(-1)")
+                page.wait_for(f"({source}).data.time.at(-1) > {early} + 0.5")
+                page.screenshot(tmp_path / "scope.png")
+                assert run.poll() is None  # all that was while the run went on
+                text = page.value(status)
+                assert "operation enabled" in text
+                assert "margin" in text
+                run.send_signal(signal.SIGINT)
+                page.wait_for(f"{status}.includes('stopped')")
+            finally:
+                run.kill()
         assert page.faults == []
