@@ -3,13 +3,15 @@
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Final
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+
+_TABLE_CACHE: Final = 1 << 18  # [B]
 
 
 class Dataset:
@@ -122,7 +124,14 @@ class Hdf5File:
             other.set_attribute(name, value)
 
     def start_live(self) -> None:
-        """From now on other processes may read while this one writes; no more columns or attributes can be added."""
+        """From now on other processes may read while this one writes; no more columns or attributes can be added.
+
+        The library's cache of its own tables, which grows to megabytes in the first hour of a log, is held where it is.
+        """
+        cache = self._file.id.get_mdc_config()
+        cache.set_initial_size, cache.initial_size = True, _TABLE_CACHE
+        cache.min_size = cache.max_size = _TABLE_CACHE
+        self._file.id.set_mdc_config(cache)
         self._file.swmr_mode = True
 
     def flush(self) -> None:
