@@ -45,6 +45,7 @@ def test_a_whole_run_of_two_processes_loses_no_frame_and_skips_no_sync(guest: Re
     assert run["ends"] == [0, 143], run["error"]  # completed; the drive ended by SIGTERM
     account, link = run["account"], run["account"]["link"]
     assert account["cycles"] == CYCLES
+    assert not run["late"], "SYNCs [number, seconds to the next]"
     assert (link["skipped_syncs"], link["missed_tpdos"], link["late"], link["error_frames"]) == (0, 0, 0, 0)
     assert run["syncs"] == run["tpdos"] >= CYCLES
     assert run["most_torque"] > 500  # it was a contact

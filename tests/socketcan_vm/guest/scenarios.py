@@ -110,7 +110,8 @@ def whole_run(master: str, drive: str, seconds: float) -> dict[str, Any]:
     return {
         "powered": powered.strip(), "ends": ends, "error": err.strip()[-800:], "account": account,
         "syncs": len(syncs), "tpdos": count(frames, TPDO), "rpdos": count(frames, RPDO),
-        "longest_gap": max(gaps, default=0.0), "shortest_gap": min(gaps, default=0.0),
+        "late": [[number, gap] for number, gap in enumerate(gaps) if gap > 1.5 / RATE],
+        "shortest_gap": min(gaps, default=0.0),
         "most_torque": max((abs(torque(frame)) for frame in frames if frame.can_id == RPDO), default=0),
         "last_torque": [torque(frame) for frame in frames if frame.can_id == RPDO][-1:],
     }  # fmt: skip
