@@ -14,11 +14,14 @@ STIFFNESS = 1000.0  # of the coupling in the scene [N/m]
 def zero_force_extension(log: EnergyLog, seconds: float) -> float:
     """Returns the true extension at which the coupling was without force in the last seconds [m].
 
-    Median of x + F / k: what the delay, the damper and a torque limited for a while add is of both signs.
+    Median of x + F / k: what the delay, the damper and a torque limited for a while add is of both signs. F is the
+    stronger of the two torques; where frames may be lost, the one that gives energy out is limited first.
     """
     rows = slice(-round(seconds * 1000), None)
     extension = log.truth["first"]["position"] - log.truth["second"]["position"]
-    return float(np.median(extension[rows] + log.ports["first"]["torque_applied"][rows] / STIFFNESS))
+    first, second = (log.ports[name]["torque_applied"][rows] for name in ("first", "second"))
+    stronger = np.where(np.abs(first) >= np.abs(second), first, -second)
+    return float(np.median(extension[rows] + stronger / STIFFNESS))
 
 
 def check_together(log: EnergyLog, lost: float) -> None:

@@ -35,6 +35,8 @@ EXAMPLE = VirtualMass(mass=0.3, stiffness=800.0, hardening=1e6, damping=2.0, flo
 BOX = Box(stiffness=2000.0, damping=5.0, lower=(-0.005, -0.005), upper=(0.005, 0.005))
 FIVE_BAR = FiveBar(base=0.1, proximal=(0.15, 0.15), distal=(0.2, 0.2))
 MASS, FRICTION, STIFFNESS, DAMPING = 0.25, 0.1, 300.0, 3.0  # of the handle and of the hand
+HAND_FORCE = 1.0
+"""Declared [N]. At 100 Hz with a delay the hand pulls that hard within a hold; with 0 N the margin there is -7 mJ."""
 DURATION = 2.0
 LONGEST = 1e-4
 STEPS = 4000
@@ -51,9 +53,9 @@ class Followed(NamedTuple):
 def controller_of(
     environment: Any, kinematics: Any, rate: float, delay: int, compiled: bool = False
 ) -> GroupController:
-    """Returns a guarded group of two axes with a hand-force certificate of 0."""
+    """Returns a guarded group of two axes with a hand-force certificate."""
     loop = LoopProperties(sample_time=1.0 / rate, delay=delay, moving_mass=MASS, device_damping_bound=2.0 * FRICTION)
-    parameters = GuardedGroupParameters(compiled=compiled)
+    parameters = GuardedGroupParameters(hand_force=HAND_FORCE, compiled=compiled)
     return build_group_controller(environment, kinematics, "guarded", parameters, [loop, loop])
 
 
