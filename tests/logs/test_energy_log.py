@@ -80,6 +80,7 @@ def test_units_follow_the_motion_of_the_axis(finished: Path) -> None:
 def test_attributes_events_and_status_are_kept_and_long_texts_are_cut(finished: Path) -> None:
     with EnergyLog.open(finished) as log:
         assert log.attributes == {"config": "bus: {}\n", "config_hash": "abc", "bitrate": 1_000_000, "credit": 1e-3}
+        assert {type(value) for value in log.attributes.values()} == {str, int, float}  # none of NumPy's
         assert log.status == "complete"
         assert log.sample_time_ns == SAMPLE_TIME_NS
         first, second, third = log.events
@@ -199,6 +200,12 @@ def test_foreign_and_newer_files_are_named_as_such(tmp_path: Path, finished: Pat
         file.attrs["format_version"] = 2
     with pytest.raises(LogFormatError, match="version 2, this program reads up to 1"):
         EnergyLog.open(newer)
+    lacking = tmp_path / "lacking.h5"
+    lacking.write_bytes(finished.read_bytes())
+    with h5py.File(lacking, "r+") as file:
+        del file.attrs["sample_time_ns"]
+    with pytest.raises(LogFormatError, match="the attributes sample_time_ns are missing"):
+        EnergyLog.open(lacking)
 
 
 @pytest.mark.parametrize("kept", [0.05, 0.3, 0.6, 0.95])

@@ -91,6 +91,28 @@ def test_any_flipped_bit_of_any_recorded_rpdo_is_found_at_its_line(name: str, ca
         changed = int(difference["recorded"]["data"], 16) ^ int(difference["sent"]["data"], 16)
         assert changed.bit_count() == 1
         assert difference["recorded"]["kind"] == difference["sent"]["kind"] == "RPDO1"
+        before = [n for n in range(number) if " 77E#" not in lines[n]][-6:]  # the master's heartbeat has its own time
+        assert [frame["number"] for frame in difference["before"]] == [n + 1 for n in before]
+        assert [frame["direction"] for frame in difference["before"]] == [lines[n][-2] for n in before]
+
+
+def test_a_difference_is_timed_from_the_beginning_of_the_log(tmp_path: Path) -> None:
+    name = "emergency"
+    later = [f"({1_700_000_000 + float(line[1:18]):017.6f}){line[19:]}" for line in lines_of(name)]
+    number = [number for number, line in enumerate(later) if " 201#" in line][50]
+    later[number] = flipped(later[number], 16)
+    difference = replay_lines(tmp_path, name, later)["difference"]
+    assert difference["number"] == number + 1
+    assert difference["time"] == pytest.approx(float(lines_of(name)[number][1:18]) - float(lines_of(name)[0][1:18]))
+
+
+def test_what_a_drive_sends_between_two_commands_of_one_instant_is_no_difference(tmp_path: Path) -> None:
+    lines = lines_of("two_axes")
+    pairs = [n for n, line in enumerate(lines) if " 201#" in line and " 205#" in lines[n + 1]]
+    heartbeat = f"{lines[pairs[20]].split(' ')[0]} vcan0 701#05 R\n"
+    result = replay_lines(tmp_path, "two_axes", [*lines[: pairs[20] + 1], heartbeat, *lines[pairs[20] + 1 :]])
+    assert (result["status"], result["difference"]) == ("identical", None)
+    assert result["frames"]["played"] == 1 + sum(line.endswith("R\n") for line in lines)
 
 
 @pytest.mark.parametrize("place", [60, -3, -2, -1])  # in the run, the last of it, and what disables the drive
@@ -193,7 +215,7 @@ def test_a_recording_of_another_scene_or_without_a_cycle_is_refused(tmp_path: Pa
     (tmp_path / "a.log").write_text("(1.0) can0 123#00\n")
     with pytest.raises(InputError, match="none of its 1 frames"):
         replay(tmp_path / "a.log", scene_of("demo"))
-    (tmp_path / "b.log").write_text("(1.0) can0 080#\n(1.1) can0 080#\n")
+    (tmp_path / "b.log").write_text("(1.0) can0 080#\n(1.1) can0 181#3712\n(1.2) can0 080#\n")  # a TPDO cut short
     with pytest.raises(InputError, match="nowhere to begin"):
         replay(tmp_path / "b.log", scene_of("demo"))
     with pytest.raises(InputError, match="nowhere to begin"):
