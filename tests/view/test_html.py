@@ -3,15 +3,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import typed
 from chromium import chromium
 from hour_run import SPIKE, write_hour
-from synthetic_run import write_run
+from synthetic_run import write_run, write_troubled_run
 
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.view import html_report
+from canhaptic.view.extent import contacts
 from canhaptic.view.series import PortSeries
 
 ROOT = Path(__file__).parents[2]
@@ -33,6 +36,49 @@ def test_what_is_drawn_keeps_spikes_and_every_row_around_worst_margin_and_faults
     touching = position < -0.02
     assert abs(len(series.contacts["start"]) - 100) <= 1
     assert touching.any()
+
+
+def test_contacts_are_drawn_with_their_peak_and_energy_and_faults_with_their_port(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.h5", cycles=3000, ports=("handle", "knob"))
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        handle, knob = (PortSeries(log, name, slice(0, log.rows)) for name in ("handle", "knob"))
+        port, found = log.ports["handle"], contacts(log.ports["handle"]["branch"])
+        assert len(found) == 2
+        for place, (first, last) in enumerate(found):
+            rows = slice(first, last + 1)
+            assert handle.contacts["start"][place] == pytest.approx(first * 1e-3)
+            assert handle.contacts["end"][place] == pytest.approx(last * 1e-3)
+            assert handle.contacts["peak"][place] == pytest.approx(np.abs(port["torque_applied"][rows]).max(), rel=1e-6)
+            assert handle.contacts["energy"][place] == pytest.approx(port["h_i"][rows].sum(), abs=1e-7)
+    assert [fault.sync_index for fault in handle.faults] == [1500]
+    assert knob.faults == []
+
+
+class Taken:
+    """Stands for the panels and keeps what they are given."""
+
+    def timing(self, columns: dict[str, np.ndarray], period: float) -> dict[str, np.ndarray]:
+        assert period == 1000.0  # [us]
+        return columns
+
+    def link(self, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return columns
+
+
+def test_late_cycles_and_lost_frames_are_drawn(tmp_path: Path) -> None:
+    write_troubled_run(tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        file["timing/dropped_before"][60] = 4
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        rows = slice(0, log.rows)
+        timing, link = html_report._timing(log, rows, Taken()), html_report._link(log, rows, Taken())
+    assert timing["wakeup_lateness"].max() == 950.0  # [us]
+    assert timing["time"][timing["wakeup_lateness"].argmax()] == pytest.approx(0.030)
+    missed, dropped = link["handle: TPDOs missed"], link["cycles not in the log"]
+    steps = np.searchsorted(link["time"], [0.0095, 0.0105, 0.0115, 0.1015]) - 1  # each lasts until the next
+    assert missed[steps].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert (dropped[0], dropped[-1]) == (0.0, 4.0)
+    assert link["time"][dropped.argmax()] == pytest.approx(0.062)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import typed
 from synthetic_run import write_run, write_troubled_run
 
 from canhaptic.errors import InputError
-from canhaptic.haptics.balance import Branch, EnergyBalance, Ledger
+from canhaptic.haptics.balance import Branch, Certificate, EnergyBalance, Ledger
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view.checks import check
 from canhaptic.view.compare import compare
@@ -88,6 +88,23 @@ def test_quantiles_are_values_that_occurred() -> None:
 def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
     with EnergyLog.open(log) as opened, pytest.raises(InputError, match=r"the log ends at 3\.999 s"):
         inspect(opened, 5.0, None)
+
+
+def test_the_worst_of_a_run_is_in_its_account(log: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    path.write_bytes(log.read_bytes())
+    with h5py.File(path, "r+") as file:
+        port = file["ports/handle"]
+        port["statusword"][20:25] |= 0x0800  # internal limit active
+        port["torque_applied"][7] = -99.0
+        port["certificate"][9] = Certificate.HAND_SPEED
+    with EnergyLog.open(log) as opened:
+        before = inspect(opened)["ports"]["handle"]
+    with EnergyLog.open(path) as opened:
+        after = inspect(opened)["ports"]["handle"]
+    assert (before["limited_cycles"], after["limited_cycles"]) == (0, 5)
+    assert (before["peak_torque"] < 99.0, after["peak_torque"]) == (True, 99.0)
+    assert (before["certificate"], after["certificate"]) == ("exact", "hand_speed")
 
 
 def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
