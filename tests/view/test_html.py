@@ -50,6 +50,9 @@ def test_contacts_are_drawn_with_their_peak_and_energy_and_faults_with_their_por
             assert handle.contacts["end"][place] == pytest.approx(last * 1e-3)
             assert handle.contacts["peak"][place] == pytest.approx(np.abs(port["torque_applied"][rows]).max(), rel=1e-6)
             assert handle.contacts["energy"][place] == pytest.approx(port["h_i"][rows].sum(), abs=1e-7)
+    shown = ("time", "position", "command", "applied", "damping", "margin", "surplus")
+    assert [handle.units[name] for name in shown] == ["s", "m", "N", "N", "N*s/m", "J", "J"]
+    assert [knob.units[name] for name in shown] == ["s", "rad", "N*m", "N*m", "N*m*s/rad", "J", "J"]
     assert [fault.sync_index for fault in handle.faults] == [1500]
     assert knob.faults == []
 

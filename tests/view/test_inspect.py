@@ -85,6 +85,13 @@ def test_quantiles_are_values_that_occurred() -> None:
     )
 
 
+def test_a_part_says_where_it_begins_and_ends(log: Path) -> None:
+    with EnergyLog.open(log) as opened:
+        whole, part = inspect(opened), inspect(opened, 1.0, 3.0)
+    assert (whole["from"], whole["to"], whole["cycles"]) == pytest.approx((0.0, 3.999, 4000))
+    assert (part["from"], part["to"], part["cycles"]) == pytest.approx((1.0, 2.999, 2000))
+
+
 def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
     with EnergyLog.open(log) as opened, pytest.raises(InputError, match=r"the log ends at 3\.999 s"):
         inspect(opened, 5.0, None)
