@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 from canhaptic.errors import ParameterError
 from canhaptic.logs.bus_sink import CONVERTIBLE, FRAME_RING, aside_files
-from canhaptic.logs.ring import Record
+from canhaptic.logs.ring import Record, Recorder
 from canhaptic.logs.writer_process import WriterProcess
 
 _MOST_BUSES: Final = 256  # one byte in each record
@@ -89,7 +89,7 @@ class BusLogWriter:
         if not self._push(frame):
             self._insist(frame)
 
-    def on(self, bus: int) -> Callable[[int, int, bytes | bytearray, bool], None]:
+    def on(self, bus: int) -> Recorder:
         """Returns what takes the frames of one bus, by its place among the channels; the log itself takes the first's.
 
         Raises:
@@ -97,13 +97,7 @@ class BusLogWriter:
         """
         if not 0 <= bus < self._channels:
             raise ParameterError(f"bus {bus}: the log has {self._channels}, counted from 0")
-        push, insist = self._push, self._insist
-
-        def take(timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
-            if not push((timestamp_ns, can_id, len(data), is_rx, bus, data)):
-                insist((timestamp_ns, can_id, len(data), is_rx, bus, data))
-
-        return take
+        return self._frames.recorder(bus, self._insist)
 
     def _insist(self, frame: Record) -> None:
         """Waits for room at free pace, counts the frame as dropped otherwise."""

@@ -9,7 +9,7 @@ import mmap
 import os
 import struct
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -23,6 +23,8 @@ _TEXT_SIZE: Final = 1000  # [bytes]
 
 
 Record = Sequence[float | bytes | bytearray]
+Recorder = Callable[[int, int, bytes | bytearray, bool], None]
+"""Takes (timestamp [ns], COB-ID, data, is_rx) of a frame."""
 """Values of one record, in the order of its struct format."""
 
 
@@ -123,6 +125,29 @@ class Ring:
         self._memory[start : start + size] = pack(*values)
         self._next = self._cells[self._head_cell] = number + 1
         return True
+
+    def recorder(self, bus: int, when_full: Callable[[Record], None]) -> Recorder:
+        """Returns what writes one frame of a bus: `push` written out, for this runs for every frame of every cycle.
+
+        Args:
+            bus: Its place among the channels.
+            when_full: Called with the record that has no room.
+        """
+        memory, cells, pack, size = self._memory, self._cells, self._pack, self._size
+        first, capacity, head = self._start, self.capacity, self._head_cell
+
+        def record(timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
+            number = self._next
+            if number < self._limit:
+                start = first + number % capacity * size
+                memory[start : start + size] = pack(timestamp_ns, can_id, len(data), is_rx, bus, data)
+                self._next = cells[head] = number + 1
+                return
+            frame = (timestamp_ns, can_id, len(data), is_rx, bus, data)
+            if not self.push(frame):  # which looks at the tail anew
+                when_full(frame)
+
+        return record
 
     @property
     def head(self) -> int:
