@@ -51,7 +51,11 @@ class DriveGroup:
             if hearers is None:
                 hearers = self._find_hearers(message.arbitration_id)
             for drive, handler in hearers:
-                drive.act(handler, message.data, now)
+                servo = drive.servo
+                servo.now = now
+                handler(message.data)
+                if servo.has_event or servo.fault_code:
+                    drive.follow_up()
         for drive in self.drives:
             if now >= drive.timers.earliest:
                 drive.run_timers(now)

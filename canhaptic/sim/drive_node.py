@@ -135,22 +135,16 @@ class SimulatedDrive:
             return
         handler = self.handler(message.arbitration_id)
         if handler is not None:
-            self.act(handler, message.data, now)
-
-    def act(self, handler: Handler, content: Content, now: int) -> None:
-        """Hands the content of a data frame to the handler of its COB-ID at `now` [ns]."""
-        servo = self.servo
-        servo.now = now
-        handler(content)
-        if servo.has_event or servo.fault_code:
-            self._follow_up()
+            self.servo.now = now
+            handler(message.data)
+            self.follow_up()
 
     def run_timers(self, now: int) -> None:
         """Does what is due up to `now` [ns]."""
         if now >= self.timers.earliest:
             self.servo.now = now
             self.timers.fire(now)
-            self._follow_up()
+            self.follow_up()
 
     def next_due(self) -> int:
         """Returns when the next timer is due [ns]."""
@@ -164,7 +158,7 @@ class SimulatedDrive:
     def inject_fault(self, code: int = 0x5000) -> None:
         """Lets the drive fault with an error code (0x603F), as if its hardware had failed."""
         self._fault(code)
-        self._follow_up()
+        self.follow_up()
 
     @property
     def state(self) -> DriveState:
@@ -306,7 +300,7 @@ class SimulatedDrive:
     def _settle(self, _due: int) -> None:
         self.servo.settle()
 
-    def _follow_up(self) -> None:
+    def follow_up(self) -> None:
         """Does what a change of state brings with it: faults announced, reactions timed, event-driven TPDOs."""
         servo = self.servo
         if servo.fault_code:

@@ -9,7 +9,7 @@ import pytest
 from guarded_users import HAND_FORCE, MASS, PUSH, USERS, Loss, guarded, run
 
 from canhaptic.errors import ParameterError
-from canhaptic.haptics.balance import Branch, Certificate
+from canhaptic.haptics.balance import Branch, Certificate, residual
 from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.haptics.passivity import build_controller
 from canhaptic.haptics.passivity.guarded import GuardedParameters
@@ -215,3 +215,17 @@ def test_torque_commands_are_whole_quanta_and_never_above_the_bound():
         held = balance.torque
         assert held / 0.02 == pytest.approx(round(held / 0.02), abs=1e-9)
         position -= 1e-4
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_what_is_taken_from_an_empty_store_is_lacking_though_nothing_dissipates(delay: int) -> None:
+    """A torque that nobody commanded gives energy out of a wall without a damper, in which nothing was stored."""
+    loop = LoopProperties(sample_time=1e-3, delay=delay, moving_mass=0.2)
+    controller = build_controller(SpringDamperWall(stiffness=100.0), "guarded", None, loop)
+    controller.step(-0.001, 0.0)
+    taken = controller.step(-0.0005, 4.0)
+    assert (taken.h_i, taken.h_s, taken.deficit, taken.h_dis) == (-0.002, 0.0, 0.002, 0.002)
+    assert (taken.branch, taken.torque) == (Branch.DEPLETED, 0.0)
+    paid_back = controller.step(-0.001, 2.0)
+    assert (paid_back.h_i, paid_back.deficit) == (0.001, 0.0)
+    assert residual(paid_back, taken.h_s) == pytest.approx(0.0, abs=1e-18)

@@ -141,6 +141,10 @@ def test_event_driven_torque_inside_a_hold_splits_it_exactly(rig: Rig) -> None:
         ("floor", 1.6e-6, 1),
         ("floor", -1.4e-6, -2),
         ("round", 2147.483648, -(2**31)),
+        ("round", 2147.483647, 2**31 - 1),
+        ("round", -2147.483648, -(2**31)),
+        ("round", -2147.483649, 2**31 - 1),
+        ("round", 4294.967297, 1),
     ],
 )
 def test_position_is_counted_and_wraps_at_32_bits(encoder: str, position: float, counts: int) -> None:
