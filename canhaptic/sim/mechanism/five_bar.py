@@ -25,9 +25,15 @@ from canhaptic.sim.propagator import TICKS
 
 _ITERATIONS: Final = 60
 _CONVERGED: Final = 1e-15  # [rad] of a correction, beside what rounding leaves of the step
-_ACCEPTED: Final = 1e-12  # [rad] where rounding lets it stagnate
-_TINY: Final = 1e-11  # [rad^2] below which the secant correction of a smooth function is below its rounding
-_HALVINGS: Final = 12
+_ACCEPTED: Final = 1e-12  # [rad] where rounding lets it stagnate; or
+_ENERGY_OPEN: Final = 1e-15  # of the energy at hand, which is all that it then leaves open
+_FURTHEST: Final = 1.0  # [rad] in one substep; further away a solver has lost its way
+_TINY: Final = 1e-11  # [rad^2] below which the secant correction of the handle's place is below its rounding
+_TINIEST: Final = 1e-16  # [rad^2] below which that of the kinetic energy is, which gets small with the motion
+_HALVINGS: Final = 18
+_DEEP: Final = 10  # halvings, after which a singular pose close by is why
+_DIVERGING: Final = 4.0  # times the last correction
+_NEAR: Final = 1e-3  # of the distal length, of the handle from the line of the elbows or of these from each other
 
 Angle = Annotated[float, quantity("rad", ge=-100.0, le=100.0)]
 Pair = tuple[float, float]
@@ -198,16 +204,10 @@ class FiveBarMotion:
         try:
             solved = self._solved(time, step, torques)
         except ParameterError:
-            if depth == _HALVINGS:
-                raise
             solved = None
         if solved is None:
-            if depth == _HALVINGS:
-                left, right = self._place.angles
-                raise ParameterError(
-                    f"five_bar: no motion found at {left:.6g} and {right:.6g} rad within {step:.3g} s; raise "
-                    "accuracy.substeps, or lower the stiffness of elbow_stop or hand"
-                )
+            if depth == _HALVINGS or (depth >= _DEEP and self._near_singular()):
+                raise self._stuck(step)
             self._substep(time, 0.5 * step, torques, depth + 1)
             self._substep(time + 0.5 * step, 0.5 * step, torques, depth + 1)
             return
@@ -219,6 +219,20 @@ class FiveBarMotion:
             self._lost[axis] += self._damping * displacement * displacement / step
         self._place, self._momentum = after, momentum
 
+    def _near_singular(self) -> bool:
+        least, most = _NEAR * self._linkage.distal, (2.0 - _NEAR * _NEAR) * self._linkage.distal
+        return not least < self._place.pose.span < most
+
+    def _stuck(self, step: float) -> ParameterError:
+        """Returns why no motion was found: a singular pose, or forces beyond any substep."""
+        left, right = self._place.angles
+        if self._near_singular():
+            return self._linkage.singular(left, right, self._place.pose.span)
+        return ParameterError(
+            f"five_bar: no motion found at {left:.6g} and {right:.6g} rad within {step:.3g} s; raise "
+            "accuracy.substeps, or lower the stiffness of elbow_stop or hand"
+        )
+
     def _solved(self, time: float, step: float, torques: tuple[float, ...]) -> tuple[_Place, Pair, Pair] | None:
         """Returns (place, momentum, hand's torques) after a substep; None when it did not converge."""
         before = self._place
@@ -226,18 +240,24 @@ class FiveBarMotion:
         v_left, v_right = before.inertia.solve(*self._momentum)
         d_left, d_right = step * v_left, step * v_right
         slope = self._slope(before, step)
-        last = float("inf")
+        last, enough = float("inf"), _ENERGY_OPEN * self.stored
         for _ in range(_ITERATIONS):
+            if not abs(d_left) + abs(d_right) < _FURTHEST:  # NaN as well
+                return None
             self.iterations += 1
             after = _Place(self._linkage, left + d_left, right + d_right)
             momentum = self._momentum_after(before, after, step)
             force, hand = self._force(before, after, momentum, time, step, torques)
-            c_left, c_right = slope.solve(
-                (momentum[0] - self._momentum[0]) / step - force[0], (momentum[1] - self._momentum[1]) / step - force[1]
-            )
+            r_left = (momentum[0] - self._momentum[0]) / step - force[0]
+            r_right = (momentum[1] - self._momentum[1]) / step - force[1]
+            c_left, c_right = slope.solve(r_left, r_right)
             size = abs(c_left) + abs(c_right)
-            if size <= _CONVERGED or (size <= _ACCEPTED and size >= 0.5 * last):
+            if size <= _CONVERGED:
                 return after, momentum, hand
+            if size >= 0.5 * last and (size <= _ACCEPTED or abs(r_left * d_left) + abs(r_right * d_right) <= enough):
+                return after, momentum, hand
+            if not size < _DIVERGING * last:
+                return None
             last = size
             d_left, d_right = d_left - c_left, d_right - c_right
         return None
@@ -284,7 +304,7 @@ class FiveBarMotion:
             v0, v1 = before.inertia.solve(*p), after.inertia.solve(*p)
             value += 0.25 * (p[0] * (v1[0] - v0[0]) + p[1] * (v1[1] - v0[1]))
         square = change[0] * change[0] + change[1] * change[1]
-        if square > _TINY:
+        if square > _TINIEST:
             excess = (value - left * change[0] - right * change[1]) / square
             left, right = left + excess * change[0], right + excess * change[1]
         if self._stop is None:

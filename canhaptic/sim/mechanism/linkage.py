@@ -77,11 +77,7 @@ class Linkage:
         height_squared = self._distal * self._distal - 0.25 * span * span
         least = _CLEARANCE * self._distal
         if not (span > least and height_squared > least * least):  # NaN as well
-            raise ParameterError(
-                f"five_bar: at {left:.6g} and {right:.6g} rad the elbows are {span:.6g} m apart, which is a singular "
-                f"pose (expected between 0 and {2.0 * self._distal:g} m, the distal links stretched); give the "
-                "mechanism an elbow_stop short of it, or less force"
-            )
+            raise self.singular(left, right, span)
         rise = math.sqrt(height_squared) / span
         r_left = (0.5 * dx - rise * dy, 0.5 * dy + rise * dx)
         r_right = (r_left[0] - dx, r_left[1] - dy)
@@ -89,6 +85,19 @@ class Linkage:
         r = (r_left, r_right)
         pulls = (_dot(r_left, u[0]), 0.0), (0.0, _dot(r_right, u[1]))
         return Pose(handle, span, (dx, dy), u, r, _solved(r, pulls))
+
+    @property
+    def distal(self) -> float:
+        """Length of the links that carry the handle [m]."""
+        return self._distal
+
+    def singular(self, left: float, right: float, span: float) -> ParameterError:
+        """Returns the error for elbows that meet, or are as far apart as the distal links reach."""
+        return ParameterError(
+            f"five_bar: at {left:.6g} and {right:.6g} rad the elbows are {span:.6g} m apart, which is a singular "
+            f"pose (expected between 0, where they meet, and {2.0 * self._distal:g} m, the distal links stretched); "
+            "give the mechanism an elbow_stop short of it, or less force"
+        )
 
     def inertia(self, pose: Pose) -> Inertia:
         """Returns the inertia that the motors feel, T = 1/2 v' M v."""
