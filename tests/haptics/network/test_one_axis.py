@@ -95,9 +95,9 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
         scaled._network.state[0] = storage.state
         scaled._network.settle()
         scaled.h_s, scaled.pace = storage.h_s, storage.velocity
-        group._h_dis = one._books.h_dis
+        group._h_dis = one._model._books.h_dis
         queue = group._commands._queue
-        for index, (torque, damper, modulated) in enumerate(one._books._in_flight._queue):
+        for index, (torque, damper, modulated) in enumerate(one._model._books._in_flight._queue):
             power = damper * damper / damping * 1e-3
             queue[index] = GroupCommand((torque,), (damper,), (modulated,), (0.0,), power)
 
