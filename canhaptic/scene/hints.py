@@ -1,6 +1,7 @@
 """Stability hints: what the rate, the delay and the device allow, beside what the scene asks for."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -49,12 +50,39 @@ def group_hints(scene: Scene) -> list[Hint]:
     """
     hints = []
     for group in scene.groups:
-        for name in group.axes:
-            axis = scene.axis(name)
-            asked = group.network if group.kinematics.name == "identity" else axis.environment
-            alone = replace(axis, passivity=group.passivity, environment=asked)
-            hints += [*_certificate_hints(alone), *_damping_hints(alone)]
+        axes = [
+            replace(
+                axis, passivity=group.passivity,
+                environment=group.network if group.kinematics.name == "identity" else axis.environment,
+            )
+            for axis in map(scene.axis, group.axes)
+        ]  # fmt: skip
+        for axis in axes:
+            hints += [*_certificate_hints(axis, axes), *_apart_hint(axis, len(axes)), *_damping_hints(axis)]
     return hints
+
+
+def _losses(axis: AxisScene) -> int:
+    """Returns the consecutive cycles without a new torque that the certificates survive."""
+    return int(getattr(axis.passivity.parameters, "lost_frames", 0))
+
+
+def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
+    """Returns what certifying each axis by itself costs while several move together.
+
+    Of torques f and -f on axes that both move by D = v T in a hold, the one that gives f D out counts for all H holds
+    and the other not: H f D <= f^2 / 2k leaves the extension f / k >= 2 H T v.
+    """
+    losses, unit = _losses(axis), axis.parameters.unit
+    if axes == 1 or not losses:
+        return []
+    holds = 1 + axis.loop.delay + losses
+    text = (
+        f"lost_frames {losses}: each axis is certified by itself, for {holds} holds. A spring that one axis pulls and "
+        "another follows moves the other beyond this extension, for each unit of speed; with lost_frames 0 at once"
+    )
+    limit = 2.0 * holds * axis.loop.sample_time
+    return [Hint(axis.parameters.name, "extension without force", limit, None, f"{unit}/({unit}/s)", text)]
 
 
 def _hint(axis: AxisScene, what: str, quantity: str, limit: float | None, asked: float | None, text: str) -> Hint:
@@ -138,27 +166,41 @@ def _colgate_damping(axis: AxisScene, asked: float | None) -> list[Hint]:
     return [_hint(axis, "damping, Colgate's bound b - k T / 2", "damping", limit, asked, f"a plain wall; {source}")]
 
 
-def _certificate_hints(axis: AxisScene) -> list[Hint]:
-    """Returns what each declared certificate of `guarded` can hold at the torque limit, and what of the asked wall."""
+def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:
+    """Returns what each declared certificate of `guarded` can hold at the torque limit, and what of the asked wall.
+
+    A torque must be covered for the hold in which it acts, those of the delay, and those of the frames that may be lost
+    (`lost_frames`). In a group the hand pulls on every axis at once, with the same force.
+    """
     parameters, loop = axis.passivity.parameters, axis.loop
-    torque, hints = axis.parameters.torque_limit, []
+    torque, hints, lag = axis.parameters.torque_limit, [], loop.delay + _losses(axis)
     held: dict[str, tuple[float, str]] = {}
+    more = f"; lost_frames {_losses(axis)}: {lag + 1} holds" if _losses(axis) else ""
     hand_force, hand_speed = getattr(parameters, "hand_force", None), getattr(parameters, "hand_speed", None)
     if hand_force is not None and loop.moving_mass is not None:
-        least, most = loop.device_damping or 0.0, loop.device_damping_bound or 0.0
-        response = reach(loop.sample_time, loop.moving_mass, hand_force, least, most)
-        limit = renderable_by_hand_force(response, loop.delay, torque)
-        held["hand force"] = limit, f"at the torque limit, hand force up to {hand_force:g}"
-        limit = start_speed(response, loop.sample_time, loop.delay)
-        text = "a contact from zero energy begins above this inward speed"
+        least, most = 0.0 if len(group) > 1 else loop.device_damping or 0.0, loop.device_damping_bound or 0.0
+        response = reach(loop.sample_time, loop.moving_mass, hand_force * _on_all(axis, group), least, most)
+        limit = renderable_by_hand_force(response, lag, torque)
+        of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""
+        held["hand force"] = limit, f"at the torque limit, hand force up to {hand_force:g}{of_each}{more}"
+        limit = start_speed(response, loop.sample_time, lag)
+        text = f"a contact from zero energy begins above this inward speed{more}"
         hints.append(_hint(axis, "inward speed of a start", "speed", limit, None, text))
     if loop.device_damping and axis.passivity.name in _BY_DAMPING:
-        limit = renderable_by_device_damping(loop.device_damping, loop.sample_time, loop.delay)
-        held["device damping"] = limit, f"for every user, device_damping {loop.device_damping:g} declared"
+        limit = renderable_by_device_damping(loop.device_damping, loop.sample_time, lag)
+        held["device damping"] = limit, f"for every user, device_damping {loop.device_damping:g} declared{more}"
     if hand_speed is not None:
-        limit = renderable_by_hand_speed(hand_speed, loop.sample_time, loop.delay, torque)
-        held["hand speed"] = limit, f"at the torque limit, hand speed up to {hand_speed:g}"
+        limit = renderable_by_hand_speed(hand_speed, loop.sample_time, lag, torque)
+        held["hand speed"] = limit, f"at the torque limit, hand speed up to {hand_speed:g}{more}"
     return [*_held_stiffness(axis, held), *hints]
+
+
+def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
+    """Returns how much more a hand on all axes moves this one than a hand on it alone: sqrt(sum(1 / m_j) m_i)."""
+    masses = [each.loop.moving_mass for each in group]
+    if axis.loop.moving_mass is None or None in masses or len(masses) < 2:
+        return 1.0
+    return math.sqrt(sum(axis.loop.moving_mass / mass for mass in masses if mass is not None))
 
 
 def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list[Hint]:

@@ -12,6 +12,9 @@ from scene_text import REPOSITORY
 from canhaptic.cli.main import main
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.haptics.axis_group import AxisGroup
+from canhaptic.haptics.network.apart import AxesApart
+from canhaptic.haptics.network.bound import axes_of
+from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.scene.build import build
 from canhaptic.scene.hints import group_hints, stability_hints
 from canhaptic.scene.load import load_scene
@@ -144,6 +147,34 @@ def test_hints_are_those_of_the_groups_certificates_for_each_axis() -> None:
     assert held[0].limit == pytest.approx(0.2 / (6 * 1e-3**2))  # m / 6 T^2 at delay 1 (design 2.4)
     turning = [hint for hint in group_hints(load_scene(LINKS)) if hint.what == "stiffness, certified by hand force"]
     assert [(hint.unit, hint.asked) for hint in turning] == [("N*m/rad", None)] * 2
+
+
+def test_hints_say_what_lost_frames_and_a_hand_on_every_axis_leave() -> None:
+    def held(*overrides: str) -> Any:
+        hints = {hint.what: hint for hint in group_hints(load_scene(HANDLES, overrides)) if hint.axis == "first"}
+        return hints["stiffness, certified by hand force"], hints.get("extension without force")
+
+    plain, none = held("groups.0.passivity.lost_frames=0")
+    assert (plain.limit, none) == (pytest.approx(0.2 / (6 * 1e-3**2)), None)  # delay 1: m / 6 T^2
+    lossy, extension = held("groups.0.passivity.lost_frames=1")
+    assert lossy.limit == pytest.approx(0.2 / (12 * 1e-3**2))  # three holds: 2 (1 + 2 + 3)
+    assert "lost_frames 1: 3 holds" in lossy.text
+    assert extension.limit == pytest.approx(6e-3)  # 2 H T, in m for each m/s
+    pulled, _ = held("groups.0.passivity.lost_frames=0", "groups.0.passivity.hand_force=10")
+    assert pulled.limit == pytest.approx(0.2 / (6 * 1e-3**2) * 20.0 / (20.0 + 10.0 * 2.0**0.5))  # torque limit 20 N
+    assert "on each of 2 axes" in pulled.text
+
+
+def test_the_hint_for_lost_frames_is_what_the_certificates_do() -> None:
+    scene = load_scene(HANDLES, ["groups.0.passivity.lost_frames=1"])
+    loops = [LoopProperties(sample_time=1e-3, delay=1, moving_mass=0.2)] * 2
+    apart = AxesApart(axes_of(tuple(loops), 0.0, None), 1, 1)
+    still, torques = (0.0, 0.0), (20.0, 0.0)
+    apart.take(still, still, torques, [torques])
+    limit = next(h.limit for h in group_hints(scene) if h.what == "stiffness, certified by hand force")
+    assert limit is not None
+    assert apart.share_by_hand(torques, 0.999 * 20.0**2 / (2.0 * limit)) < 1.0
+    assert apart.share_by_hand(torques, 1.001 * 20.0**2 / (2.0 * limit)) == 1.0
 
 
 @pytest.mark.parametrize("path", [STAGE, LINKS, HANDLES], ids=lambda path: path.stem)
