@@ -92,13 +92,13 @@ class TorqueBound:
         """Takes several holds of which only the whole displacement is known, with the torques sent for them.
 
         Returns how much less than torque applied times displacement may have come in [J]. In all but the last hold,
-        whose torque was read back, any of the torques sent may have acted, or after two losses the one before them.
+        whose torque was read back, any of the torques sent may have acted, or where commands may be lost the one before them.
         The energy is wrong by at most the difference of the torques times the excursion in the hold, which is bounded
         by the whole displacement and the reach of the hand in the others - not by the displacement alone: a reversal
         has next to none.
         """
         declared, holds = self._declared, len(torques)
-        last, candidates = torques[-1], torques if declared.losses < 2 else (self._torque, *torques)
+        last, candidates = torques[-1], (self._torque, *torques) if declared.losses else torques
         largest = max(abs(torque) for torque in candidates)
         count = self._count
         self._kept = 0
