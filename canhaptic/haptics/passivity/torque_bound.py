@@ -92,7 +92,7 @@ class TorqueBound:
         """Takes several holds of which only the whole displacement is known, with the torques sent for them.
 
         Returns how much less than torque applied times displacement may have come in [J]. In all but the last hold,
-        whose torque was read back, any of the torques sent may have acted, or where commands may be lost the one before them.
+        whose torque was read back, any torque sent may have acted, and the one before them where commands may be lost.
         The energy is wrong by at most the difference of the torques times the excursion in the hold, which is bounded
         by the whole displacement and the reach of the hand in the others - not by the displacement alone: a reversal
         has next to none.
