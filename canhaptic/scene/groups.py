@@ -135,7 +135,9 @@ def _read_group(
     entry: GroupEntry, motion: Motion | None, loop_keys: Sequence[str], faults: Faults
 ) -> GroupScene | None:
     kinematics = _read_kinematics(entry, motion, faults)
-    task = motion if kinematics is None else task_unit(kinematics.name, motion)
+    written = entry.section.get("kinematics")
+    name = str(written.get("type")) if isinstance(written, MarkedMapping) else "identity"
+    task = task_unit(name, motion) if name in KINEMATICS else None  # also where its other keys are at fault
     network = _read_part(entry.section, "network", "type", NETWORKS, "network", task, faults)
     passivity = _read_part(
         entry.section, "passivity", "algorithm", GROUP_ALGORITHMS, "group algorithm", motion, faults, loop_keys

@@ -125,7 +125,8 @@ def _note(
     if kind == "missing":
         faults.add(value_at, f"missing{', expected ' + expected if expected else '; add it'}")
     elif kind == "value_error":
-        faults.add(value_at, f"got {shown(value)}, {fault['ctx']['error']}")
+        seen = "" if isinstance(value, MarkedMapping) else f"got {shown(value)}, "  # the error names the key
+        faults.add(value_at, f"{seen}{fault['ctx']['error']}")
     elif kind in _NUMBER_FAULTS and expected:
         faults.add(value_at, f"got {shown(value)}, expected {expected}")
     else:

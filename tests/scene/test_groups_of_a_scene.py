@@ -85,6 +85,13 @@ def test_what_is_wrong_is_one_clear_fault_at_its_place(path: Path, override: str
     assert any(words in line for line in found), found
 
 
+def test_a_fault_of_the_kinematics_leaves_the_units_of_the_network_as_they_are() -> None:
+    for fault, words in (("base=2 m", "base: got 2 m"), ("type=delta", "unknown kinematics 'delta'")):
+        [found] = faults(LINKS, f"groups.0.kinematics.{fault}")
+        assert words in found
+        assert "a mapping" not in found
+
+
 def test_an_axis_may_know_more_of_its_own_loop_than_the_group() -> None:
     scene = load_scene(STAGE, ["axes.y.passivity={moving_mass: 0.1 kg}"])
     assert [axis.loop.moving_mass for axis in scene.axes] == [0.2, 0.1]

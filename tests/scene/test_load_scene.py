@@ -131,7 +131,7 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         ),
         (
             ("  plant:", "  drive: {objects: {x: 1}}\n  plant:"),
-            "simulation.drive.objects: got a mapping, 'x' names no obj",
+            "simulation.drive.objects: 'x' names no obj",
         ),
         (("duration: 1 s", "duration: -1"), "scene.yaml:1:11: duration: got -1, expected 0 < duration <= 1e6 [s]"),
         (("duration: 1 s", "durations: 1 s"), "scene.yaml:1:1: durations: unknown key; did you mean 'duration'?"),

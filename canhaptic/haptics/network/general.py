@@ -2,6 +2,7 @@
 
 from pydantic import model_validator
 
+from canhaptic.errors import ParameterError
 from canhaptic.haptics.network.dissipators import Dissipator
 from canhaptic.haptics.network.geometry import LinearGeometry, Rendered, check_length, identity_rows
 from canhaptic.haptics.network.model import Network, check_rows
@@ -42,6 +43,11 @@ class General(Parameters):
     def build(self, dimensions: int) -> Rendered:
         """Returns the network; see `NetworkEnvironment`."""
         network = self._network()
+        if self.ports is None and network.ports != dimensions:
+            raise ParameterError(
+                f"general.gain: got {network.ports} columns, one for each port, in a task space of {dimensions} "
+                "dimensions, expected as many; or give ports, their rows over task space"
+            )
         rows = identity_rows(dimensions) if self.ports is None else self.ports
         check_rows("ports", rows, network.ports, dimensions)
         offset = self.offset or (0.0,) * network.ports
