@@ -1,6 +1,8 @@
 """Several simulated drives on one connection to the bus: each frame is received, and copied, once. Several buses."""
 
-from collections.abc import Sequence, Sized
+from collections import deque
+from collections.abc import Callable, Sequence, Sized
+from functools import partial
 from typing import Protocol
 
 import can
@@ -31,8 +33,10 @@ class DriveGroup:
     """
 
     def __init__(self, bus: can.BusABC, drives: Sequence[SimulatedDrive]) -> None:
-        self._bus = bus
-        self._waiting: Sized = getattr(bus, "waiting", "unknown")  # empty only where the bus says so
+        self._waiting: Sized = "unknown"  # empty only where the bus tells what waits
+        self._take: Callable[[], can.Message | None] = partial(bus.recv, 0.0)
+        if isinstance(waiting := getattr(bus, "waiting", None), deque):
+            self._waiting, self._take = waiting, waiting.popleft
         self.drives = tuple(drives)
         self._asleep = list(self.drives)
         self._hearers: dict[int, tuple[tuple[SimulatedDrive, Handler], ...]] = {}  # by COB-ID
@@ -43,8 +47,8 @@ class DriveGroup:
         """Handles every frame waiting on the bus and every timer due up to `now` [ns]."""
         while self._asleep:
             self._asleep.pop(0).wake(now)
-        receive, waiting = self._bus.recv, self._waiting
-        while waiting and (message := receive(0.0)) is not None:
+        take, waiting = self._take, self._waiting
+        while waiting and (message := take()) is not None:
             if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
                 continue
             hearers = self._hearers.get(message.arbitration_id)

@@ -65,7 +65,8 @@ class LeanVirtualBus(VirtualBus):
         channel: Who shares it shares the bus.
 
     Attributes:
-        waiting: Frames received and not taken yet; whoever looks here first need not ask an empty bus.
+        waiting: Frames received and not taken yet. Whoever looks here need not ask an empty bus, and whoever takes here
+            is asked for no time and no filters.
     """
 
     def __init__(self, channel: Any) -> None:
