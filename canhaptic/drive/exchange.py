@@ -28,7 +28,6 @@ class Exchange:
         skipped: Deadlines missed and left out since `begin`.
         deadline: Of the last SYNC [ns].
         woken: When the wait for it ended [ns].
-        synced: When it had been sent [ns].
         heard: When the last TPDO had come, or the window had closed [ns].
     """
 
@@ -56,7 +55,7 @@ class Exchange:
         self.periods = 1
         self.skipped = 0
         self._since_heartbeat = self._heartbeat_cycles
-        self._next = self.deadline = self.woken = self.synced = self.heard = self.clock.now()
+        self._next = self.deadline = self.woken = self.heard = self.clock.now()
 
     def sync(self) -> None:
         """Waits for the deadline, sends SYNC on every bus and takes the TPDOs until all came or their time is over.
@@ -78,8 +77,7 @@ class Exchange:
                 failure, window.pending = error, 0
                 for drive in group:
                     drive.refuse_tpdos()
-        self.synced = synced = clock.now()
-        end = synced + self._window_ns
+        end = clock.now() + self._window_ns
         for link, window, group in self._buses:
             while window.pending and link.poll(end):
                 pass

@@ -206,6 +206,21 @@ def test_the_recorder_sees_every_frame_with_its_time_and_direction(wire: Wire) -
     assert wire.link.statistics.foreign == 1
 
 
+def test_a_wait_that_is_over_handles_whatever_waits_already(wire: Wire) -> None:
+    wire.node.send("705#05 705#04 705#7f")
+    states: list[int] = []
+    wire.link.subscribe(0x705, lambda data: states.append(data[0]))
+    wire.link.pump(wire.clock.now())
+    assert states == [5, 4, 0x7F]
+
+
+def test_a_wait_that_frames_fill_to_its_end_ends_in_an_error_instead_of_a_hang(wire: Wire) -> None:
+    message = can.Message(arbitration_id=0x705, is_extended_id=False, data=b"\x05")
+    wire.bus.inner.recv = lambda timeout=None: message  # type: ignore[method-assign]
+    with pytest.raises(LinkError, match="floods the bus"):
+        wire.link.pump(wire.clock.now())
+
+
 def test_a_flood_ends_in_an_error_instead_of_a_hang(wire: Wire) -> None:
     endless = can.Message(arbitration_id=0x123, is_extended_id=False)
     wire.bus.recv = lambda timeout=None: endless  # type: ignore[method-assign]
