@@ -63,7 +63,7 @@ class BusLogWriter:
         }
         self._process = WriterProcess(job, [FRAME_RING], on_failure)
         [self._frames] = self._process.rings
-        self._push = self._frames.push
+        self._record = self._frames.recorder(0, self._insist)
         self._free = pace == "free"
         self._channels = len(channels)
         self.dropped = 0
@@ -85,9 +85,7 @@ class BusLogWriter:
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
-        frame = (timestamp_ns, can_id, len(data), is_rx, 0, data)
-        if not self._push(frame):
-            self._insist(frame)
+        self._record(timestamp_ns, can_id, data, is_rx)
 
     def on(self, bus: int) -> Recorder:
         """Returns what takes the frames of one bus, by its place among the channels; the log itself takes the first's.
