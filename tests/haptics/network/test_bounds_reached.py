@@ -7,6 +7,8 @@ import pytest
 
 from canhaptic.haptics.network.apart import AxesApart
 from canhaptic.haptics.network.bound import axes_of
+from canhaptic.haptics.network.commands import GroupCommands
+from canhaptic.haptics.network.group_account import GroupAccount
 from canhaptic.haptics.passivity.lost_samples import Gap, worst, worst_damped
 from canhaptic.haptics.passivity.protocol import LoopProperties
 
@@ -38,19 +40,22 @@ class Mass:
 
 @pytest.mark.parametrize("losses", [1, 2, 4])
 @pytest.mark.parametrize("delay", [0, 1])
-@pytest.mark.parametrize("velocity", [-0.02, 0.0, 0.05])
-def test_a_torque_that_stays_for_all_losses_gives_out_the_whole_budget(losses, delay, velocity):
-    """The share that `share_by_hand` admits is the largest: 0.9 of the bound would admit more than there is."""
+@pytest.mark.parametrize(("velocity", "mover"), [(-0.02, 0.0), (0.0, 0.0), (0.05, 0.0), (0.05, 0.02), (0.0, -0.3)])
+def test_a_torque_that_stays_for_all_losses_gives_out_the_whole_budget(losses, delay, velocity, mover):
+    """The share that `share_by_hand` admits is the largest: 0.9 of the bound would admit more than there is.
+
+    What a mover takes counts with what the motor gives out.
+    """
     budget, wanted = 1e-3, 500.0
     apart, mass = apart_of(1, delay, losses, PULL), Mass(velocity)
     last = mass.hold(PULL)  # the hand pulls before, without a torque
-    apart.take((last,), (0.0,), (0.0,), [(0.0,)] * delay)
+    carried = ((mover * T,),) * (delay + 1 + losses)
+    apart.take((last,), (0.0,), (0.0,), [(0.0,)] * delay, carried if mover else ())
     torque = apart.share_by_hand((wanted,), budget) * wanted
     assert 0.0 < torque < wanted
-    given = sum(torque * mass.hold(PULL + torque) for _ in range(losses + 1)) if not delay else 0.0
-    if delay:
+    for _ in range(delay):
         mass.hold(PULL)
-        given = sum(torque * mass.hold(PULL + torque) for _ in range(losses + 1))
+    given = sum(torque * (mass.hold(PULL + torque) - mover * T) for _ in range(losses + 1))
     assert given <= budget * (1.0 + 1e-9)
     assert given >= 0.98 * budget
 
@@ -134,3 +139,20 @@ def test_what_lost_samples_leave_in_doubt_for_every_hand_is_what_the_devices_dis
         assert short <= bound + 1e-12
         closest = max(closest, short / bound if bound > 1e-4 else 0.0)
     assert closest > 0.9
+
+
+def test_a_mover_in_holds_of_lost_samples_is_booked_at_its_worst():
+    random_of, closest = random.Random(3), -math.inf
+    loop = LoopProperties(sample_time=T, delay=1, moving_mass=MASS)
+    for _ in range(500):
+        account = GroupAccount(axes_of((loop,), 0.0, None), GroupCommands(1, 1, 1), 0.0, 1)
+        mass, torques = Mass(0.0), [random_of.uniform(0.0, 3.0) for _ in range(2)]
+        held = (torques[0], torques[0], torques[1])  # the second is an older one, or the same again
+        moved = [mass.hold(torque) for torque in held]
+        carried = [(random_of.uniform(-0.01, 0.01),) for _ in range(2)]
+        account.ended_hold((moved[0],), (held[0],))
+        doubt = account.ended_gap((moved[1] + moved[2],), ((held[1],), (held[2],)), tuple(carried))
+        too_much = (held[1] - held[2]) * (moved[1] - carried[0][0])
+        assert too_much <= doubt + 1e-12
+        closest = max(closest, too_much / doubt if doubt > 1e-3 else 0.0)
+    assert closest > 0.98
