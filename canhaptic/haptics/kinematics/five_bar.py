@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
-from canhaptic.haptics.kinematics.limits import Rows, check_box, checked, outside_box
+from canhaptic.haptics.kinematics.limits import FromPose, check_box, outside_box
 from canhaptic.haptics.kinematics.protocol import Limit, Pose
 from canhaptic.parameters import Parameters, quantity
 
@@ -15,7 +15,7 @@ _SINGULAR = Pose((0.0, 0.0), _ZEROS, Limit.SINGULAR.value)
 _APART = Pose((0.0, 0.0), _ZEROS, Limit.WORKSPACE.value)
 
 
-class FiveBar(Parameters):
+class FiveBar(FromPose, Parameters):
     """Motors at (-base / 2, 0) and (base / 2, 0); angles counted from the +x axis.
 
     With A and B the elbows, the handle p is where the circles of the distal links meet. Differentiating
@@ -79,11 +79,3 @@ class FiveBar(Parameters):
         return Pose(
             place, ((first * ey, -second * cy), (-first * ex, second * cx)), Limit.WORKSPACE.value if outside else 0
         )
-
-    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Returns the place of the handle [m]; see `Kinematics`."""
-        return checked(self, positions).position
-
-    def jacobian(self, positions: Sequence[float]) -> Rows:
-        """Returns d p / d q [m/rad]; see `Kinematics`."""
-        return checked(self, positions).jacobian

@@ -5,12 +5,12 @@ from typing import Annotated
 
 from pydantic import PrivateAttr
 
-from canhaptic.haptics.kinematics.limits import Rows, checked
+from canhaptic.haptics.kinematics.limits import FromPose, Rows
 from canhaptic.haptics.kinematics.protocol import Pose
 from canhaptic.parameters import Parameters, quantity
 
 
-class Identity(Parameters):
+class Identity(FromPose, Parameters):
     """x = q, for any number of axes, all in the same unit."""
 
     axes: Annotated[int, quantity("count", ge=1, le=16)]
@@ -29,11 +29,3 @@ class Identity(Parameters):
     def pose(self, positions: Sequence[float]) -> Pose:
         """Returns the positions and a unit Jacobian."""
         return Pose(tuple(positions), self._rows)
-
-    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Returns the positions; see `Kinematics`."""
-        return checked(self, positions).position
-
-    def jacobian(self, positions: Sequence[float]) -> Rows:
-        """Returns the unit matrix; see `Kinematics`."""
-        return checked(self, positions).jacobian

@@ -1,7 +1,7 @@
-"""What mechanisms share: the pose or an error, a workspace box, and the test of a Jacobian."""
+"""What mechanisms share: place and Jacobian from the pose, a workspace box, and the test of a Jacobian."""
 
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -11,24 +11,38 @@ from canhaptic.haptics.kinematics.protocol import Limit, Pose
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 
 
-class _HasPose(Protocol):
-    def pose(self, positions: Sequence[float]) -> Pose: ...
+class FromPose:
+    """Place and Jacobian of a mechanism that knows its pose."""
 
+    def pose(self, positions: Sequence[float]) -> Pose:
+        """Returns position, Jacobian and limit; see `Kinematics`."""
+        raise NotImplementedError
 
-def checked(mechanism: _HasPose, positions: Sequence[float]) -> Pose:
-    """Returns the pose.
+    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
+        """Returns the position in task space [m or rad].
 
-    Raises:
-        ControlError: It is outside the workspace or too close to a singular one.
-    """
-    pose = mechanism.pose(positions)
-    if pose.limit:
-        place = Limit(pose.limit).name.lower()
-        raise ControlError(
-            f"{type(mechanism).__name__}: motor positions {tuple(positions)} are at the limit {place!r}, "
-            "expected a pose inside the declared workspace; move the handle back, or declare a smaller margin"
-        )
-    return pose
+        Raises:
+            ControlError: The pose is outside the workspace or too close to a singular one.
+        """
+        return self._checked(positions).position
+
+    def jacobian(self, positions: Sequence[float]) -> Rows:
+        """Returns the Jacobian, rows of task coordinates.
+
+        Raises:
+            ControlError: As `forward`.
+        """
+        return self._checked(positions).jacobian
+
+    def _checked(self, positions: Sequence[float]) -> Pose:
+        pose = self.pose(positions)
+        if pose.limit:
+            place = Limit(pose.limit).name.lower()
+            raise ControlError(
+                f"{type(self).__name__}: motor positions {tuple(positions)} are at the limit {place!r}, "
+                "expected a pose inside the declared workspace; move the handle back, or declare a smaller margin"
+            )
+        return pose
 
 
 def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dimensions: int) -> None:

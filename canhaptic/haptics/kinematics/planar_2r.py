@@ -6,14 +6,14 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
-from canhaptic.haptics.kinematics.limits import Rows, check_box, checked, outside_box
+from canhaptic.haptics.kinematics.limits import FromPose, check_box, outside_box
 from canhaptic.haptics.kinematics.protocol import Limit, Pose
 from canhaptic.parameters import Parameters, quantity
 
 _NOWHERE = Pose((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), Limit.SINGULAR.value)
 
 
-class Planar2R(Parameters):
+class Planar2R(FromPose, Parameters):
     """x = base + l1 (cos a, sin a) + l2 (cos b, sin b), a = q1, b the direction of the second link."""
 
     axes: ClassVar[int] = 2
@@ -52,11 +52,3 @@ class Planar2R(Parameters):
         jacobian = ((-y1 - y2, -y2), (x1 + x2, x2)) if relative else ((-y1, -y2), (x1, x2))
         outside = outside_box(place, self.workspace_lower, self.workspace_upper)
         return Pose(place, jacobian, Limit.WORKSPACE.value if outside else 0)
-
-    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Returns the place of the handle [m]; see `Kinematics`."""
-        return checked(self, positions).position
-
-    def jacobian(self, positions: Sequence[float]) -> Rows:
-        """Returns d x / d q [m/rad]; see `Kinematics`."""
-        return checked(self, positions).jacobian

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import model_validator
 
-from canhaptic.haptics.kinematics.limits import Rows, check_box, checked, outside_box
+from canhaptic.haptics.kinematics.limits import FromPose, Rows, check_box, outside_box
 from canhaptic.haptics.kinematics.protocol import Limit, Pose
 from canhaptic.parameters import Parameters
 
 _LEAST_RATIO = 1e-6
 
 
-class Transmission(Parameters):
+class Transmission(FromPose, Parameters):
     """x = A q + offset."""
 
     matrix: Rows
@@ -66,11 +66,3 @@ class Transmission(Parameters):
             values.append(total)
         outside = outside_box(values, self.workspace_lower, self.workspace_upper)
         return Pose(tuple(values), self.matrix, Limit.WORKSPACE.value if outside else 0)
-
-    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Returns A q + offset; see `Kinematics`."""
-        return checked(self, positions).position
-
-    def jacobian(self, positions: Sequence[float]) -> Rows:
-        """Returns A; see `Kinematics`."""
-        return checked(self, positions).jacobian

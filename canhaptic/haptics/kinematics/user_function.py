@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Sequence
 
-from canhaptic.haptics.kinematics.limits import Rows, check_jacobian, checked
+from canhaptic.haptics.kinematics.limits import FromPose, check_jacobian
 from canhaptic.haptics.kinematics.protocol import Limit, Pose
 
 Map = Callable[[Sequence[float]], Sequence[float]]
 Derivative = Callable[[Sequence[float]], Sequence[Sequence[float]]]
 
 
-class UserFunction:
+class UserFunction(FromPose):
     """x = forward(q); the Jacobian is compared with differences of it where the mechanism is made.
 
     Attributes:
@@ -53,11 +53,3 @@ class UserFunction:
         if total != 0.0:
             return Pose((), (), Limit.SINGULAR.value)
         return Pose(place, rows)
-
-    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Returns x; see `Kinematics`."""
-        return checked(self, positions).position
-
-    def jacobian(self, positions: Sequence[float]) -> Rows:
-        """Returns the Jacobian; see `Kinematics`."""
-        return checked(self, positions).jacobian

@@ -152,17 +152,11 @@ def unfold(group: Any, twin: Any) -> Unfolded:
     if balance is DEAD:
         raise CannotUnfoldError(f"compiled: no step of {type(group).__name__} comes to its end")
     constants, lines = _constants(memory, network)
-    loads = [f"s{i} = numbers[{i}]" for i in range(inputs, inputs + 2 * axes)]
-    loads += [
-        f"s{slot.first + i} = {_READ[kind].format(slot.first + i)}"
-        for slot in memory.slots.values() for i, kind in enumerate(slot.kinds)
-    ]  # fmt: skip
-    loads += [f"s{first} = numbers[{first}]" for first in memory.parameters]
     stores = _stores(memory, walk)
     values = list(_flat(balance, walk))
     outputs = memory.take(len(values))
     stores += [f"numbers[{outputs + i}] = {as_kind(value, 'float')}" for i, value in enumerate(values)]
-    body = [*lines, *loads, *walk.writer.lines, *stores, "return True"]
+    body = [*lines, *_loads(memory, inputs, 2 * axes), *walk.writer.lines, *stores, "return True"]
     source = NAMES + _STEP + "".join(f"    {line}\n" for line in body)
     kinds = tuple(kind_of(value) for value in values)
     return Unfolded(
@@ -177,6 +171,16 @@ def unfold(group: Any, twin: Any) -> Unfolded:
 
 
 _READ: Final = {"float": "numbers[{}]", "int": "int(numbers[{}])", "bool": "numbers[{}] != 0.0"}
+
+
+def _loads(memory: Memory, inputs: int, count: int) -> list[str]:
+    """Returns the lines that name inputs, state and parameters."""
+    lines = [f"s{i} = numbers[{i}]" for i in range(inputs, inputs + count)]
+    lines += [
+        f"s{slot.first + i} = {_READ[kind].format(slot.first + i)}"
+        for slot in memory.slots.values() for i, kind in enumerate(slot.kinds)
+    ]  # fmt: skip
+    return [*lines, *(f"s{first} = numbers[{first}]" for first in memory.parameters)]
 
 
 def _lay_out(memory: Memory, walk: Statements, group: Any, twin: Any) -> SampledNetwork:
