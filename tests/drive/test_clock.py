@@ -239,3 +239,16 @@ def test_the_timing_of_a_cycle_is_recorded() -> None:
     bench.rig.write_torques([0.0])
     assert bench.rig.timing.wakeup_lateness == 250_000
     bench.close()
+
+
+@pytest.mark.parametrize(("beyond_half", "skipped"), [(0, 0), (1, 1)])
+def test_a_deadline_is_skipped_when_it_is_overslept_by_more_than_half_a_period(beyond_half: int, skipped: int) -> None:
+    bench = make_bench()
+    bench.rig.start()
+    bench.run(3)
+    last = bench.clock.now()
+    bench.clock.wait_until(last + MS + MS // 2 + beyond_half)
+    bench.rig.sync()
+    assert bench.rig.skipped_syncs == skipped
+    assert bench.clock.now() == last + (2 * MS if skipped else MS + MS // 2)
+    bench.close()

@@ -14,6 +14,7 @@ from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.haptics.passivity import build_controller
 from canhaptic.haptics.passivity.guarded import GuardedParameters
 from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.haptics.passivity.torque_bound import Declared, TorqueBound
 
 WALLS = [
     (1e2, 0.0),
@@ -229,3 +230,30 @@ def test_what_is_taken_from_an_empty_store_is_lacking_though_nothing_dissipates(
     paid_back = controller.step(-0.001, 2.0)
     assert (paid_back.h_i, paid_back.deficit) == (0.001, 0.0)
     assert residual(paid_back, taken.h_s) == pytest.approx(0.0, abs=1e-18)
+
+
+def test_a_modulated_damper_pays_the_surplus_back_in_a_wall_that_dissipates_nothing() -> None:
+    loop = LoopProperties(sample_time=1e-3, delay=0, moving_mass=0.2)
+    parameters = GuardedParameters(alpha="2000 s/m^2")
+    controller = build_controller(SpringDamperWall(stiffness=100.0), "guarded", parameters, loop)
+    controller.step(-0.001, 0.0)
+    last = controller.step(-0.0005, 4.0)
+    assert last.h_dis > 0.0
+    paid, position = 0.0, -0.0005
+    for _ in range(40):
+        position -= 1e-4
+        balance = controller.step(position, last.torque)
+        assert balance.h_dis - last.h_dis == pytest.approx(balance.deficit - balance.h_pas - balance.paid, abs=1e-15)
+        assert residual(balance, last.h_s) == pytest.approx(0.0, abs=1e-15)
+        paid += balance.h_pas
+        last = balance
+    assert paid > 1e-4
+
+
+def test_every_change_of_torque_leaves_half_an_encoder_count_unsure() -> None:
+    count = 1e-5
+    bound = TorqueBound(Declared(1e-3, None, None, 1.0, count, 0), delay=0)
+    torques = (1.0, -2.0, 0.5)
+    for torque in torques:
+        bound.ended_hold(0.0, torque)
+    assert bound.unsure == pytest.approx(0.5 * count * (1.0 + 3.0 + 2.5 + abs(torques[-1])), rel=1e-14)
