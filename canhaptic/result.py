@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from canhaptic.cycle import Cycle
+from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.haptics.balance import Certificate, Ledger
 
 
 def run_result(
@@ -41,15 +43,17 @@ def run_result(
 
 def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float) -> dict[str, dict[str, Any]]:
     """Returns the account of each axis, then of each group."""
-    accounts = {
-        name: {
+    drives, grouped = cycle.rig.drives, {axis for group in cycle.groups for axis in group.axes}
+    alone = iter(cycle.controllers)
+    accounts: dict[str, dict[str, Any]] = {}
+    for axis, (name, unit) in enumerate(ports):
+        drive = drives[axis]
+        accounts[name] = {
             "unit": unit,
-            **ledger.summary().as_json(sample_time),
+            **_ledger(cycle.ledgers[axis], sample_time, [drive], None if axis in grouped else next(alone)),
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
         }
-        for (name, unit), ledger, drive in zip(ports, cycle.ledgers, cycle.rig.drives, strict=True)
-    }
     for group in cycle.groups:
         members = [ports[axis] for axis in group.axes]
         for name, _ in members:
@@ -57,12 +61,25 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
         accounts[group.name] = {
             "unit": members[0][1],
             "axes": [name for name, _ in members],
-            **group.ledger.summary().as_json(sample_time),
+            **_ledger(group.ledger, sample_time, [drives[axis] for axis in group.axes], group.controller),
             "supplied": group.supplied,
             "unsure": group.unsure,
             "limits": dict(group.limits),
         }
     return accounts
+
+
+def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], controller: object) -> dict[str, Any]:
+    """Returns what a ledger holds, with the longest hold [sample times] of its drives.
+
+    A certificate covers `lost_frames` sample times without a new torque, of a controller that declares them, and none
+    of one that does not. Where a torque acted for longer, nothing was certified, whatever each step said.
+    """
+    account = ledger.summary().as_json(sample_time)
+    account["longest_hold"] = longest = max(drive.longest_hold for drive in drives)
+    if longest > 1 + getattr(controller, "lost_frames", 0) and account["in"] != account["out"]:
+        account["certificate"] = Certificate.NONE.name.lower()
+    return account
 
 
 def part_in_group(account: Mapping[str, Any], group: str) -> dict[str, Any]:

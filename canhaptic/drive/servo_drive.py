@@ -67,6 +67,8 @@ class ServoDrive:
             of the hold before and from the one sent, times the displacement [J]. The true torque of a hold lies
             between them unless the current loop overshoots, so that the energy booked is not farther from the true
             one. 0 where the demand is read back, which is exact, or nothing, which is believed.
+        longest_hold: The most sample times for which one torque was held since the last `reset`: 1 where all went well,
+            more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back tells.
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
 
     Raises:
@@ -129,6 +131,7 @@ class ServoDrive:
         self._held = 0.0  # torque when the first TPDO went missing [N*m or N]
         self._step = 0.0  # mean displacement per sample time since the last TPDO [rad or m]
         self._periods = 0  # sample times since the last TPDO
+        self.longest_hold = 1
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
     # --- in ---------------------------------------------------------------------------------------------------------
@@ -178,8 +181,10 @@ class ServoDrive:
         position = scaling.position(counts)
         torque = scaling.torque(self._applied_per_mille(reported))
         last = self._last
-        self._step = (position - last.position) / self._periods if last.sync_index >= 0 else 0.0
-        self._periods = 0
+        periods, self._periods = self._periods, 0
+        self._step = (position - last.position) / periods if last.sync_index >= 0 else 0.0
+        if periods > self.longest_hold and last.sync_index >= 0:
+            self.longest_hold = periods
         if self._measures and last.sync_index >= 0:
             self.read_back_bound += self._spread * scaling.torque_quantum * abs(position - last.position)
         self._last = sample = _tuple(Sample, (sync_index, position, torque, statusword, True))
@@ -199,6 +204,7 @@ class ServoDrive:
             self._unheeded = 0
         else:
             self._unheeded += 1
+            self.longest_hold = max(self.longest_hold, 1 + self._unheeded)
         if self._measures:
             self._spread = max(abs(reported - believed), abs(reported - self._held_before))
         self._held_before = reported

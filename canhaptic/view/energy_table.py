@@ -142,6 +142,10 @@ def _margin_place(port: Result) -> str:
     return f"{margin['time']:.4g} s " if margin["value"] < 0.0 else "never below 0  "
 
 
+def _longest_hold(port: Result) -> str:
+    return f"{port['longest_hold']} T   " if "longest_hold" in port else "-   "
+
+
 def _passive(port: Result) -> Text:
     """Returns yes, NO, or that only the energy in doubt, booked at its worst, lies between them."""
     least = port["least_interaction"]
@@ -192,6 +196,7 @@ _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("  reached at", _margin_place),
     ("damping rendered", _damping),
     ("energy known to", _known_to),
+    ("longest hold", _longest_hold),
     ("weakest certificate", lambda port: str(port["certificate"]).replace("_", " ") + "   "),
 )
 _TRUTH_ROWS: Final[tuple[_Row, ...]] = (

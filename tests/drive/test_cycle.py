@@ -199,6 +199,27 @@ def test_a_stall_skips_syncs_and_never_bursts(bench: MakeBench, late: int) -> No
     assert gaps[3:] == [1.0] * 3
     assert b.rig.skipped_syncs == (19 if late < 5 else 20)
     assert [sample.sync_index for sample in samples] == [3, 4, 5, 6, 7]
+    assert b.rig.drives[0].longest_hold == (20 if late < 5 else 21)
+
+
+@pytest.mark.parametrize("lost", [0, 1, 3])
+@pytest.mark.parametrize("cob_id", [0x185, 0x205])
+def test_a_hold_lasts_as_many_sample_times_as_frames_were_lost_in_a_row(
+    bench: MakeBench, cob_id: int, lost: int
+) -> None:
+    b = started(bench)
+    for cycle in range(6):
+        b.run(1, torque=1.0 + 0.1 * cycle)
+    assert b.rig.drives[0].longest_hold == 1
+    gone = itertools.count()
+
+    def lose(message: can.Message) -> can.Message | None:
+        return None if message.arbitration_id == cob_id and next(gone) < lost else message
+
+    b.tampered.on_send = b.tampered.on_receive = lose
+    for cycle in range(8):
+        b.run(1, torque=2.0 + 0.1 * cycle)
+    assert b.rig.drives[0].longest_hold == 1 + lost
 
 
 def test_a_full_queue_is_tried_once_more_and_then_stops_the_rig(bench: MakeBench) -> None:

@@ -85,6 +85,7 @@ class Guarded:
 
     def __init__(self, environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> None:
         sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or None
+        self.lost_frames = parameters.lost_frames
         response = None
         if parameters.hand_force is not None and mass is not None:
             most = loop.device_damping_bound or 0.0

@@ -1,0 +1,61 @@
+"""A host that stalls holds a torque longer than was certified: the account says so, and `lost_frames` covers it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.cli.main import main
+
+DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
+STALLS = "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}"
+IN_THE_WALL = "environment.position=0 m"
+
+
+def account(capsys: pytest.CaptureFixture[str], *values: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns the account of the handle and the truth."""
+    words = [word for value in values for word in ("--set", value)]
+    main(["run", str(DEMO), "--duration", "1.7", "--json", "--set", "bus.rate=250 Hz", *words])
+    result = json.loads(capsys.readouterr().out)
+    return result["ports"]["handle"], result["truth"]["handle"]
+
+
+def test_where_no_sync_was_late_a_hold_lasts_one_sample_time(capsys: pytest.CaptureFixture[str]) -> None:
+    port, _ = account(capsys)
+    assert (port["longest_hold"], port["certificate"]) == (1, "hand_force")
+
+
+def test_a_torque_that_acted_for_longer_than_was_certified_was_not(capsys: pytest.CaptureFixture[str]) -> None:
+    """60 ms at 250 Hz are 15 sample times beyond the one; the energy that came out is in the account and in truth."""
+    port, truth = account(capsys, STALLS)
+    assert (port["longest_hold"], port["certificate"]) == (16, "none")
+    assert port["least_interaction"] < -1e-3
+    assert truth["least_interaction"] == pytest.approx(port["least_interaction"], rel=0.01)
+
+
+@pytest.mark.parametrize(("lost_frames", "certificate"), [(14, "none"), (15, "hand_force")])
+def test_what_lost_frames_declares_is_certified(
+    lost_frames: int, certificate: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port, truth = account(capsys, STALLS, f"passivity.lost_frames={lost_frames}", IN_THE_WALL)
+    assert (port["longest_hold"], port["certificate"]) == (16, certificate)
+    assert port["out"] > 0.0
+    if certificate != "none":
+        assert truth["least_interaction"] >= -1e-9
+
+
+def test_the_table_names_the_longest_hold(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["run", str(DEMO), "--duration", "1.7", "--set", "bus.rate=250 Hz", "--set", STALLS])
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["longest", "hold", "16", "T"] in lines
+    assert ["weakest", "certificate", "none"] in lines
+
+
+def test_of_a_group_the_axis_held_longest_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = DEMO.with_name("two_handles.yaml")
+    main(["run", str(scene), "--duration", "0.5", "--json", "--set", "simulation.bus={drop: 0.2}"])
+    ports = json.loads(capsys.readouterr().out)["ports"]
+    [group] = [port for port in ports.values() if "axes" in port]
+    assert group["longest_hold"] >= 3
+    assert group["certificate"] in ("none", "exact")
