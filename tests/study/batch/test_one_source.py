@@ -84,6 +84,7 @@ def many(algorithm, scenes=300, **named):
         pytest.param("internal_dissipation", {"velocity": "windowed", "encoder_count": 1e-5}, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.timeout(600)
 def test_numba_gives_the_bits_of_numpy(algorithm, named):
     pytest.importorskip("numba")
     case, _ = many(algorithm, **named)
