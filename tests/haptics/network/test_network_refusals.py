@@ -57,7 +57,7 @@ MASS = Mass(mass=1.0)
         (lambda: CoupledHandles(stiffness=1.0).build(3), "even number"),
         (lambda: GuidedPath(points=((0.0,), (0.0,)), stiffness=1.0), "same point twice"),
         (lambda: General(storages=(SPRING, MASS), gain=((1.0,), (0.0,)), structure=((0, 1), (1, 0))), "J = -J'"),
-        (lambda: General(storages=(SPRING,), gain=((1.0,),)).build(2), "1 columns, one for each port, in a task space of 2"),
+        (lambda: General(storages=(SPRING,), gain=((1.0,),)).build(2), "1 columns, one for each port, in a task"),
         (lambda: AnisotropicSpring(centre=(0.0,), stiffness=((1.0, 0.0), (0.0, 1.0))).build(1), "expected 1"),
         (
             lambda: Network([UserEnergy(1, lambda x: x[0] ** 2, lambda x: [x[0]])], gain=[[1]]),
