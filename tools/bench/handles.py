@@ -35,7 +35,8 @@ class Coupled(NamedTuple):
 
 def couple(lost_frames: int, drop: float) -> Coupled:
     """Runs the scene for a minute of its time."""
-    scene = load_scene(SCENE, [f"groups.0.passivity.lost_frames={lost_frames}", f"simulation.bus.drop={drop}"])
+    bus = f"{{drop: {drop}}}" if drop else "{jitter: 1 us}"  # an ideal bus is named by no section at all
+    scene = load_scene(SCENE, [f"groups.0.passivity.lost_frames={lost_frames}", f"simulation.bus={bus}"])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
         with build(scene, "free", path) as experiment:
@@ -55,7 +56,7 @@ def _judge(log: EnergyLog, longest: int, certificate: str) -> Coupled:
     return Coupled(
         rms=float(np.sqrt(np.mean(distance**2))),
         drift=float(np.median(distance[-LAST:] + stronger / STIFFNESS)),
-        least=float((-log.truth["coupling"]["motor"]).min()),
+        least=float((-log.truth["coupling"]["motor"]).min()) + 0.0,  # no negative zero
         longest=longest,
         certificate=certificate,
     )
