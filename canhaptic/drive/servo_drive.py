@@ -68,7 +68,8 @@ class ServoDrive:
             between them unless the current loop overshoots, so that the energy booked is not farther from the true
             one. 0 where the demand is read back, which is exact, or nothing, which is believed.
         longest_hold: The most sample times for which one torque was held since the last `reset`: 1 where all went well,
-            more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back tells.
+            more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back tells; what
+            came together counts together.
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
 
     Raises:
@@ -132,6 +133,7 @@ class ServoDrive:
         self._step = 0.0  # mean displacement per sample time since the last TPDO [rad or m]
         self._periods = 0  # sample times since the last TPDO
         self.longest_hold = 1
+        self._stood = 0  # sample times since the torque read back was a new one
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
     # --- in ---------------------------------------------------------------------------------------------------------
@@ -172,6 +174,7 @@ class ServoDrive:
             if self.policy.missed == 0:
                 self._held = self.limiter.last
             self.policy.miss()
+            self.longest_hold = max(self.longest_hold, self._periods)
             self._acting = self._commanded
             self._last = self._last._replace(sync_index=sync_index, fresh=False)
             return self._last
@@ -201,10 +204,11 @@ class ServoDrive:
         if not self._reads_demand:
             self._judge_measured(reported, believed)
         elif reported == believed or reported != self._held_before or self._values[0] & _LIMITED:
-            self._unheeded = 0
+            self._unheeded, self._stood = 0, self._periods
         else:
             self._unheeded += 1
-            self.longest_hold = max(self.longest_hold, 1 + self._unheeded)
+            self._stood += self._periods
+            self.longest_hold = max(self.longest_hold, self._stood)
         if self._measures:
             self._spread = max(abs(reported - believed), abs(reported - self._held_before))
         self._held_before = reported

@@ -222,6 +222,51 @@ def test_a_hold_lasts_as_many_sample_times_as_frames_were_lost_in_a_row(
     assert b.rig.drives[0].longest_hold == 1 + lost
 
 
+@pytest.mark.parametrize("lost", [1, 3])
+def test_frames_lost_both_ways_count_together(bench: MakeBench, lost: int) -> None:
+    """A link dead from one RPDO on, until just before a SYNC: the torque before acts for every one of those holds."""
+    b = started(bench)
+    for cycle in range(6):
+        b.run(1, torque=1.0 + 0.1 * cycle)
+    taken, left = itertools.count(), itertools.count()
+
+    def lose(message: can.Message) -> can.Message | None:
+        rpdo, tpdo = message.arbitration_id == 0x205, message.arbitration_id == 0x185
+        is_lost = (rpdo and next(left) <= lost) or (tpdo and 0 < next(taken) <= lost)
+        return None if is_lost else message
+
+    b.tampered.on_send = b.tampered.on_receive = lose
+    for cycle in range(8):
+        b.run(1, torque=2.0 + 0.1 * cycle)
+    assert b.rig.drives[0].longest_hold == 2 + lost
+
+
+@pytest.mark.parametrize("late", [7, 8])
+def test_a_skipped_sync_and_a_lost_rpdo_count_together(bench: MakeBench, late: int) -> None:
+    """The torque of cycle 5 acts from SYNC 6 on and, the RPDO of cycle 6 being lost, until SYNC 8; one is 3 T late."""
+    b = started(bench)
+    gone = itertools.count()
+
+    def lose(message: can.Message) -> can.Message | None:
+        return None if message.arbitration_id == 0x205 and next(gone) == 6 else message
+
+    b.tampered.on_send = lose
+    for cycle in range(12):
+        if cycle == late:
+            b.clock.wait_until(b.clock.now() + 3 * b.rig.bus.sample_time_ns)
+        b.run(1, torque=1.0 + 0.1 * cycle)
+    assert b.rig.drives[0].longest_hold == 3 + 1
+
+
+def test_a_run_that_ends_unheard_tells_how_long_its_last_torque_was_held(bench: MakeBench) -> None:
+    b = started(bench, bus={"hold_cycles": 4, "stop_cycles": 6})
+    b.run(5, torque=4.0)
+    b.tampered.drop(0x185)
+    with pytest.raises(LinkError, match="6 SYNCs in a row"):
+        b.run(20, torque=4.0)
+    assert b.rig.drives[0].longest_hold == 6
+
+
 def test_a_full_queue_is_tried_once_more_and_then_stops_the_rig(bench: MakeBench) -> None:
     b = started(bench)
     b.run(3, torque=2.0)
