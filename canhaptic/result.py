@@ -77,7 +77,7 @@ def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], co
     """
     account = ledger.summary().as_json(sample_time)
     account["longest_hold"] = longest = max(drive.longest_hold for drive in drives)
-    if longest > 1 + getattr(controller, "lost_frames", 0) and account["in"] != account["out"]:
+    if longest > 1 + getattr(controller, "lost_frames", 0) and (account["in"] or account["out"]):
         account["certificate"] = Certificate.NONE.name.lower()
     return account
 

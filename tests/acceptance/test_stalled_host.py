@@ -2,11 +2,15 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.haptics.balance import AT_REST, Certificate, Ledger
+from canhaptic.result import _ledger
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 STALLS = "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}"
@@ -59,3 +63,15 @@ def test_of_a_group_the_axis_held_longest_counts(capsys: pytest.CaptureFixture[s
     [group] = [port for port in ports.values() if "axes" in port]
     assert group["longest_hold"] >= 3
     assert group["certificate"] in ("none", "exact")
+
+
+@pytest.mark.parametrize(("energies", "certificate"), [((0.5, -0.5), "none"), ((0.5, -0.25), "none"), ((), "exact")])
+def test_only_where_no_energy_moved_a_long_hold_takes_no_certificate(
+    energies: tuple[float, ...], certificate: str
+) -> None:
+    """What came in and went out to the last bit was exchanged all the same."""
+    ledger = Ledger()
+    for cycle, h_i in enumerate((0.0, *energies)):
+        ledger.add(AT_REST._replace(h_i=h_i, certificate=Certificate.EXACT.value), cycle)
+    drive = cast(ServoDrive, SimpleNamespace(longest_hold=2))
+    assert _ledger(ledger, 1e-3, [drive], None)["certificate"] == certificate
