@@ -79,7 +79,7 @@ class BusParameters(Parameters):
 
     @property
     def heartbeat_cycles(self) -> int:
-        """SYNCs from one heartbeat of the master to the next."""
+        """Sample times from one heartbeat of the master to the next."""
         return max(1, round(self.heartbeat_period * 1e9 / self.sample_time_ns))
 
     @property

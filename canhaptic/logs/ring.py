@@ -21,11 +21,10 @@ _FIRST_RING_CELL: Final = 8  # two cells of 8 bytes per ring: head, tail
 _TEXT_OFFSETS: Final = {"failure": 1024, "status": 2048}
 _TEXT_SIZE: Final = 1000  # [bytes]
 
-
 Record = Sequence[float | bytes | bytearray]
+"""Values of one record, in the order of its struct format."""
 Recorder = Callable[[int, int, bytes | bytearray, bool], None]
 """Takes (timestamp [ns], COB-ID, data, is_rx) of a frame."""
-"""Values of one record, in the order of its struct format."""
 
 
 class RingShape(NamedTuple):
