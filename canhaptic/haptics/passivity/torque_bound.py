@@ -42,6 +42,7 @@ class TorqueBound:
         "_history",
         "_kept",
         "_known_outward",
+        "_mixes",
         "_newest",
         "_response",
         "_simple",
@@ -56,6 +57,7 @@ class TorqueBound:
         self._response, self._count = declared.response, declared.encoder_count
         self._delay = delay
         self._simple = not (delay or declared.losses)
+        self._mixes = delay > 1 and declared.losses > 0  # some of those under way may act, and others not
         self.reset()
 
     def reset(self) -> None:
@@ -93,13 +95,14 @@ class TorqueBound:
 
         Returns how much less than torque applied times displacement may have come in [J]. In all but the last hold,
         whose torque was read back, any torque sent may have acted, and the one before them where commands may be lost.
-        The energy is wrong by at most the difference of the torques times the excursion in the hold, which is bounded
-        by the whole displacement and the reach of the hand in the others - not by the displacement alone: a reversal
-        has next to none.
+        The energy is wrong by at most the difference of the torques times the excursion in the hold. The displacement
+        alone does not bound it, as a reversal has next to none: the reach of the hand in the others does, or its speed,
+        or what the device dissipates in an excursion.
         """
         declared, holds = self._declared, len(torques)
         last, candidates = torques[-1], (self._torque, *torques) if declared.losses else torques
-        largest = max(abs(torque) for torque in candidates)
+        largest = max([abs(torque) for torque in candidates])
+        apart = max([abs(torque - last) for torque in candidates])
         count = self._count
         self._kept = 0
         self._known_outward.clear()
@@ -109,14 +112,31 @@ class TorqueBound:
             start = abs(self._displacement) + self._blur + count
             excursion = abs(displacement) + count + holds * (start + holds * step)
             self._blur = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
+            doubt = (holds - 1) * apart * excursion
         elif declared.speed is not None:
-            excursion = declared.speed * declared.sample_time
+            doubt = (holds - 1) * apart * declared.speed * declared.sample_time
         else:
-            excursion = abs(displacement) + count
+            doubt = self._doubt_of_every_hand(displacement, holds, apart)
         self._unsure += holds * count * largest
         self.unsure = self._unsure + 0.5 * count * abs(last)
         self._displacement, self._torque = displacement / holds, last
-        return (holds - 1) * max(abs(torque - last) for torque in candidates) * excursion
+        return doubt
+
+    def _doubt_of_every_hand(self, displacement: float, holds: int, apart: float) -> float:
+        """Returns the energy in doubt [J] where damping alone is known, and books what is dissipated for certain.
+
+        Args:
+            displacement: In all the holds [m or rad].
+            holds: How many.
+            apart: Largest difference of a torque that may have acted from the last one [N or N*m]; see `lost_samples`.
+        """
+        declared, count = self._declared, self._count
+        assert declared.damping is not None
+        stiffness = declared.damping / declared.sample_time
+        certain = abs(displacement) - count
+        if certain > 0.0:
+            self.dissipated += stiffness * certain * certain / holds
+        return (holds - 1) * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
 
     def keep(self, energy: float, enough: float) -> None:
         """Forgets what the device dissipated beyond `enough` [J] together with `energy`.
@@ -131,19 +151,12 @@ class TorqueBound:
         if self._simple:
             return energy + self.dissipated
         declared = self._declared
-        sequences = [under_way]
-        if declared.losses:
-            sequences = [(self._torque,) * (declared.losses + self._delay)]
-            if under_way:
-                sequences.append((*under_way, *(under_way[-1],) * declared.losses))
-        free = 0.0
-        if self._response is not None:
-            worst = 0.0
-            for sequence in sequences:
-                given = self._worst_out(1.0, sequence) + self._worst_out(-1.0, sequence)
-                if given > worst:
-                    worst = given
-            free = energy - worst
+        sequences, free = self._sequences(under_way), 0.0
+        if self._mixes and self._response is not None:
+            holds = declared.losses + self._delay
+            free = energy - self._given(1.0, under_way, holds)[0] - self._given(-1.0, under_way, holds)[0]
+        elif self._response is not None:
+            free = energy - max([self._worst_out(1.0, s) + self._worst_out(-1.0, s) for s in sequences])
         if declared.speed is not None:
             path = declared.speed * declared.sample_time
             free = max(free, energy - path * max(sum(abs(f) for f in s) for s in sequences))
@@ -151,6 +164,18 @@ class TorqueBound:
             share = declared.sample_time / (4.0 * declared.damping)
             free = max(free, energy + self.dissipated - share * max(sum(f * f for f in s) for s in sequences))
         return free if free > 0.0 else 0.0
+
+    def _sequences(self, under_way: Sequence[float]) -> list[Sequence[float]]:
+        """Returns the torques that may act before the next one [N or N*m], in each order that counts."""
+        losses = self._declared.losses
+        if not losses:
+            return [under_way]
+        if self._mixes:
+            return [self._sizes(under_way, losses + self._delay)]
+        sequences: list[Sequence[float]] = [(self._torque,) * (losses + self._delay)]
+        if under_way:
+            sequences.append((*under_way, *(under_way[-1],) * losses))
+        return sequences
 
     def _outward(self, sign: float) -> float:
         """Returns the largest displacement of the hold that ended, counted along `sign` [m or rad].
@@ -213,6 +238,43 @@ class TorqueBound:
             before = along
         return worst
 
+    def _may_act(self, sign: float, under_way: Sequence[float], holds: int) -> list[float]:
+        """Returns the largest torque along `sign` that may act in each of the next holds [N or N*m], >= 0.
+
+        Any torque sent may stay for the declared losses.
+        """
+        sent = [max(0.0, sign * torque) for torque in (self._torque, *under_way)]
+        losses = self._declared.losses
+        return [max(sent[max(0, hold - losses) : hold + 1]) for hold in range(1, holds + 1)]
+
+    def _sizes(self, under_way: Sequence[float], holds: int) -> tuple[float, ...]:
+        """Returns the largest size of a torque that may act in each of the next holds [N or N*m]."""
+        either = zip(self._may_act(1.0, under_way, holds), self._may_act(-1.0, under_way, holds), strict=True)
+        return tuple([max(pair) for pair in either])
+
+    def _given(self, sign: float, under_way: Sequence[float], holds: int) -> tuple[float, float]:
+        """Returns what any mix of torques along `sign` may give out [J], and the base of one after them [m or rad].
+
+        What one of them would take in is not counted: another may act in its place.
+        """
+        response = self._response
+        assert response is not None
+        displacement, before, given = self._outward(sign), sign * self._torque, 0.0
+        for along in self._may_act(sign, under_way, holds):
+            displacement = next_displacement(displacement, before, along, response)
+            if displacement > 0.0:
+                given += along * displacement
+            before = along
+        return given, next_displacement(displacement, before, 0.0, response)
+
+    def _by_hand_force_of_any(self, sign: float, energy: float, under_way: Sequence[float]) -> float:
+        """Returns `by_hand_force` where any mix of the torques under way may act."""
+        response = self._response
+        assert response is not None
+        given, base = self._given(sign, under_way, self._delay)
+        energy -= given + self._given(-sign, under_way, self._delay)[0]
+        return min(hand_force_bound(energy, base, response.during), self._if_held_on(energy, base))
+
     def by_hand_force(self, sign: float, energy: float, under_way: Sequence[float]) -> float:
         """Returns the largest torque along `sign` [N or N*m] for a hand within its declared force."""
         response = self._response
@@ -255,12 +317,14 @@ class TorqueBound:
         declared = self._declared
         by_force = by_damping = by_speed = 0.0
         losses, held = declared.losses, self._torque
-        if self._response is not None:
+        if self._mixes and self._response is not None:
+            by_force = self._by_hand_force_of_any(sign, energy, under_way)
+        elif self._response is not None:
             by_force = self.by_hand_force(sign, energy, under_way)
             if losses and under_way:
                 by_force = min(by_force, self.by_hand_force(sign, energy, (held,) * self._delay))
         if losses:
-            under_way = tuple(max(abs(f), abs(held)) for f in under_way)
+            under_way = self._sizes(under_way, self._delay)
         if declared.damping:
             squares = 0.0
             for torque in under_way:
