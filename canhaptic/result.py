@@ -73,11 +73,14 @@ def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], co
     """Returns what a ledger holds, with the longest hold [sample times] of its drives.
 
     A certificate covers `lost_frames` sample times without a new torque, of a controller that declares them, and none
-    of one that does not. Where a torque acted for longer, nothing was certified, whatever each step said.
+    of one that does not. A skipped SYNC is no lost frame: the torque under way acts for longer, and the one behind it,
+    which counted on a single hold, acts all the same. Where a torque acted for longer than was covered, nothing was
+    certified, whatever each step said.
     """
     account = ledger.summary().as_json(sample_time)
     account["longest_hold"] = longest = max(drive.longest_hold for drive in drives)
-    if longest > 1 + getattr(controller, "lost_frames", 0) and (account["in"] or account["out"]):
+    covered = getattr(controller, "lost_frames", 0) if all(drive.longest_gap == 1 for drive in drives) else 0
+    if longest > 1 + covered and (account["in"] or account["out"]):
         account["certificate"] = Certificate.NONE.name.lower()
     return account
 

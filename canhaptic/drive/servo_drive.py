@@ -70,6 +70,7 @@ class ServoDrive:
         longest_hold: The most sample times for which one torque was held since the last `reset`: 1 where all went well,
             more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back tells; what
             came together counts together.
+        longest_gap: The most sample times between two SYNCs since the last `reset`: 1 where none was skipped.
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
 
     Raises:
@@ -132,7 +133,7 @@ class ServoDrive:
         self._held = 0.0  # torque when the first TPDO went missing [N*m or N]
         self._step = 0.0  # mean displacement per sample time since the last TPDO [rad or m]
         self._periods = 0  # sample times since the last TPDO
-        self.longest_hold = 1
+        self.longest_hold = self.longest_gap = 1
         self._stood = 0  # sample times since the torque read back was a new one
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
@@ -170,6 +171,8 @@ class ServoDrive:
             periods: Sample times since the SYNC before; more than 1 when SYNCs were skipped.
         """
         self._periods += periods
+        if periods > self.longest_gap:
+            self.longest_gap = periods
         if not self.is_complete:
             if self.policy.missed == 0:
                 self._held = self.limiter.last
