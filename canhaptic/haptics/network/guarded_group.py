@@ -91,6 +91,7 @@ class GuardedGroup:
         self._account.reset()
         self._motion.reset()
         self._was_engaged = False
+        self._coming: tuple[Values, ...] = ()
 
     def hold(self) -> GroupBalance:
         """Repeats the last commands for want of a sample; see `GroupController`."""
@@ -114,10 +115,11 @@ class GuardedGroup:
         if hold is None:
             self._account.reset()
             motion.begin(positions)
+            self._coming = motion.carried(0, self._holds)
             return group_at_rest(self.axes)
         holds = 1 + len(hold.skipped)
         motion.follow(positions, hold.displacement, holds)
-        carried = motion.carried(-holds, holds)
+        carried = self._passed(holds)
         unsure = self._end(hold, applied, carried)
         interactions = tuple([-t * d for t, d in zip(applied, hold.displacement, strict=True)])
         supplied = -sum([taken_by_mover(applied, moved) for moved in carried])
@@ -128,9 +130,8 @@ class GuardedGroup:
                 h_pas += modulated * moved
                 lost += damper * moved
         ceiling = motion.energy
-        coming = motion.carried(0, self._holds)
-        h_r, deficit, leak, paid = self._account.book(h_i, h_pas, lost + motion.internal, ceiling, coming)
-        command, rendered, certificate = self._render(ceiling, coming)
+        h_r, deficit, leak, paid = self._account.book(h_i, h_pas, lost + motion.internal, ceiling, self._coming)
+        command, rendered, certificate = self._render(ceiling, self._coming)
         branch = self._branch(h_i, leak, deficit)
         self._was_engaged = motion.engaged
         account = EnergyBalance(
@@ -138,6 +139,18 @@ class GuardedGroup:
             deficit, leak, paid, branch, rendered, certificate, motion.first_state,
         )  # fmt: skip
         return GroupBalance(command.torques, account, interactions, supplied, unsure, motion.limit)
+
+    def _passed(self, holds: int) -> tuple[Values, ...]:
+        """Returns the mover's motion in the holds that ended, and looks as many further ahead.
+
+        It is that of the motors at the pose at which it was first asked for: with another pose of the same hold less
+        might be booked than was certified.
+        """
+        motion, known = self._motion, self._coming
+        late = max(0, holds - self._holds)
+        known = (*known, *motion.carried(-late, late), *motion.carried(self._holds - holds + late, holds - late))
+        self._coming = known[holds:]
+        return known[:holds]
 
     def _end(self, hold: EndedHold, applied: Values, carried: tuple[Values, ...]) -> float:
         if hold.skipped:
