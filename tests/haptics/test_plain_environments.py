@@ -77,6 +77,15 @@ class Doubled(SpringDamperWall):
         return 2.0 * super().effort(state)
 
 
+class Stiffened(SpringDamperWall):
+    """A wall of somebody's own whose property asks its base."""
+
+    @property
+    def linear_stiffness(self) -> float:
+        """Twice that of the wall."""
+        return 2.0 * super().linear_stiffness
+
+
 class Counting(SpringDamperWall):
     """A wall of somebody's own with a field, a property and a method that changes what it stands on."""
 
@@ -89,12 +98,18 @@ class Counting(SpringDamperWall):
 
     def contact(self, position: float) -> int:
         """Returns 2 below the surface."""
+        return self.model_zone(position)
+
+    def model_zone(self, position: float) -> int:
+        """Has a name as pydantic's own have."""
         return 2 if position < self.surface else 0
 
 
 def test_a_model_that_asks_its_base_and_an_object_that_is_no_model_are_taken_as_they_are() -> None:
     doubled = Doubled(stiffness=10.0)
     assert plain(doubled) is doubled
+    stiffened = Stiffened(stiffness=10.0)
+    assert plain(stiffened).linear_stiffness == 20.0
     stranger = object()
     assert plain(stranger) is stranger
 

@@ -34,16 +34,20 @@ def _plain_type(kind: type) -> Any:
     for base in reversed(kind.__mro__):
         if issubclass(base, Parameters) and base is not Parameters:
             own = {name: value for name, value in vars(base).items() if _is_own(name, value)}
-            if any(
-                isinstance(value, FunctionType) and "__class__" in value.__code__.co_freevars for value in own.values()
-            ):
+            if any(_names_its_class(value) for value in own.values()):
                 return None  # `super()` works in the class alone that it was written in
             members |= own
     return type(kind.__name__, (), {**members, "__doc__": kind.__doc__, "__module__": kind.__module__})
 
 
 def _is_own(name: str, value: object) -> bool:
-    return not (name.startswith(("__", "model_")) or name == "_abc_impl" or _is_of_pydantic(value))
+    return not (name.startswith("__") or hasattr(Parameters, name) or _is_of_pydantic(value))
+
+
+def _names_its_class(value: object) -> bool:
+    if isinstance(value, property):
+        return any(map(_names_its_class, (value.fget, value.fset, value.fdel)))
+    return isinstance(value, FunctionType) and "__class__" in value.__code__.co_freevars
 
 
 def _is_of_pydantic(value: object) -> bool:
