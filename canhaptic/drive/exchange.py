@@ -55,7 +55,7 @@ class Exchange:
         self.periods = 1
         self.skipped = 0
         self._since_heartbeat = self._heartbeat_cycles
-        self._next = self.deadline = self.woken = self.heard = self.clock.now()
+        self._next = self.deadline = self.woken = self.heard = self._synced = self.clock.now()
 
     def sync(self) -> None:
         """Waits for the deadline, sends SYNC on every bus and takes the TPDOs until all came or their time is over.
@@ -77,7 +77,10 @@ class Exchange:
                 failure, window.pending = error, 0
                 for drive in group:
                     drive.refuse_tpdos()
-        end = clock.now() + self._window_ns
+        synced = clock.now()
+        self.periods = (synced - self._synced + self._latest) // self._period or 1
+        self._synced = synced
+        end = synced + self._window_ns
         for link, window, group in self._buses:
             while window.pending and link.poll(end):
                 pass
@@ -106,7 +109,6 @@ class Exchange:
             for link in links[1:]:
                 link.drain()
             woken = now()
-        self.periods = (self._next - self.deadline) // period or 1
         self.deadline = self._next
         self._next += period
         return woken

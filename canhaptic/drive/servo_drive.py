@@ -134,6 +134,7 @@ class ServoDrive:
         self._step = 0.0  # mean displacement per sample time since the last TPDO [rad or m]
         self._periods = 0  # sample times since the last TPDO
         self.longest_hold = self.longest_gap = 1
+        self._is_late = False  # a SYNC was skipped before the last one
         self._stood = 0  # sample times since the torque read back was a new one
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
@@ -171,6 +172,7 @@ class ServoDrive:
             periods: Sample times since the SYNC before; more than 1 when SYNCs were skipped.
         """
         self._periods += periods
+        self._is_late = periods > 1
         if periods > self.longest_gap:
             self.longest_gap = periods
         if not self.is_complete:
@@ -286,15 +288,16 @@ class ServoDrive:
         """Returns the target torque (0x6071) for what the controller asks [N*m or N], after policy and limiter.
 
         While TPDOs are missing, the torque that was held when the first went missing, or what is left of it on its
-        ramp, is a bound: less of it may be asked for, as the operator's stop does, and never more.
+        ramp, is a bound: less of it may be asked for, as the operator's stop does, and never more. After a skipped SYNC
+        the last torque is: a controller takes the motion of several sample times for that of one, and brakes as hard.
 
         Raises:
             ControlError: The torque is not finite.
         """
-        if self.policy.missed and torque - torque == 0.0:  # a torque that is not finite must reach the limiter
-            held = self._held * self.policy.share()
+        policy, limiter = self.policy, self.limiter
+        if (policy.missed or self._is_late) and torque - torque == 0.0:  # one that is not finite must reach the limiter
+            held = self._held * policy.share() if policy.missed else limiter.last
             torque = max(min(held, 0.0), min(max(held, 0.0), torque))
-        limiter = self.limiter
         torque = limiter.limit(torque, self._step / self._sample_time)
         return self.scaling.torque_per_mille(torque, limiter.low, limiter.high)
 

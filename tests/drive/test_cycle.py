@@ -222,6 +222,18 @@ def test_a_hold_lasts_as_many_sample_times_as_frames_were_lost_in_a_row(
     assert b.rig.drives[0].longest_hold == 1 + lost
 
 
+@pytest.mark.parametrize("asked", [5.0, -5.0, 0.5])
+def test_after_a_skipped_sync_no_torque_is_raised_for_one_cycle(bench: MakeBench, asked: float) -> None:
+    """A controller sees several sample times of motion as one: its damper would brake that many times too hard."""
+    b = started(bench)
+    b.run(4, torque=1.0)
+    b.clock.wait_until(b.clock.now() + 14 * b.rig.bus.sample_time_ns)
+    b.run(2, torque=1.0)  # the SYNC that is sent before the stall ends, and the one after it
+    b.clock.wait_until(b.clock.now() + 14 * b.rig.bus.sample_time_ns)
+    b.run(3, torque=asked)
+    assert b.torques_sent()[-3:] == [{5.0: 100, -5.0: 0, 0.5: 50}[asked], *[round(100 * asked)] * 2]
+
+
 @pytest.mark.parametrize("lost", [1, 3])
 def test_frames_lost_both_ways_count_together(bench: MakeBench, lost: int) -> None:
     """A link dead from one RPDO on, until just before a SYNC: the torque before acts for every one of those holds."""
