@@ -1,7 +1,7 @@
 """Two coupled handles for a minute on a bus that loses frames: passive together, and where are they at the end?
 
-`python -m tools.bench.handles`: `configs/two_handles.yaml` over the whole CAN path, 1 kHz, a sample of delay, 1 % of all
-frames lost, with `lost_frames` from 0 to 4, and once without a loss. Energies and positions are those of the plant.
+`python -m tools.bench.handles`: `configs/two_handles.yaml` over the whole CAN path, 1 kHz, a sample of delay, 1 % of
+all frames lost, with `lost_frames` from 0 to 4, and once without a loss. Energies and positions are those of the plant.
 """
 
 import tempfile
