@@ -244,13 +244,16 @@ class TorqueBound:
         Any torque sent may stay for the declared losses.
         """
         sent = [max(0.0, sign * torque) for torque in (self._torque, *under_way)]
-        losses = self._declared.losses
-        return [max(sent[max(0, hold - losses) : hold + 1]) for hold in range(1, holds + 1)]
+        losses, newest = self._declared.losses, len(under_way)
+        return [
+            max([sent[place] for place in range(max(0, hold - losses), min(hold, newest) + 1)])
+            for hold in range(1, holds + 1)
+        ]
 
     def _sizes(self, under_way: Sequence[float], holds: int) -> tuple[float, ...]:
         """Returns the largest size of a torque that may act in each of the next holds [N or N*m]."""
-        either = zip(self._may_act(1.0, under_way, holds), self._may_act(-1.0, under_way, holds), strict=True)
-        return tuple([max(pair) for pair in either])
+        along, against = self._may_act(1.0, under_way, holds), self._may_act(-1.0, under_way, holds)
+        return tuple([max(along[hold], against[hold]) for hold in range(holds)])
 
     def _given(self, sign: float, under_way: Sequence[float], holds: int) -> tuple[float, float]:
         """Returns what any mix of torques along `sign` may give out [J], and the base of one after them [m or rad].

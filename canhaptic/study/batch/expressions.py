@@ -78,6 +78,7 @@ class Expressions(ABC):
             ast.IfExp: self._either,
             ast.Call: self._called,
             ast.GeneratorExp: self._each,
+            ast.ListComp: self._each,
             ast.Dict: self._memo,
             ast.JoinedStr: lambda e, f: "",
         }
