@@ -15,7 +15,7 @@ class GroupCommand(NamedTuple):
     torques: Values
     damper: Values  # of the network's dissipators at the ports
     modulated: Values  # of eq. 19
-    ports: Values  # effort at each port of the network, for what a mover gives
+    ports: Values = ()  # effort at each port of the network, where it is asked what a mover gave by them
     power: float = 0.0  # of the dampers at the velocities they came from, times the sample time (eq. 18) [J]
 
 
@@ -33,13 +33,13 @@ class EndedHold(NamedTuple):
 class GroupCommands:
     """Positions and commands of the holds that have not been booked yet."""
 
-    def __init__(self, axes: int, ports: int, delay: int) -> None:
+    def __init__(self, axes: int, delay: int, ports: int = 0) -> None:
         """Makes an empty queue.
 
         Args:
             axes: Motor axes.
-            ports: Of the network.
             delay: Whole holds between computation and action.
+            ports: Of the network, where the commands name the efforts there.
         """
         self.axes, self.delay = axes, delay
         zeros = (0.0,) * axes

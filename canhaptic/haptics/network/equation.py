@@ -22,7 +22,7 @@ class Room(NamedTuple):
     driven: Vector  # g dc
     residual: Vector
     direction: Vector  # of Newton's step
-    scale: Vector  # of the residual, fixed in the first evaluation of a sample
+    scale: Vector  # of the residual, fixed before the first evaluation of a sample
     weights: Vector  # change of the efforts along the direction, for the power of a step
     before: Vector  # the step where a search along a direction began
     jacobian: Matrix

@@ -61,7 +61,7 @@ class GuardedGroup:
         parameters: GuardedGroupParameters,
         loops: tuple[LoopProperties, ...],
     ) -> None:
-        self._motion = motion = GroupMotion(environment, kinematics, loops, parameters.compiled)
+        self._motion = GroupMotion(environment, kinematics, loops, parameters.compiled)
         self.axes = axes = kinematics.axes
         sample_time, delay = loops[0].sample_time, loops[0].delay
         self._known = known = axes_of(loops, parameters.hand_force, parameters.hand_speed)
@@ -80,7 +80,7 @@ class GuardedGroup:
         self._limits = [loop.torque_limit or math.inf for loop in loops]
         self._quanta = [loop.torque_quantum for loop in loops]
         self._quantised = any(self._quanta)
-        self._commands = GroupCommands(axes, motion.ports, delay)
+        self._commands = GroupCommands(axes, delay)
         self.lost_frames, self._splits = parameters.lost_frames, parameters.lost_frames > 0
         self._account = GroupAccount(known, self._commands, parameters.credit, parameters.lost_frames)
         self.reset()
@@ -186,11 +186,7 @@ class GuardedGroup:
             -(share * s + lead_share * a + d + m)
             for s, a, d, m in zip(wish.spring, wish.lead, damper, modulated, strict=True)
         ]
-        ports = [
-            share * s + lead_share * a + damper_share * d
-            for s, a, d in zip(wish.port_spring, wish.port_lead, wish.port_damper, strict=True)
-        ]
-        wished = GroupCommand(tuple(torques), tuple(damper), tuple(modulated), tuple(ports))
+        wished = GroupCommand(tuple(torques), tuple(damper), tuple(modulated))
         sent, factor, certificate = self._certified(torques, energy, covered, coming)
         if self._splits and factor < 1.0:
             command = self._split(wished, factor, energy)
@@ -200,7 +196,6 @@ class GuardedGroup:
             sent,
             tuple([factor * d for d in damper]),
             tuple([factor * m for m in modulated]),
-            tuple([factor * p for p in ports]),
         )
         self._commands.send(command)
         return command, factor * rendered, certificate

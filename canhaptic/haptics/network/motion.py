@@ -18,14 +18,11 @@ Values = Sequence[float]
 
 
 class Wish(NamedTuple):
-    """Efforts that oppose the motion, at the motors [N*m or N] and at the ports of the network."""
+    """Efforts that oppose the motion, at the motors [N*m or N]."""
 
     spring: list[float]
     lead: list[float]
     damper: list[float]
-    port_spring: list[float]
-    port_lead: list[float]
-    port_damper: list[float]
     velocity: list[float]  # of the motor axes, inside the contact [rad/s or m/s]
     internal_speed: float  # at which the storages at the ports move by themselves [m/s or rad/s]
 
@@ -232,12 +229,11 @@ class GroupMotion:
     def efforts(self, lead: float) -> Wish:
         """Returns what the network would have the motors do, with its springs `lead` holds ahead."""
         network, ports = self.network, self._port_motion()
-        port_damper = network.dampers(ports, self._sample_time)
-        port_spring, port_lead = network.springs(lead, self._holds, ports)
+        damper = network.dampers(ports, self._sample_time)
+        spring, leading = network.springs(lead, self._holds, ports)
         velocity = [self.entered * v for v in self._velocity]
         return Wish(
-            self.to_motors(port_spring), self.to_motors(port_lead), self.to_motors(port_damper),
-            port_spring, port_lead, port_damper, velocity,
+            self.to_motors(spring), self.to_motors(leading), self.to_motors(damper), velocity,
             network.internal_motion() / (self._holds * self._sample_time),
         )  # fmt: skip
 
