@@ -119,6 +119,17 @@ class Bench:
             bus.shutdown()
 
 
+MakeBench = Callable[..., Bench]
+"""`make_bench`, of whose benches a fixture takes care."""
+
+
+def started(make: MakeBench, *arguments: object, **values: object) -> Bench:
+    """A bench whose rig runs."""
+    bench = make(*arguments, **values)
+    bench.rig.start()
+    return bench
+
+
 def axis(node_id: int = 5, **values: Any) -> AxisParameters:
     """Parameters of an axis of 10 N rated, limited to 8 N."""
     defaults = {

@@ -1,12 +1,11 @@
 """SDO beside the running cycle: literal frames, from any thread, never in the way of a PDO, never after the stop."""
 
 import threading
-from collections.abc import Callable
 from concurrent.futures import CancelledError
 from contextlib import suppress
 
 import pytest
-from drive_bench import Bench, axis
+from drive_bench import Bench, MakeBench, axis
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +16,6 @@ from canhaptic.drive.sdo_transfer import ProtocolError
 from canhaptic.errors import InputError, SdoError
 from canhaptic.sim.state_machine import DriveState
 
-MakeBench = Callable[..., Bench]
 SOON = 10.0  # [s] until a thread of this process has handed a result over; never a pass mark
 NAME = b"canhaptic generic CiA 402 servo"  # 0x1008 of our EDS
 

@@ -1,17 +1,14 @@
 """What the drive says of the torque it gives: bits 11 and 12 of the statusword, and a measured torque that stands."""
 
-from collections.abc import Callable
-
 import can
 import pytest
-from drive_bench import Bench, axis
+from drive_bench import Bench, MakeBench, axis
 
 from canhaptic.drive.link_policy import StopReason
 from canhaptic.errors import CommandLostError, EmergencyError, NotFollowingError, StateLeftError, TorqueLimitedError
 from canhaptic.object_dictionary import StatusBit
 from canhaptic.sim.state_machine import DriveState
 
-MakeBench = Callable[..., Bench]
 LIMITED, FOLLOWS = int(StatusBit.INTERNAL_LIMIT), int(StatusBit.FOLLOWS_COMMAND)
 HOLD, STOP = 2, 20
 

@@ -1,17 +1,15 @@
 """The fail-closed start: every step confirmed on the wire, on our dictionary and on every cyclic-torque vendor file."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from drive_bench import RATED_TORQUE, Bench, axis
+from drive_bench import RATED_TORQUE, MakeBench, axis
 
 from canhaptic.drive.cia402 import is_enabled
 from canhaptic.object_dictionary import NmtState
 from canhaptic.sim.state_machine import DriveState
 
 VENDOR_FILES = ("elmo_gold.dcf", "zeroerr_erob.eds", "maxon_epos4.dcf", "kollmorgen_rgm.eds")
-MakeBench = Callable[..., Bench]
 
 
 def test_the_start_ends_with_the_drive_enabled_and_every_torque_zero(bench: MakeBench) -> None:

@@ -1,18 +1,15 @@
 """Every way out of a run: zero torque in the very next RPDO, then disabled, as the recorded frames show."""
 
 import math
-from collections.abc import Callable
 
 import can
 import pytest
-from drive_bench import Bench, axis
+from drive_bench import Bench, MakeBench, axis
 
 from canhaptic.drive.link_policy import StopReason
 from canhaptic.errors import ControlError, DriveFaultError, LinkError, RigError
 from canhaptic.object_dictionary import NmtState
 from canhaptic.sim.state_machine import DriveState
-
-MakeBench = Callable[..., Bench]
 
 
 def running(make: MakeBench, **values: object) -> tuple[Bench, int]:

@@ -2,12 +2,12 @@
 
 import ast
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import can
 import pytest
-from drive_bench import REPOSITORY, Bench, axis, make_bench
+from drive_bench import REPOSITORY, Bench, MakeBench, axis, make_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +16,6 @@ from canhaptic.errors import CanHapticError
 from canhaptic.scene.bus import open_bus
 from canhaptic.sim.state_machine import DriveState
 
-MakeBench = Callable[..., Bench]
 TRAITS = REPOSITORY / "tests" / "sim_drive" / "eds"
 
 
