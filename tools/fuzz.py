@@ -20,7 +20,7 @@ Target = Callable[[bytes], None]
 
 def dictionary() -> Target:
     """EDS and DCF."""
-    from canhaptic.dictionary import read_dictionary
+    from canhaptic.canopen.eds import read_dictionary
 
     path = _FOLDER / "fuzzed.eds"
 
@@ -74,7 +74,7 @@ def sdo_client() -> Target:
 
 def sdo_server() -> Target:
     """Requests to the simulated drive, 8 bytes each."""
-    from canhaptic.dictionary import read_dictionary
+    from canhaptic.canopen.eds import read_dictionary
     from canhaptic.sim.objects import ObjectStore
     from canhaptic.sim.sdo_server import SdoServer
 

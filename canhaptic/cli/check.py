@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.host import host_settings
 from canhaptic.cli.output import write_json
-from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.bus_budget import BusBudget, require_budget
 from canhaptic.drive.fitness import Finding, Verdict, check_dictionary
 from canhaptic.drive.pdo_map import choose_map

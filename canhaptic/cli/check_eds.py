@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import write_json
-from canhaptic.dictionary import read_dictionary
 from canhaptic.drive.fitness import Verdict
 from canhaptic.drive.pdo_map import AxisMap, PdoPlan
 from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, survey, unconfigured_axis

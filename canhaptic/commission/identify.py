@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
 from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
 from canhaptic.drive.link import Link

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
 from canhaptic.commission.laws import NO_TORQUE, OpenLoop
 from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session

@@ -16,14 +16,14 @@ from functools import partial
 from queue import SimpleQueue
 from typing import Any, Final
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.objects import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
 from canhaptic.drive import sdo_transfer
 from canhaptic.drive.link import Link
 from canhaptic.drive.sdo import ATTEMPTS
 from canhaptic.drive.sdo_transfer import ABORT, FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import LinkError, SdoError
-from canhaptic.object_dictionary import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
 
 _MOST_WAITING: Final = 1000  # requests per bus
 _MOST_ANSWERS: Final = 16  # kept between two looks

@@ -5,7 +5,8 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Final
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.objects import Controlword, NmtCommand, NmtState
 from canhaptic.drive.cia402 import FAULTED, TORQUE_FREE, DriveState, drive_state
 from canhaptic.drive.fitness import agreed_rated_torque
 from canhaptic.drive.pdo_map import is_writable
@@ -13,7 +14,6 @@ from canhaptic.drive.pdo_setup import write_map
 from canhaptic.drive.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
-from canhaptic.object_dictionary import Controlword, NmtCommand, NmtState
 
 REMEDIES: Final = {
     "presence": "check power, node ID, bit rate and cable",

@@ -7,7 +7,7 @@ fault reset, and matches states as substrings.
 from enum import Enum
 from typing import Final
 
-from canhaptic.object_dictionary import Controlword
+from canhaptic.canopen.objects import Controlword
 
 
 class DriveState(Enum):

@@ -6,11 +6,11 @@ sample and hold at intervals that nobody computed with.
 
 from collections.abc import Sequence
 
+from canhaptic.canopen.objects import HEARTBEAT_BASE, SYNC_FRAME_COB_ID, NmtState
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.servo_drive import ServoDrive, SyncWindow
 from canhaptic.errors import LinkError
-from canhaptic.object_dictionary import HEARTBEAT_BASE, SYNC_FRAME_COB_ID, NmtState
 
 _HEARTBEAT = bytes([NmtState.OPERATIONAL])
 

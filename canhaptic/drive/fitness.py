@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from canopen import ObjectDictionary
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
 from canhaptic.drive.parameters import AxisParameters
 from canhaptic.drive.pdo_map import choose_map
 from canhaptic.drive.quirks import quirks_of

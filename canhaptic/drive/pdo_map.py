@@ -12,7 +12,7 @@ from typing import Final, Literal
 from canopen import ObjectDictionary
 from canopen.objectdictionary import datatypes
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
 from canhaptic.drive.parameters import AxisParameters
 from canhaptic.drive.pdo_codec import MappedObject, codec, decode_entry
 from canhaptic.drive.quirks import quirks_of

@@ -4,11 +4,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from typing import Final
 
-from canhaptic.drive.bring_up import BringUp, nmt_name
-from canhaptic.drive.cia402 import FAULTED, DriveState, next_controlword
-from canhaptic.drive.exchange import Exchange
-from canhaptic.drive.servo_drive import ServoDrive
-from canhaptic.object_dictionary import (
+from canhaptic.canopen.objects import (
     NMT_COB_ID,
     POSITION_ACTUAL,
     TARGET_TORQUE,
@@ -17,6 +13,10 @@ from canhaptic.object_dictionary import (
     NmtState,
     StatusBit,
 )
+from canhaptic.drive.bring_up import BringUp, nmt_name
+from canhaptic.drive.cia402 import FAULTED, DriveState, next_controlword
+from canhaptic.drive.exchange import Exchange
+from canhaptic.drive.servo_drive import ServoDrive
 
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
 _WRAP: Final = 1 << 32

@@ -9,12 +9,7 @@ from enum import Enum
 from functools import partial
 from typing import Final
 
-from canhaptic.drive.bring_up import BringUp
-from canhaptic.drive.cia402 import TORQUE_FREE, drive_state
-from canhaptic.drive.exchange import Exchange
-from canhaptic.drive.servo_drive import ServoDrive
-from canhaptic.errors import LinkError, RigError
-from canhaptic.object_dictionary import (
+from canhaptic.canopen.objects import (
     CONTROLWORD,
     NMT_COB_ID,
     SDO_REQUEST_BASE,
@@ -23,6 +18,11 @@ from canhaptic.object_dictionary import (
     NmtCommand,
     NmtState,
 )
+from canhaptic.drive.bring_up import BringUp
+from canhaptic.drive.cia402 import TORQUE_FREE, drive_state
+from canhaptic.drive.exchange import Exchange
+from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.errors import LinkError, RigError
 
 _LONGEST_RAMP: Final = 50_000_000  # [ns]
 _CONFIRMATION: Final = 100_000_000  # [ns] that a drive may take for one step of the stop

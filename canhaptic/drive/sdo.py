@@ -13,11 +13,11 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import datatypes
 from canopen.sdo.exceptions import SdoAbortedError
 
+from canhaptic.canopen.objects import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
 from canhaptic.drive import sdo_transfer
 from canhaptic.drive.link import Link
 from canhaptic.drive.sdo_transfer import FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.errors import LinkError, SdoError
-from canhaptic.object_dictionary import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
 
 ATTEMPTS: Final = 3
 """How often an unanswered first request is sent."""

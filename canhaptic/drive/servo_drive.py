@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 from canopen import ObjectDictionary
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
 from canhaptic.drive.cia402 import ENABLED_MASK, ENABLED_VALUE, FAULTED, DriveState, drive_state
 from canhaptic.drive.fitness import require_fit
 from canhaptic.drive.limiter import TorqueLimiter

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, NamedTuple
 from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable, datatypes
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
 from canhaptic.drive.bus_budget import bus_budget
 from canhaptic.drive.fitness import Finding, Verdict, check_dictionary
 from canhaptic.drive.parameters import AxisParameters, BusParameters

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
 from canhaptic.drive.cia402 import drive_state
-from canhaptic.logs.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
 from canhaptic.logs.pdo_decoder import Field, PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.parameters import effort_unit

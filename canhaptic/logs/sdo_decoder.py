@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from canhaptic.logs.code_texts import sdo_abort_text
+from canhaptic.canopen.code_texts import sdo_abort_text
 
 _ABORT: Final = 0x80
 _FRAME: Final = 8  # [bytes] of every SDO frame

@@ -1,6 +1,6 @@
 """A rig that joins a bus whose drives are enabled already: for recordings that lack the start."""
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
 from canhaptic.drive.fitness import agreed_rated_torque
 from canhaptic.drive.quirks import quirks_of
 from canhaptic.drive.rig import Rig

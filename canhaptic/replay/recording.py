@@ -5,9 +5,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.bus_reader import Frame, read_bus_log
-from canhaptic.object_dictionary import SYNC_FRAME_COB_ID
 from canhaptic.replay.roles import Address, Roles
 from canhaptic.scene.channels import Channels
 

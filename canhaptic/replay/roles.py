@@ -3,8 +3,8 @@
 import struct
 from typing import Final, NamedTuple
 
-from canhaptic import object_dictionary as od
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.cia402 import is_enabled
 from canhaptic.drive.pdo_codec import codec
 from canhaptic.drive.pdo_map import choose_map

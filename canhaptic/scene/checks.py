@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.bus_budget import require_budget
 from canhaptic.drive.fitness import Verdict, check_dictionary
 from canhaptic.drive.parameters import BusParameters

@@ -1,6 +1,6 @@
 """What a scene tells of the nodes on its bus, for words beside recorded frames."""
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.logs.decoder import NodeDescription
 from canhaptic.scene.models import Scene
 

@@ -4,7 +4,7 @@ from typing import cast
 
 import can
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.servo_drive import ServoDrive

@@ -12,7 +12,7 @@ from typing import Final
 
 from canopen import ObjectDictionary
 
-from canhaptic import object_dictionary as od
+from canhaptic.canopen import objects as od
 from canhaptic.drive.bus_budget import round_rate
 from canhaptic.drive.pdo_map import is_writable
 from canhaptic.drive.quirks import quirks_of

@@ -13,8 +13,8 @@ from typing import Any, Final
 import can
 from canopen.objectdictionary import ObjectDictionary, datatypes
 
-from canhaptic.dictionary import read_dictionary
-from canhaptic.object_dictionary import (
+from canhaptic.canopen.eds import read_dictionary
+from canhaptic.canopen.objects import (
     ABORT_CONNECTION_OPTION,
     ERROR_BEHAVIOUR,
     HEARTBEAT_BASE,

@@ -5,7 +5,7 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
-from canhaptic.object_dictionary import COB_ID_INVALID, EMCY_BASE, EMCY_COB_ID, ERROR_CODE, ERROR_REGISTER, SdoAbort
+from canhaptic.canopen.objects import COB_ID_INVALID, EMCY_BASE, EMCY_COB_ID, ERROR_CODE, ERROR_REGISTER, SdoAbort
 from canhaptic.sim.objects import Entry, ObjectStore
 
 _ERROR_HISTORY: Final = 0x1003

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import can
 
-from canhaptic.object_dictionary import SYNC_FRAME_COB_ID
+from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.signals import FarSide
 from canhaptic.sim.bus_effects import BusEffects, Direction, Schedule
 from canhaptic.sim.bus_line import Counts, Foreign, Line, Wire

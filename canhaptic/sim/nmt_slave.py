@@ -6,7 +6,7 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
-from canhaptic.object_dictionary import (
+from canhaptic.canopen.objects import (
     CONSUMER_HEARTBEAT_TIME,
     HEARTBEAT_BASE,
     PRODUCER_HEARTBEAT_TIME,

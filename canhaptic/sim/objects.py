@@ -10,8 +10,8 @@ from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 
+from canhaptic.canopen.objects import SdoAbort
 from canhaptic.errors import ParameterError
-from canhaptic.object_dictionary import SdoAbort
 
 Value = int | float | bytes
 

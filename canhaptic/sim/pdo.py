@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Final
 
-from canhaptic.object_dictionary import (
+from canhaptic.canopen.objects import (
     COB_ID_INVALID,
     EVENT_DRIVEN,
     RPDO_COMMUNICATION,

@@ -6,7 +6,7 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
-from canhaptic.object_dictionary import COMMUNICATION_CYCLE_PERIOD, SYNC_COB_ID, SYNC_FRAME_COB_ID, SdoAbort
+from canhaptic.canopen.objects import COMMUNICATION_CYCLE_PERIOD, SYNC_COB_ID, SYNC_FRAME_COB_ID, SdoAbort
 from canhaptic.sim import emergency as emcy
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.objects import ObjectStore

@@ -5,7 +5,7 @@ Frames in, frames out, no bus and no time. Block transfer is refused, as CiA 301
 
 from typing import Final
 
-from canhaptic.object_dictionary import SdoAbort
+from canhaptic.canopen.objects import SdoAbort
 from canhaptic.sim.objects import ObjectStore
 
 _SEGMENT_BYTES: Final = 7

@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 
 from canopen.objectdictionary import datatypes
 
-from canhaptic.object_dictionary import (
+from canhaptic.canopen.objects import (
     CONTROLWORD,
     CURRENT_ACTUAL,
     CYCLIC_SYNC_TORQUE,

@@ -3,7 +3,7 @@
 from enum import IntEnum
 from typing import Final
 
-from canhaptic.object_dictionary import StatusBit
+from canhaptic.canopen.objects import StatusBit
 
 
 class DriveState(IntEnum):

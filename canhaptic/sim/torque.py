@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from canopen.objectdictionary import datatypes
 
+from canhaptic.canopen.objects import MAX_TORQUE, RATED_TORQUE, TARGET_TORQUE
 from canhaptic.errors import ParameterError
-from canhaptic.object_dictionary import MAX_TORQUE, RATED_TORQUE, TARGET_TORQUE
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.objects import ObjectStore
 

@@ -6,9 +6,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.canopen.objects import StatusBit
 from canhaptic.haptics.balance import Branch, Certificate
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
-from canhaptic.object_dictionary import StatusBit
 from canhaptic.result import part_in_group
 from canhaptic.signals import CycleTiming
 from canhaptic.view.extent import contacts, rows_between

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic import object_dictionary as od
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.cia402 import is_enabled
 from canhaptic.drive.fitness import agreed_rated_torque
 from canhaptic.drive.parameters import AxisParameters

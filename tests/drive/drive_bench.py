@@ -9,7 +9,7 @@ from typing import Any
 import can
 from canopen import ObjectDictionary
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import AxisParameters, BusParameters

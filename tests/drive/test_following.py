@@ -4,9 +4,9 @@ import can
 import pytest
 from drive_bench import Bench, MakeBench, axis
 
+from canhaptic.canopen.objects import StatusBit
 from canhaptic.drive.link_policy import StopReason
 from canhaptic.errors import CommandLostError, EmergencyError, NotFollowingError, StateLeftError, TorqueLimitedError
-from canhaptic.object_dictionary import StatusBit
 from canhaptic.sim.state_machine import DriveState
 
 LIMITED, FOLLOWS = int(StatusBit.INTERNAL_LIMIT), int(StatusBit.FOLLOWS_COMMAND)

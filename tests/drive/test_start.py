@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from drive_bench import RATED_TORQUE, MakeBench, axis
 
+from canhaptic.canopen.objects import NmtState
 from canhaptic.drive.cia402 import is_enabled
-from canhaptic.object_dictionary import NmtState
 from canhaptic.sim.state_machine import DriveState
 
 VENDOR_FILES = ("elmo_gold.dcf", "zeroerr_erob.eds", "maxon_epos4.dcf", "kollmorgen_rgm.eds")

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.dictionary import read_dictionary
-from canhaptic.logs.code_texts import emcy_text, sdo_abort_text
+from canhaptic.canopen.code_texts import emcy_text, sdo_abort_text
+from canhaptic.canopen.eds import read_dictionary
+from canhaptic.canopen.objects import SdoAbort
 from canhaptic.logs.decoder import BusDecoder, NodeDescription
-from canhaptic.object_dictionary import SdoAbort
 
 EDS = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"
 

@@ -18,8 +18,8 @@ import specification_of_scaling
 import specification_of_state_machine
 from mutator import load, mutants
 
+from canhaptic.canopen.objects import Controlword, StatusBit
 from canhaptic.drive import cia402, limiter, link_policy, scaling
-from canhaptic.object_dictionary import Controlword, StatusBit
 from canhaptic.sim import state_machine
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from canhaptic.canopen.objects import NmtState
 from canhaptic.cycle import run
 from canhaptic.errors import LinkError
-from canhaptic.object_dictionary import NmtState
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.state_machine import DriveState

@@ -6,7 +6,7 @@ from typing import Any
 
 import can
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters

@@ -9,7 +9,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.errors import DictionaryError
 
 

@@ -2,7 +2,7 @@
 
 from drive_on_bus import PERIOD, Rig
 
-from canhaptic.object_dictionary import NmtState
+from canhaptic.canopen.objects import NmtState
 from canhaptic.sim.state_machine import DriveState
 
 MS = 1_000_000

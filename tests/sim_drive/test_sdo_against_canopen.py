@@ -9,7 +9,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.sim.objects import ObjectStore
 from canhaptic.sim.sdo_server import SdoServer
 

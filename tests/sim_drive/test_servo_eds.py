@@ -8,8 +8,8 @@ import canopen
 import pytest
 from drive_on_bus import ROOT, SERVO_EDS
 
-from canhaptic import object_dictionary as od
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.eds import read_dictionary
 
 NEEDED = [
     *(0x1000, 0x1001, 0x1003, 0x1005, 0x1006, 0x1008, 0x1009, 0x100A, 0x1014, 0x1016, 0x1017, 0x1018, 0x1029, 0x1200),

@@ -16,7 +16,7 @@ import can
 import canopen
 from can.interfaces.virtual import VirtualBus
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.link import Link
 from canhaptic.drive.rig import Rig

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.dictionary import read_dictionary
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.bus_budget import bus_budget
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.parameters import BusParameters

@@ -25,8 +25,8 @@ from typing import Any, Final, NamedTuple
 
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
+from canhaptic.canopen.objects import CONSUMER_HEARTBEAT_TIME, PDO_COUNT, RPDO_MAPPING, TPDO_MAPPING
 from canhaptic.errors import DictionaryError
-from canhaptic.object_dictionary import CONSUMER_HEARTBEAT_TIME, PDO_COUNT, RPDO_MAPPING, TPDO_MAPPING
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
 _DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = 2, 7, 8, 9  # object types (CiA 301, table 42)
