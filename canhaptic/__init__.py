@@ -12,14 +12,14 @@ import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from canhaptic.control.balance import EnergyBalance as EnergyBalance
+    from canhaptic.control.balance import Ledger as Ledger
+    from canhaptic.control.passivity import build_controller as build_controller
+    from canhaptic.control.passivity.controller import LoopProperties as LoopProperties
     from canhaptic.cycle import Cycle as Cycle
     from canhaptic.cycle import run as run
     from canhaptic.drive.rig import Rig as Rig
     from canhaptic.errors import CanHapticError as CanHapticError
-    from canhaptic.haptics.balance import EnergyBalance as EnergyBalance
-    from canhaptic.haptics.balance import Ledger as Ledger
-    from canhaptic.haptics.passivity import build_controller as build_controller
-    from canhaptic.haptics.passivity.protocol import LoopProperties as LoopProperties
     from canhaptic.logs.energy_reader import EnergyLog as EnergyLog
     from canhaptic.result import run_result as run_result
     from canhaptic.scene.build import build as build
@@ -31,14 +31,14 @@ _PUBLIC: Final = {
     "CanHapticError": "canhaptic.errors",
     "Cycle": "canhaptic.cycle",
     "DirectRig": "canhaptic.sim.direct_rig",
-    "EnergyBalance": "canhaptic.haptics.balance",
+    "EnergyBalance": "canhaptic.control.balance",
     "EnergyLog": "canhaptic.logs.energy_reader",
-    "Ledger": "canhaptic.haptics.balance",
-    "LoopProperties": "canhaptic.haptics.passivity.protocol",
+    "Ledger": "canhaptic.control.balance",
+    "LoopProperties": "canhaptic.control.passivity.controller",
     "Plant": "canhaptic.sim.plant",
     "Rig": "canhaptic.drive.rig",
     "build": "canhaptic.scene.build",
-    "build_controller": "canhaptic.haptics.passivity",
+    "build_controller": "canhaptic.control.passivity",
     "load_scene": "canhaptic.scene.load",
     "run": "canhaptic.cycle",
     "run_result": "canhaptic.result",

@@ -1,7 +1,7 @@
 """The route of the signal, once per SYNC. Read this file first.
 
     SYNC -> position TPDO -> displacement -> energy balance -> torque -> RPDO -> drive -> motor + user
-            `drive/`         `haptics/`                       `drive/`        `sim/` (or real hardware)
+            `drive/`         `control/`                       `drive/`        `sim/` (or real hardware)
 
 One thread walks it. Whatever goes wrong on the way, zero torque is sent first and the exception is raised second.
 """
@@ -9,12 +9,12 @@ One thread walks it. Whatever goes wrong on the way, zero torque is sent first a
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from canhaptic.control.balance import EnergyBalance, Ledger
+from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
+from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
-from canhaptic.haptics.axis_group import AxisGroup, GroupedControllers
-from canhaptic.haptics.balance import EnergyBalance, Ledger
-from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.signals import CycleTiming, Sample, Truth
 from canhaptic.timing import DurationHistogram
 

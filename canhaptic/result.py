@@ -9,9 +9,9 @@ whether it is passive included, is that of the group, which has `axes`. Energies
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from canhaptic.control.balance import Certificate, Ledger
 from canhaptic.cycle import Cycle
 from canhaptic.drive.servo_drive import ServoDrive
-from canhaptic.haptics.balance import Certificate, Ledger
 
 
 def run_result(

@@ -15,12 +15,12 @@ from typing import Any, Final, Literal, NamedTuple
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.mechanisms import KINEMATICS
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.parameters import AxisParameters, BusParameters
-from canhaptic.haptics.environments import ENVIRONMENTS
-from canhaptic.haptics.kinematics import KINEMATICS
-from canhaptic.haptics.network import GROUP_ALGORITHMS, NETWORKS
-from canhaptic.haptics.passivity import ALGORITHMS
-from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS, SCALING_KEYS

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic import load_scene
-from canhaptic.haptics.balance import Branch, EnergyBalance, LedgerSummary
+from canhaptic.control.balance import Branch, EnergyBalance, LedgerSummary
 from canhaptic.scene.models import Scene
 from canhaptic.signals import Sample, Truth
 from canhaptic.study.over_can import walk_over_can

@@ -10,15 +10,15 @@ from unittest.mock import patch
 
 import numpy as np
 
-from canhaptic.haptics.balance import Branch, EnergyBalance
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.passivity import build_controller, internal_dissipation, stored_model
-from canhaptic.haptics.passivity.books import Books, Hold
-from canhaptic.haptics.passivity.internal_dissipation import InternalDissipation
-from canhaptic.haptics.passivity.protocol import LoopProperties
-from canhaptic.haptics.passivity.root import solve_balance
-from canhaptic.haptics.passivity.storage import Account
-from canhaptic.haptics.recovery import largest_stable_damping, least_oscillating_damping
+from canhaptic.control.balance import Branch, EnergyBalance
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import build_controller, internal_dissipation, stored_model
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.hold_account import Books, Hold
+from canhaptic.control.passivity.internal_dissipation import InternalDissipation
+from canhaptic.control.passivity.root import solve_balance
+from canhaptic.control.passivity.storage import Account
+from canhaptic.control.recovery import largest_stable_damping, least_oscillating_damping
 from canhaptic.study.loop import render
 from canhaptic.study.standard import (
     FIGURES_7_9,

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Final
 
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.errors import ControlError
-from canhaptic.haptics.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.parameters import Parameters, quantity
 
 NO_TORQUE: Final[tuple[float, ...]] = ()

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
+from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import ParameterError
-from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.logs.schema import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
 from canhaptic.logs.writer_process import WriterProcess
 from canhaptic.signals import CycleTiming, Sample, Truth

@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from canhaptic.haptics.balance import Branch, Certificate, EnergyBalance
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
 from canhaptic.parameters import Motion, damping_unit, effort_unit
 from canhaptic.signals import CycleTiming, PlantEnergy, Sample

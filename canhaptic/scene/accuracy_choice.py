@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.errors import InputError
-from canhaptic.haptics.balance import AT_REST, EnergyBalance
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant, effect_of
 from canhaptic.sim.direct_rig import DirectRig

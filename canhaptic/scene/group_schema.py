@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from canhaptic.haptics.kinematics import KINEMATICS
-from canhaptic.haptics.network import GROUP_ALGORITHMS, NETWORKS
+from canhaptic.control.mechanisms import KINEMATICS
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.scene.schema_parts import Schema, SchemaParts, or_null
 from canhaptic.sim.mechanism import MECHANISMS
 from canhaptic.sim.mechanism.task_hand import TaskHand

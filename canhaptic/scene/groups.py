@@ -13,8 +13,8 @@ What a scene says of the loop of all axes stands in `passivity` of the group; an
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeVar
 
-from canhaptic.haptics.kinematics import KINEMATICS
-from canhaptic.haptics.network import GROUP_ALGORITHMS, NETWORKS
+from canhaptic.control.mechanisms import KINEMATICS
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.parameters import Motion, Parameters, shown
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults, Mark

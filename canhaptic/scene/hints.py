@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-from canhaptic.haptics.passivity.certificates import (
+from canhaptic.control.certificates.scalar_bounds import (
     reach,
     renderable_by_device_damping,
     renderable_by_hand_force,
     renderable_by_hand_speed,
     start_speed,
 )
-from canhaptic.haptics.recovery import largest_stable_damping, least_oscillating_damping
+from canhaptic.control.recovery import largest_stable_damping, least_oscillating_damping
 from canhaptic.scene.models import AxisScene, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")

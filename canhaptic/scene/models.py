@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.parameters import AxisParameters, BusParameters
-from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.scene.buses import FurtherBus, NamedBus

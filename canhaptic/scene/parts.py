@@ -5,17 +5,17 @@ from typing import cast
 import can
 
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.mechanisms.kinematics import Kinematics
+from canhaptic.control.multi_axis import build_group_controller
+from canhaptic.control.multi_axis.axis_group import AxisGroup
+from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
+from canhaptic.control.passivity import build_controller
+from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.link import Link
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
-from canhaptic.haptics.axis_group import AxisGroup
-from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.kinematics.protocol import Kinematics
-from canhaptic.haptics.network import build_group_controller
-from canhaptic.haptics.network.protocol import GroupController, NetworkEnvironment
-from canhaptic.haptics.passivity import build_controller
-from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene, Typed
 from canhaptic.sim.drive_node import SimulatedDrive
 from canhaptic.sim.drive_parameters import SimulatedDriveParameters

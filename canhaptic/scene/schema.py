@@ -3,9 +3,9 @@
 Values that refer to each other (units of an axis, unique names) are beyond a schema; `load_scene` checks them.
 """
 
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.drive.parameters import AxisParameters, BusParameters
-from canhaptic.haptics.environments import ENVIRONMENTS
-from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.scene.axes import SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.scene.buses import BUS_KEY, BusTitle, FurtherBus

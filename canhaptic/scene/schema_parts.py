@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS
 from canhaptic.tables import load

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
+from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
-from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.parameters import Parameters
 from canhaptic.scene.models import AxisScene, Scene, Typed
 from canhaptic.study.scenes import loop_case

@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from canhaptic.haptics.environments.coulomb_surface import CoulombSurface
-from canhaptic.haptics.environments.damper_wall import DamperWall
-from canhaptic.haptics.environments.free_space import FreeSpace
-from canhaptic.haptics.environments.hardening_wall import HardeningWall
-from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.environments.two_sided_wall import TwoSidedWall
-from canhaptic.haptics.environments.viscoelastic_medium import ViscoelasticMedium
-from canhaptic.haptics.environments.viscous_medium import ViscousMedium
+from canhaptic.control.environments.coulomb_surface import CoulombSurface
+from canhaptic.control.environments.damper_wall import DamperWall
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.free_space import FreeSpace
+from canhaptic.control.environments.hardening_wall import HardeningWall
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
+from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
+from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.sim.assembly import MOTOR, Guard, LinearPart, Part, Rows, Scene
 from canhaptic.sim.effects import Effect
 from canhaptic.sim.propagator import Array

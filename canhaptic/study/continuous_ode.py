@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.control.environments.environment import Environment
 from canhaptic.errors import InputError
-from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.sim.assembly import Rows
 from canhaptic.sim.plant import Plant
 from canhaptic.study.loop import Array

@@ -4,7 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.control.environments.environment import Environment
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference import Reference
 

@@ -8,11 +8,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.control.balance import AT_REST, Branch, CompensatedSum, EnergyBalance, Ledger, LedgerSummary, residual
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity import build_controller
+from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.errors import ControlError
-from canhaptic.haptics.balance import AT_REST, Branch, CompensatedSum, EnergyBalance, Ledger, LedgerSummary, residual
-from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.passivity import build_controller
-from canhaptic.haptics.passivity.protocol import Controller, LoopProperties
 from canhaptic.parameters import Parameters
 from canhaptic.sim.direct_rig import DirectRig
 from canhaptic.sim.plant import Plant

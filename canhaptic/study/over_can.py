@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Sequence
 
+from canhaptic.control.balance import EnergyBalance, LedgerSummary
 from canhaptic.cycle import Cycle, run
 from canhaptic.errors import InputError, RigError
-from canhaptic.haptics.balance import EnergyBalance, LedgerSummary
 from canhaptic.scene.build import build
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_axis_controllers

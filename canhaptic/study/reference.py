@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.control.environments.environment import Environment
 from canhaptic.sim.effects import Effect
 from canhaptic.sim.plant import Plant, PlantParameters
 from canhaptic.sim.user import UserParameters

@@ -3,9 +3,9 @@
 from dataclasses import replace
 from typing import Final, cast
 
+from canhaptic.control.environments.environment import Environment
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import InputError
-from canhaptic.haptics.environments.protocol import Environment
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.effects import Effect

@@ -3,10 +3,10 @@
 import random
 from typing import Any, Final, cast
 
-from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.passivity import ALGORITHMS
-from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.sim.effects import Effect
 from canhaptic.sim.effects.grasp_change import GraspChange
 from canhaptic.sim.effects.tremor import Tremor

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.control.balance import Branch
 from canhaptic.errors import InputError
-from canhaptic.haptics.balance import Branch
 from canhaptic.logs.energy_reader import EnergyLog
 
 

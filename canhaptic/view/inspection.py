@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.canopen.objects import StatusBit
-from canhaptic.haptics.balance import Branch, Certificate
+from canhaptic.control.balance import Branch, Certificate
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.result import part_in_group
 from canhaptic.signals import CycleTiming

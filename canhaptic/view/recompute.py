@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.multi_axis.axis_group import GroupedControllers
 from canhaptic.errors import InputError
-from canhaptic.haptics.axis_group import GroupedControllers
-from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import Sample
 

@@ -44,7 +44,7 @@ def encoder_bound(port: Any, count: float) -> float:
 
 
 def identity(port: Any) -> np.ndarray:
-    """How far each row is from the identity of `canhaptic.haptics.balance`, relative to its largest term."""
+    """How far each row is from the identity of `canhaptic.control.balance`, relative to its largest term."""
     before = np.concatenate([[0.0], port["h_s"][:-1]])
     terms = [port["h_s"], before, port["h_r"], port["h_i"], port["gen"], port["h_pas"], port["deficit"], port["leak"]]
     signs = (1, -1, 1, -1, -1, 1, -1, 1)

@@ -9,8 +9,8 @@ import pytest
 from group_runs import AXES, GROUP, REPOSITORY, encoder_bound, identity, logged, run_config
 
 from canhaptic.cli.main import main
-from canhaptic.haptics.balance import Branch
-from canhaptic.haptics.kinematics.five_bar import FiveBar as MastersFiveBar
+from canhaptic.control.balance import Branch
+from canhaptic.control.mechanisms.five_bar import FiveBar as MastersFiveBar
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replay import replay
 from canhaptic.scene.build import Experiment

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from reference_loop import continuous, user_f, variation
 
+from canhaptic.control.balance import Branch
 from canhaptic.cycle import run
-from canhaptic.haptics.balance import Branch
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 

@@ -8,8 +8,8 @@ from typing import Any, cast
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.control.balance import AT_REST, Certificate, Ledger
 from canhaptic.drive.servo_drive import ServoDrive
-from canhaptic.haptics.balance import AT_REST, Certificate, Ledger
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import _ledger
 

@@ -15,8 +15,8 @@ import pytest
 from bus_frames import DEMO, IN_CONTACT, Frame, commands, read_log, reports
 
 from canhaptic.cli.main import main
-from canhaptic.haptics.balance import EnergyBalance
-from canhaptic.haptics.passivity.protocol import Controller
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.passivity.controller import Controller
 from canhaptic.scene import build, parts
 
 CYCLE = 50  # in which it happens

@@ -12,8 +12,8 @@ import yaml
 from documents import ROOT, Block, blocks, pages
 
 from canhaptic.cli.main import main
-from canhaptic.haptics.environments import ENVIRONMENTS
-from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.effects import EFFECTS
 
 NOT_RUN = {

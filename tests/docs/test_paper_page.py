@@ -46,9 +46,9 @@ def test_the_source_has_no_measured_number_of_its_own() -> None:
         ("[[paper_figures#fig6#no_delay]]", "'fig6'"),
         ("[[paper_figures#fig7]]", "expected a number"),
         ("[[passivity#A99 nothing#value]]", "'A99 nothing'"),
-        ("[[code:haptics/port.py:no_such]]", "has no 'no_such'"),
+        ("[[code:control/port.py:no_such]]", "has no 'no_such'"),
         ("[[code:no_such.py:any]]", "no_such.py"),
-        ("[[test:haptics/test_root.py:test_no_such]]", "has no 'test_no_such'"),
+        ("[[test:control/test_root.py:test_no_such]]", "has no 'test_no_such'"),
     ],
 )
 def test_a_mark_that_points_at_nothing_is_refused(

@@ -6,8 +6,8 @@ import re
 from documents import ROOT
 
 from canhaptic.cli.main import COMMANDS
-from canhaptic.haptics.environments import ENVIRONMENTS
-from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.bus_effects import BusEffects
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -7,12 +7,12 @@ import can
 import pytest
 from drive_bench import MakeBench, axis, started
 
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import build_controller
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.cycle import Cycle
 from canhaptic.drive.link_policy import StopReason
 from canhaptic.errors import CommandLostError, DriveFaultError, InputError, LinkError
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.passivity import build_controller
-from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.sim.state_machine import DriveState
 
 

@@ -16,12 +16,12 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import build_controller
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.cycle import Cycle
 from canhaptic.errors import RigError
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.passivity import build_controller
-from canhaptic.haptics.passivity.guarded import GuardedParameters
-from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.state_machine import DriveState
 

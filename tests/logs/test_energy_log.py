@@ -10,8 +10,8 @@ import pytest
 from log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
 from patience import wait_for
 
+from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
-from canhaptic.haptics.balance import EnergyBalance
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of

@@ -10,11 +10,11 @@ import pytest
 from scene_text import REPOSITORY
 
 from canhaptic.cli.main import main
+from canhaptic.control.certificates.group_certificates import axes_of
+from canhaptic.control.certificates.per_axis_certificates import AxesApart
+from canhaptic.control.multi_axis.axis_group import AxisGroup
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import ParameterError, SceneError
-from canhaptic.haptics.axis_group import AxisGroup
-from canhaptic.haptics.network.apart import AxesApart
-from canhaptic.haptics.network.bound import axes_of
-from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.scene.build import build
 from canhaptic.scene.hints import group_hints, stability_hints
 from canhaptic.scene.load import load_scene
@@ -216,7 +216,8 @@ def test_a_scene_of_axes_alone_imports_no_mechanism_and_no_network() -> None:
     names = set(done.stdout.split())
     assert not names & {
         "canhaptic.sim.mechanism.five_bar", "canhaptic.sim.mechanism.xy_stage", "canhaptic.sim.mechanism.linkage",
-        "canhaptic.haptics.network.step", "canhaptic.haptics.network.model", "canhaptic.haptics.kinematics.five_bar",
+        "canhaptic.control.port_hamiltonian.newton", "canhaptic.control.port_hamiltonian.network",
+        "canhaptic.control.mechanisms.five_bar",
     }  # fmt: skip
 
 

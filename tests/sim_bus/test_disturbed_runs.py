@@ -17,10 +17,10 @@ import pytest
 from bus_bench import virtual_bus
 
 from canhaptic.cli import drive as drive_command
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.passivity.controller import Controller
 from canhaptic.cycle import run
 from canhaptic.errors import DriveFaultError, LinkError, RigError
-from canhaptic.haptics.balance import EnergyBalance
-from canhaptic.haptics.passivity.protocol import Controller
 from canhaptic.scene.build import Experiment, build, build_drive_group
 from canhaptic.scene.bus import with_effects
 from canhaptic.scene.load import load_scene

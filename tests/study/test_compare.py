@@ -9,11 +9,11 @@ import pytest
 from reference_loop import USER_S, continuous, sampled
 from rich.console import Console
 
+from canhaptic.control.balance import Ledger
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import ALGORITHMS, build_controller
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.haptics.balance import Ledger
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.passivity import ALGORITHMS, build_controller
-from canhaptic.haptics.passivity.protocol import LoopProperties
 from canhaptic.scene.load import load_scene
 from canhaptic.study.algorithms import with_algorithm, with_known_plant
 from canhaptic.study.compare import compare

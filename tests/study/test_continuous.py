@@ -5,16 +5,16 @@ import pytest
 from reference_loop import USER_S, continuous
 from scipy.integrate import solve_ivp
 
+from canhaptic.control.environments.coulomb_surface import CoulombSurface
+from canhaptic.control.environments.damper_wall import DamperWall
+from canhaptic.control.environments.detents import Detents
+from canhaptic.control.environments.free_space import FreeSpace
+from canhaptic.control.environments.hardening_wall import HardeningWall
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
+from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
+from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import InputError
-from canhaptic.haptics.environments.coulomb_surface import CoulombSurface
-from canhaptic.haptics.environments.damper_wall import DamperWall
-from canhaptic.haptics.environments.detents import Detents
-from canhaptic.haptics.environments.free_space import FreeSpace
-from canhaptic.haptics.environments.hardening_wall import HardeningWall
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.environments.two_sided_wall import TwoSidedWall
-from canhaptic.haptics.environments.viscoelastic_medium import ViscoelasticMedium
-from canhaptic.haptics.environments.viscous_medium import ViscousMedium
 from canhaptic.sim.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.sim.plant import Plant, PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.loop import Recorder, render

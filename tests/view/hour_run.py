@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.haptics.balance import Branch
+from canhaptic.control.balance import Branch
 from canhaptic.logs.hdf5 import Hdf5File
 from canhaptic.logs.packing import PACKED_CHUNK
 from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema, PortDescription

@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from canhaptic.haptics.balance import AT_REST, Branch
+from canhaptic.control.balance import AT_REST, Branch
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.schema import PortDescription
 from canhaptic.signals import CycleTiming, Sample

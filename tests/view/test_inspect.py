@@ -8,8 +8,8 @@ import pytest
 import typed
 from synthetic_run import write_run, write_troubled_run
 
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance, Ledger
 from canhaptic.errors import InputError
-from canhaptic.haptics.balance import Branch, Certificate, EnergyBalance, Ledger
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view.checks import check
 from canhaptic.view.compare import compare

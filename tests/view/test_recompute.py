@@ -4,11 +4,11 @@ from pathlib import Path
 import h5py
 import pytest
 
-from canhaptic.haptics.axis_group import GroupedControllers
-from canhaptic.haptics.balance import EnergyBalance
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.passivity import build_controller
-from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.multi_axis.axis_group import GroupedControllers
+from canhaptic.control.passivity import build_controller
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.schema import PortDescription

@@ -11,7 +11,7 @@ import sys
 from collections import deque
 from time import perf_counter
 
-from canhaptic.haptics.balance import CompensatedSum
+from canhaptic.control.balance import CompensatedSum
 from tools.bench.report import Row, publish
 
 SAMPLES = 1_000_000_000

@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from canhaptic.haptics.kinematics.five_bar import FiveBar
-from canhaptic.haptics.kinematics.identity import Identity
-from canhaptic.haptics.network import build_group_controller
-from canhaptic.haptics.network.box import Box
-from canhaptic.haptics.network.compiled import CompiledEquation
-from canhaptic.haptics.network.equation import new_room
-from canhaptic.haptics.network.guarded_group import GuardedGroupParameters
-from canhaptic.haptics.network.protocol import GroupController
-from canhaptic.haptics.network.sphere import Sphere
-from canhaptic.haptics.network.step import advance
-from canhaptic.haptics.network.virtual_mass import VirtualMass
-from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.control.mechanisms.five_bar import FiveBar
+from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.multi_axis import build_group_controller
+from canhaptic.control.multi_axis.group_controller import GroupController
+from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.port_hamiltonian.equation import new_room
+from canhaptic.control.port_hamiltonian.newton import advance
+from canhaptic.control.port_hamiltonian.njit_equation import CompiledEquation
+from canhaptic.control.port_hamiltonian.shapes.box import Box
+from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
+from canhaptic.control.port_hamiltonian.shapes.virtual_mass import VirtualMass
 from tools.bench.report import Row, publish
 
 Array = NDArray[np.float64]

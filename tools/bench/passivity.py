@@ -15,9 +15,9 @@ from typing import Any
 import mpmath
 import numpy as np
 
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.passivity import ALGORITHMS
-from canhaptic.haptics.passivity.root import solve_balance
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity.root import solve_balance
 from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.cost import microseconds_per_step

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tools.bench.report import Row, publish
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "haptics"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "control"))
 users = importlib.import_module("guarded_users")
 
 WALLS = [(1e2, 0.0), (1e2, 50.0), (1e3, 0.0), (1e3, 20.0), (1e4, 0.0), (1e4, 50.0), (1e5, 0.0), (1e5, 50.0)]

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.environments.two_sided_wall import TwoSidedWall
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.stability_map import Loops, decay_per_hold
 from canhaptic.sim.user import UserParameters

@@ -9,9 +9,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.haptics.environments.coulomb_surface import CoulombSurface
-from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.environments.viscoelastic_medium import ViscoelasticMedium
+from canhaptic.control.environments.coulomb_surface import CoulombSurface
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.scene.accuracy_choice import simulation_of, textbook_model
 from canhaptic.scene.models import AxisScene
 from canhaptic.sim.propagator import Array

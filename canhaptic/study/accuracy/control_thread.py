@@ -8,11 +8,11 @@ from contextlib import ExitStack
 from itertools import pairwise
 from typing import Final
 
+from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.link import Link
 from canhaptic.drive.rig import Rig
-from canhaptic.haptics.balance import AT_REST, EnergyBalance
 from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.models import Scene

@@ -10,12 +10,12 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.drive.bus_budget import bus_budget
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.pdo_map import AxisMap, choose_map
 from canhaptic.errors import ParameterError
-from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.parameters import effort_unit
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene

@@ -4,9 +4,9 @@ The order and the rounding are those of `canhaptic.sim.direct_rig.DirectRig` and
 batch form is made from this source.
 """
 
-from canhaptic.haptics.balance import EnergyBalance
-from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.passivity.protocol import Controller
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity.controller import Controller
 from canhaptic.study.batch.meter import Meter
 
 

@@ -14,11 +14,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.haptics.environments.damper_wall import DamperWall
-from canhaptic.haptics.environments.free_space import FreeSpace
-from canhaptic.haptics.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.haptics.environments.two_sided_wall import TwoSidedWall
-from canhaptic.haptics.environments.viscous_medium import ViscousMedium
+from canhaptic.control.environments.damper_wall import DamperWall
+from canhaptic.control.environments.free_space import FreeSpace
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
+from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.sim.propagator import flow_changes
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.figures import last_rows

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from canhaptic.haptics.balance import Branch, EnergyBalance
-from canhaptic.haptics.environments.protocol import Environment
+from canhaptic.control.balance import Branch, EnergyBalance
+from canhaptic.control.environments.environment import Environment
 from canhaptic.study.loop import Array
 from canhaptic.study.reference import REST
 

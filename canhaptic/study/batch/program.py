@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple
 
-from canhaptic.haptics.environments.protocol import Environment
-from canhaptic.haptics.passivity import ALGORITHMS
-from canhaptic.haptics.passivity.protocol import LoopProperties
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.parameters import Parameters
 from canhaptic.study.batch.axis import SampledAxis
 from canhaptic.study.batch.graph import Graph

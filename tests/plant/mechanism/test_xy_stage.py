@@ -81,7 +81,7 @@ def test_a_stage_imports_no_effect_of_an_axis_no_other_mechanism_and_nothing_of_
     modules = imported(friction)
     assert "canhaptic.sim.mechanism.xy_stage" in modules
     assert not {n for n in modules if n.startswith(("canhaptic.sim.effects.", "canhaptic.sim.mechanism.five_bar"))}
-    assert not {n for n in modules if n.startswith(("canhaptic.haptics", "canhaptic.drive")) or "." not in n} - {
+    assert not {n for n in modules if n.startswith(("canhaptic.control", "canhaptic.drive")) or "." not in n} - {
         "canhaptic"
     }
 

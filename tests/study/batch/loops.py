@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.haptics.environments import ENVIRONMENTS
+from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.sim.plant import PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch.cases import loop_in_arrays

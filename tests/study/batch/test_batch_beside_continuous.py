@@ -7,7 +7,7 @@ import pytest
 from loops import PLANT, in_arrays, scalar_case
 from test_scenes import demo, many
 
-from canhaptic.haptics.environments import ENVIRONMENTS
+from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.sim.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with

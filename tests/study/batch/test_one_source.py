@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from loops import COUNTED, WORLDS, in_arrays, scalar_case, with_floats
 
-from canhaptic.haptics.passivity import ALGORITHMS
+from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.meter import METRICS
 from canhaptic.study.batch.nodes import NotBatchableError

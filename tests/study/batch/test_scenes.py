@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import CanHapticError, ParameterError
-from canhaptic.haptics.passivity import ALGORITHMS
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, Typed
 from canhaptic.sim.effects import read_effect

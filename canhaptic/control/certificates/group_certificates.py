@@ -1,0 +1,201 @@
+"""How much of a group's torques may act in the next hold: the certificates of one axis, for all motor axes at once.
+
+Let W be the torques asked for (motor coordinates) and l W, 0 <= l <= 1, those sent. The energy that they take out in
+their hold is l W . D, D the displacement in it, and the reasoning of `passivity.certificates` bounds W . D as it bounds
+a displacement along one axis: with D_0 the displacement of the hold that ended and f_0, f_1, ... the torques before,
+
+    W . D <= W . D_0 + sum of the responses of W . D to f_0, f_1, ..., to l W, and to the hand,
+
+so that l W . D <= l base + l^2 gain, and l follows as the torque of one axis does (`hand_force_bound`). For one axis it
+is the same number. What the axes share is only the energy: motion across the torques costs nothing.
+
+**Inertia.** The true inertia M may couple the axes; all that is known is M >= diag(m_i), the declared under-estimates.
+For symmetric 0 <= M^-1 <= P the largest value of W' M^-1 f is (W'Pf + |W|_P |f|_P) / 2: never more than the product of
+the norms, and 0 for opposed torques. For one axis it is max(0, W f) / m.
+
+**Hand.** W' M^-1 u <= F_h |W|_P |1|_P, u the torque of the hand at the motors, for the torques W of the hold and of the
+1 + delay holds after it. Every hand that pulls each motor axis with F_h or less is covered, however fast the torque
+turns and whatever M is. A hand may push harder against the torque (into a wall) where M does not couple the axes; a
+harder push ACROSS the torque is covered as long as the torque does not turn, and the axes are equal and not coupled.
+Forces that come from an inertia changing with the pose (Coriolis, centrifugal) count with the hand's.
+
+**Friction** of an axis raises an inward displacement, by no more than e^(-bT/m) in every hold; that is counted axis by
+axis. What it lowers counts only for one axis alone: where M couples them, friction on one axis pushes the others, and
+counts with the hand's force.
+
+**Mover.** A wall that moves by w in a hold gives the energy that its force takes over w: with u the motion of the
+motors that would go with it, W . u, so that D - u stands wherever D is multiplied by a torque. u is known in advance.
+
+**Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d serves every user.
+
+**Hand speed.** sum |F_i| v_max T <= E.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from canhaptic.control.certificates.scalar_bounds import Reach, reach
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.port_hamiltonian.discrete_gradient import Vector
+
+
+class Axes(NamedTuple):
+    """What the certificates know of the motor axes; shapes (axes,)."""
+
+    before: Vector  # response of the displacement to the torque of the hold before [m/N]
+    during: Vector  # and of the hold itself [m/N]
+    lost: Vector  # largest share of an inward displacement that friction takes from the next hold
+    hand: float  # F_h |1|_P: displacement by the hand for |W|_P = 1, both in the norm of before + during
+    by_hand: bool  # whether the hand-force certificate is declared
+    damping: Vector  # certain damping over the sample time [N/m]; 0 where it is not known
+    by_damping: bool
+    path: float  # v_max T [m or rad]; 0: the hand-speed certificate is not declared
+    count: Vector  # encoder counts [m or rad]
+
+
+def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_speed: float | None) -> Axes:
+    """Returns what the certificates know of the motor axes.
+
+    Args:
+        loops: Of each axis.
+        hand_force: F_h of each axis [N or N*m]; None: the certificate is not used. It needs every moving mass.
+        hand_speed: v_max [m/s or rad/s]; None: not used.
+    """
+    sample_time = loops[0].sample_time
+    by_hand = hand_force is not None and all(loop.moving_mass is not None for loop in loops)
+    alone = len(loops) == 1
+    responses = [
+        reach(
+            sample_time, loop.moving_mass or 1.0, 1.0, (loop.device_damping or 0.0) if alone else 0.0,
+            max(loop.device_damping or 0.0, loop.device_damping_bound or 0.0),
+        )
+        if by_hand
+        else Reach(1.0, 0.0, 0.0, 0.0)
+        for loop in loops
+    ]  # fmt: skip
+    lost = [1.0 - response.retained for response in responses]
+    damping = [(loop.device_damping or 0.0) / sample_time for loop in loops]
+    return Axes(
+        before=[response.before for response in responses],
+        during=[response.during for response in responses],
+        lost=lost,
+        hand=(hand_force or 0.0) * math.sqrt(sum(response.hand for response in responses)),
+        by_hand=by_hand,
+        damping=damping,
+        by_damping=all(value > 0.0 for value in damping),
+        path=(hand_speed or 0.0) * sample_time,
+        count=[loop.encoder_count for loop in loops],
+    )
+
+
+def response_to(torques: Vector, acting: Vector, response: Vector) -> float:
+    """Returns the largest response of W . D [J] to torques acting, for any inertia not below the declared."""
+    product = first = second = 0.0
+    for i in range(len(response)):
+        gain = response[i]
+        product += torques[i] * gain * acting[i]
+        first += torques[i] * gain * torques[i]
+        second += acting[i] * gain * acting[i]
+    largest = 0.5 * (product + math.sqrt(first * second))
+    return largest if largest > 0.0 else 0.0
+
+
+def hand_term(axes: Axes, torques: Vector) -> float:
+    """Returns how much the hand raises W . D in one hold [J]."""
+    if axes.hand == 0.0:
+        return 0.0
+    total = 0.0
+    for i in range(len(axes.before)):
+        total += torques[i] * (axes.before[i] + axes.during[i]) * torques[i]
+    return axes.hand * math.sqrt(total)
+
+
+def along_last(axes: Axes, torques: Vector, displacement: Vector, blur: Vector) -> float:
+    """Returns the largest W . D_0 [J], after friction, of a displacement known to its encoder counts and blur."""
+    total = 0.0
+    for i in range(len(axes.count)):
+        along = torques[i] * displacement[i]
+        total += along + abs(torques[i]) * (axes.count[i] + blur[i])
+    return total
+
+
+def raised_by_friction(axes: Axes, torques: Vector, displacement: Vector) -> float:
+    """Returns how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
+    total = 0.0
+    for i in range(len(axes.lost)):
+        if axes.lost[i] != 0.0:
+            along = torques[i] * displacement[i] + abs(torques[i]) * axes.count[i]
+            if along < 0.0:
+                total -= axes.lost[i] * along
+    return total
+
+
+def base_of(
+    axes: Axes, torques: Vector, displacement: Vector, bound: float, last: Vector, under_way: list[Vector]
+) -> float:
+    """Returns the base of l W . D [J] for torques that act after those under way.
+
+    Friction acts on what D_0 has left in every hold, axis by axis: where one axis moves inward and another outward,
+    their sum says nothing of it. The responses to forces are bounded without friction.
+
+    Args:
+        axes: What is known of them.
+        torques: W, (axes,).
+        displacement: Of the hold that ended, (axes,).
+        bound: Largest W . D_0 [J].
+        last: Torques held in that hold, (axes,).
+        under_way: Torques of the holds before that of W.
+    """
+    hand, friction = hand_term(axes, torques), raised_by_friction(axes, torques, displacement)
+    total = bound + friction
+    total += response_to(torques, last, axes.before) + hand
+    for acting in under_way:
+        total += response_to(torques, acting, axes.during)
+        if len(axes.lost) > 1:
+            total += friction
+        elif total < 0.0:
+            total -= axes.lost[0] * total
+        total += response_to(torques, acting, axes.before) + hand
+    return total
+
+
+def taken_by_mover(torques: Sequence[float], moved: Sequence[float]) -> float:
+    """Returns what a mover takes [J] in a hold, its motion given as one of the motors (axes,) [rad or m]."""
+    total = 0.0
+    for i in range(len(moved)):
+        total -= torques[i] * moved[i]
+    return total
+
+
+def gain_of(axes: Axes, torques: Vector) -> float:
+    """Returns the gain of l W . D [J] by the torques themselves."""
+    total = 0.0
+    for i in range(len(axes.during)):
+        total += torques[i] * axes.during[i] * torques[i]
+    return total
+
+
+def damping_need(axes: Axes, torques: Vector) -> float:
+    """Returns sum(F_i^2 T / 4 b_i) [J]."""
+    total = 0.0
+    for i in range(len(axes.damping)):
+        total += torques[i] * torques[i] / (4.0 * axes.damping[i])
+    return total
+
+
+def path_need(axes: Axes, torques: Vector) -> float:
+    """Returns sum |F_i| v_max T [J]."""
+    total = 0.0
+    for torque in torques:
+        total += abs(torque)
+    return total * axes.path
+
+
+def share_within(budget: float, base: float, gain: float) -> float:
+    """Returns the largest l >= 0 with l base + l^2 gain <= budget; see `certificates.hand_force_bound`."""
+    square = base * base + 4.0 * gain * budget
+    root = math.sqrt(square) if square > 0.0 else 0.0
+    if base <= 0.0:
+        return (root - base) / (2.0 * gain) if gain > 0.0 else math.inf
+    return 2.0 * budget / (root + base) if budget > 0.0 else 0.0

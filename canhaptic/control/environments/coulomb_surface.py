@@ -1,0 +1,37 @@
+"""A surface with Coulomb friction: sticks like a spring, slides at its limit (Prandtl's element)."""
+
+from typing import Annotated, ClassVar
+
+from canhaptic.control.environments.linear_spring import LinearSpring
+from canhaptic.parameters import quantity
+
+
+class CoulombSurface(LinearSpring):
+    """Friction along the axis, everywhere: an elastic bristle that yields at the friction effort.
+
+    Being a storage that yields it is passive and has no switching velocity; its presliding stiffness is finite.
+    """
+
+    friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
+    """Effort at which it slides."""
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
+    """Of the bristle before it slides."""
+
+    relaxes: ClassVar[bool] = True
+
+    def contact(self, position: float) -> int:
+        """Returns 1: the surface is everywhere."""
+        return 1
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Returns the strain of the bristle [m or rad] before it yields."""
+        return previous + displacement
+
+    def admissible(self, state: float, true: float) -> float:
+        """Returns the state: the bristle works both ways."""
+        return state
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Returns the state, or the strain at which the bristle yields; what it gives up is friction heat."""
+        limit = self.friction / self.stiffness
+        return min(max(state, -limit), limit)

@@ -1,0 +1,48 @@
+"""A wall without a spring (k = 0): a damper beyond a surface, which slows the hand going in and coming out."""
+
+from typing import Annotated, ClassVar
+
+from canhaptic.control.environments.sides import Side, is_beyond, kept_on_side
+from canhaptic.parameters import Parameters, quantity
+
+
+class DamperWall(Parameters):
+    """A half space of viscous matter; nothing is stored."""
+
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)]
+    """Coefficient d inside the half space."""
+    position: Annotated[float, quantity("m", "rad")] = 0.0
+    """Where the surface is."""
+    side: Side = "below"
+    """Where it is solid: below its position, or above it."""
+
+    linear_stiffness: ClassVar[float] = 0.0
+    relaxes: ClassVar[bool] = False
+
+    def contact(self, position: float) -> int:
+        """Returns 1 beyond the surface, 0 outside."""
+        return int(is_beyond(position, self.position, self.side))
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Returns the depth q - q_w [m or rad]."""
+        return position - self.position
+
+    def admissible(self, state: float, true: float) -> float:
+        """Returns the state, or 0 where it lies outside."""
+        return kept_on_side(state, true)
+
+    def stored_energy(self, state: float) -> float:
+        """Returns 0 J."""
+        return 0.0
+
+    def effort(self, state: float) -> float:
+        """Returns 0 N."""
+        return 0.0
+
+    def state_of_energy(self, energy: float, like: float) -> float:
+        """Returns 0: no state stores anything."""
+        return 0.0
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Returns the state: nothing relaxes."""
+        return state

@@ -1,0 +1,61 @@
+"""A wall that grows stiffer with depth, as most real materials do: effort k x + k3 x^3."""
+
+import math
+from typing import Annotated, ClassVar
+
+from canhaptic.control.environments.sides import Side, is_beyond, kept_on_side
+from canhaptic.parameters import Parameters, quantity
+
+
+class HardeningWall(Parameters):
+    """A one-sided wall with the stored energy k x^2 / 2 + k3 x^4 / 4."""
+
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    """Linear coefficient k."""
+    hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)]
+    """Cubic coefficient k3."""
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Of the damper beside the spring; it acts in contact only."""
+    position: Annotated[float, quantity("m", "rad")] = 0.0
+    """Where the surface is."""
+    side: Side = "below"
+    """Where the wall is solid: below its position, or above it."""
+
+    relaxes: ClassVar[bool] = False
+
+    @property
+    def linear_stiffness(self) -> float | None:
+        """Stiffness k [N/m or N*m/rad] without hardening, else None."""
+        return self.stiffness if self.hardening == 0.0 else None
+
+    def contact(self, position: float) -> int:
+        """Returns 1 inside the wall, 0 outside."""
+        return int(is_beyond(position, self.position, self.side))
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Returns the penetration q - q_w [m or rad]."""
+        return position - self.position
+
+    def admissible(self, state: float, true: float) -> float:
+        """Returns the state, or 0 where it lies outside the wall."""
+        return kept_on_side(state, true)
+
+    def stored_energy(self, state: float) -> float:
+        """Returns k x^2 / 2 + k3 x^4 / 4 [J]."""
+        square = state * state
+        return square * (0.5 * self.stiffness + 0.25 * self.hardening * square)
+
+    def effort(self, state: float) -> float:
+        """Returns k x + k3 x^3 [N or N*m]."""
+        return state * (self.stiffness + self.hardening * state * state)
+
+    def state_of_energy(self, energy: float, like: float) -> float:
+        """Returns the state with the sign of `like`: x^2 = 4 H / (k + sqrt(k^2 + 4 k3 H)), without cancellation."""
+        if energy <= 0.0:
+            return 0.0
+        below = self.stiffness + math.sqrt(self.stiffness * self.stiffness + 4.0 * self.hardening * energy)
+        return math.copysign(math.sqrt(4.0 * energy / below), like) if below else 0.0
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Returns the state: nothing relaxes."""
+        return state

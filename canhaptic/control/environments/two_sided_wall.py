@@ -1,0 +1,44 @@
+"""A slot: free in the middle, a spring-damper wall on either side."""
+
+from typing import Annotated, ClassVar
+
+from pydantic import model_validator
+
+from canhaptic.control.environments.linear_spring import LinearSpring
+from canhaptic.control.environments.sides import kept_on_side
+from canhaptic.parameters import quantity
+
+
+class TwoSidedWall(LinearSpring):
+    """Two walls of the same stiffness that face each other; free from `lower` to `upper`."""
+
+    lower: Annotated[float, quantity("m", "rad")]
+    """Surface of the wall below."""
+    upper: Annotated[float, quantity("m", "rad")]
+    """Surface of the wall above; more than `lower`."""
+
+    relaxes: ClassVar[bool] = False
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "TwoSidedWall":
+        if self.lower > self.upper:
+            raise ValueError(f"lower {self.lower} lies above upper {self.upper}; swap them")
+        return self
+
+    def contact(self, position: float) -> int:
+        """Returns 1 in the wall below, 2 in the wall above, 0 between."""
+        if position < self.lower:
+            return 1
+        return 2 if position > self.upper else 0
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Returns the penetration [m or rad]: negative in the wall below, positive in the wall above."""
+        return position - (self.lower if position < self.lower else self.upper)
+
+    def admissible(self, state: float, true: float) -> float:
+        """Returns the state, or 0 where it lies outside the wall."""
+        return kept_on_side(state, true)
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Returns the state: nothing relaxes."""
+        return state

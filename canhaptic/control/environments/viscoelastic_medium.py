@@ -1,0 +1,34 @@
+"""A viscoelastic medium: a spring that gives way with time (Maxwell), with a damper beside it (Jeffreys)."""
+
+import math
+from typing import Annotated, ClassVar
+
+from canhaptic.control.environments.linear_spring import LinearSpring
+from canhaptic.parameters import quantity
+
+
+class ViscoelasticMedium(LinearSpring):
+    """Dough: stiff against a quick motion, yielding to a slow one; it remembers for about its relaxation time."""
+
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
+    """Of the spring that gives way."""
+    relaxation_time: Annotated[float, quantity("s", gt=0.0)]
+    """Time in which a spring left alone falls to 1/e: series damping over stiffness."""
+
+    relaxes: ClassVar[bool] = True
+
+    def contact(self, position: float) -> int:
+        """Returns 1: the medium is everywhere."""
+        return 1
+
+    def true_state(self, position: float, displacement: float, previous: float) -> float:
+        """Returns the strain of the spring [m or rad] before it relaxes."""
+        return previous + displacement
+
+    def admissible(self, state: float, true: float) -> float:
+        """Returns the state: the spring works both ways."""
+        return state
+
+    def relaxed(self, state: float, sample_time: float) -> float:
+        """Returns x exp(-T / relaxation time): exact for a hold in which nothing moves."""
+        return state * math.exp(-sample_time / self.relaxation_time)

@@ -1,0 +1,16 @@
+"""One mechanism a file, and the table that names them."""
+
+from typing import Final
+
+_HERE: Final = "canhaptic.control.mechanisms"
+
+KINEMATICS: Final[dict[str, str]] = {
+    "identity": f"{_HERE}.identity:Identity",
+    "transmission": f"{_HERE}.transmission:Transmission",
+    "planar_2r": f"{_HERE}.planar_2r:Planar2R",
+    "five_bar": f"{_HERE}.five_bar:FiveBar",
+}
+"""Name in a scene -> "module:Class"; the class is the parameter model and the mechanism in one (`Kinematics`).
+
+A mechanism of one's own is `user_function.UserFunction(axes, dimensions, forward, jacobian)`, in Python only.
+"""

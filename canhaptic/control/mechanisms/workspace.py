@@ -1,0 +1,106 @@
+"""What mechanisms share: place and Jacobian from the pose, a workspace box, and the test of a Jacobian."""
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from canhaptic.control.mechanisms.kinematics import Limit, Pose
+from canhaptic.errors import ControlError, ParameterError
+
+Rows: TypeAlias = tuple[tuple[float, ...], ...]
+
+
+class FromPose:
+    """Place and Jacobian of a mechanism that knows its pose."""
+
+    def pose(self, positions: Sequence[float]) -> Pose:
+        """Returns position, Jacobian and limit; see `Kinematics`."""
+        raise NotImplementedError
+
+    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
+        """Returns the position in task space [m or rad].
+
+        Raises:
+            ControlError: The pose is outside the workspace or too close to a singular one.
+        """
+        return self._checked(positions).position
+
+    def jacobian(self, positions: Sequence[float]) -> Rows:
+        """Returns the Jacobian, rows of task coordinates.
+
+        Raises:
+            ControlError: As `forward`.
+        """
+        return self._checked(positions).jacobian
+
+    def _checked(self, positions: Sequence[float]) -> Pose:
+        pose = self.pose(positions)
+        if pose.limit:
+            place = Limit(pose.limit).name.lower()
+            raise ControlError(
+                f"{type(self).__name__}: motor positions {tuple(positions)} are at the limit {place!r}, "
+                "expected a pose inside the declared workspace; move the handle back, or declare a smaller margin"
+            )
+        return pose
+
+
+def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dimensions: int) -> None:
+    """Checks the edges of a workspace.
+
+    Raises:
+        ValueError: They have another dimension than task space, or no inside.
+    """
+    for name, edge in (("workspace_lower", lower), ("workspace_upper", upper)):
+        if edge is not None and len(edge) != dimensions:
+            raise ValueError(f"{name}: got {len(edge)} entries, expected {dimensions}")
+    if lower is not None and upper is not None and any(low >= high for low, high in zip(lower, upper, strict=True)):
+        raise ValueError(
+            f"got workspace_lower {lower} not below workspace_upper {upper} everywhere, expected an inside"
+        )
+
+
+def outside_box(position: Sequence[float], lower: Sequence[float] | None, upper: Sequence[float] | None) -> bool:
+    """Returns True where a position is outside the workspace box; False without one."""
+    if lower is not None:
+        for value, edge in zip(position, lower, strict=True):
+            if value < edge:
+                return True
+    if upper is not None:
+        for value, edge in zip(position, upper, strict=True):
+            if value > edge:
+                return True
+    return False
+
+
+def check_jacobian(
+    forward: Callable[[Sequence[float]], Sequence[float]],
+    jacobian: Callable[[Sequence[float]], Sequence[Sequence[float]]],
+    positions: Sequence[float],
+    dimensions: int,
+) -> None:
+    """Compares a Jacobian with differences of its map at given positions.
+
+    Raises:
+        ParameterError: Shapes do not fit, values are not finite, or the two differ.
+    """
+    base = np.array(positions, dtype=float)
+    found = np.array(jacobian(base.tolist()), dtype=float)
+    at = np.array(forward(base.tolist()), dtype=float)
+    if at.shape != (dimensions,) or found.shape != (dimensions, base.size):
+        raise ParameterError(
+            f"user kinematics: forward has shape {at.shape} and jacobian {found.shape}, expected ({dimensions},) and "
+            f"({dimensions}, {base.size})"
+        )
+    step = 1e-6
+    columns = [
+        (np.array(forward((base + step * e).tolist())) - np.array(forward((base - step * e).tolist()))) / (2.0 * step)
+        for e in np.eye(base.size)
+    ]
+    expected = np.array(columns).T
+    error = float(np.abs(found - expected).max())
+    if not error <= 1e-5 * max(1.0, float(np.abs(expected).max())):
+        raise ParameterError(
+            f"user kinematics: jacobian at {base.tolist()} is off by {error:g} from differences of forward, expected "
+            "<= 1e-5; forces would act in another direction than the motion they are booked with"
+        )

@@ -1,0 +1,106 @@
+"""Port-Hamiltonian networks on several motor axes: the tables that name them, and the controller of a group of axes."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+from weakref import WeakKeyDictionary
+
+from canhaptic.control.mechanisms.kinematics import Kinematics
+from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.errors import ParameterError
+from canhaptic.parameters import Parameters
+from canhaptic.tables import load
+
+_HERE: Final = "canhaptic.control.multi_axis"
+_SHAPES: Final = "canhaptic.control.port_hamiltonian.shapes"
+
+NETWORKS: Final[dict[str, str]] = {
+    "plane": f"{_SHAPES}.plane:Plane",
+    "box": f"{_SHAPES}.box:Box",
+    "sphere": f"{_SHAPES}.sphere:Sphere",
+    "tube": f"{_SHAPES}.tube:Tube",
+    "anisotropic_spring": f"{_SHAPES}.anisotropic_spring:AnisotropicSpring",
+    "moving_wall": f"{_SHAPES}.moving_wall:MovingWall",
+    "virtual_mass": f"{_SHAPES}.virtual_mass:VirtualMass",
+    "mass_on_spring": f"{_SHAPES}.virtual_mass:MassOnSpring",
+    "coupled_handles": f"{_SHAPES}.coupled_handles:CoupledHandles",
+    "guided_path": f"{_SHAPES}.guided_path:GuidedPath",
+    "general": f"{_SHAPES}.general:General",
+}
+"""Name in a scene -> "module:Class"; the class is the parameter model of the section (`NetworkEnvironment`)."""
+
+GROUP_ALGORITHMS: Final[dict[str, str]] = {
+    "guarded": f"{_HERE}.guarded_group:GuardedGroup",
+    "step_scaling": f"{_HERE}.scaled_group:ScaledGroup",
+}
+"""Name in a scene -> "module:Class". Every class has `parameters_type`, as those of `passivity.ALGORITHMS`."""
+
+_WHOLE: Final = ("guarded",)
+"""Whose whole step is compiled by `compiled: true`; of the others the equation of the network is."""
+
+
+def build_group_controller(
+    environment: NetworkEnvironment,
+    kinematics: Kinematics,
+    algorithm_name: str,
+    parameters: Parameters | None,
+    loops: Sequence[LoopProperties],
+) -> GroupController:
+    """Returns a controller of a group of axes, at rest and without stored energy.
+
+    Args:
+        environment: What is rendered; a class of `NETWORKS`, or anything with `build`.
+        kinematics: Between the motor axes and its task space.
+        algorithm_name: A name of `GROUP_ALGORITHMS`.
+        parameters: The algorithm's own `parameters_type`; None for its defaults.
+        loops: What is known of the loop of each motor axis; sample time and delay are the same for all.
+
+    Raises:
+        ParameterError: Unknown name, parameters of another algorithm, dimensions that do not fit together, loops that
+            differ in sample time or delay, or a value that the algorithm cannot do without.
+    """
+    algorithm = load(GROUP_ALGORITHMS, algorithm_name, "group algorithm")
+    if parameters is None:
+        parameters = algorithm.parameters_type()
+    if not isinstance(parameters, algorithm.parameters_type):
+        raise ParameterError(
+            f"group algorithm {algorithm_name!r}: got parameters {type(parameters).__name__}, "
+            f"expected {algorithm.parameters_type.__name__}"
+        )
+    if algorithm_name in _WHOLE and getattr(parameters, "compiled", False):
+        return _compiled(algorithm, environment, kinematics, parameters, tuple(loops))
+    controller: GroupController = algorithm(environment, kinematics, parameters, tuple(loops))
+    return controller
+
+
+def _compiled(
+    algorithm: Any, environment: NetworkEnvironment, kinematics: Kinematics, parameters: Parameters,
+    loops: tuple[LoopProperties, ...],
+) -> GroupController:  # fmt: skip
+    """Returns a controller whose whole step is compiled; only its equation, where the rest has no compiled form.
+
+    Raises:
+        ParameterError: numba is not installed, or the network has energies given as functions.
+    """
+    try:
+        from canhaptic.control.multi_axis.compiled_group import CompiledGroup
+        from canhaptic.control.multi_axis.unfolding.values import CannotUnfoldError
+    except ImportError as error:
+        raise ParameterError(
+            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
+        ) from error
+    interpreted = parameters.model_copy(update={"compiled": False})
+    try:
+        return CompiledGroup(lambda mechanism: algorithm(environment, mechanism, interpreted, loops), kinematics)
+    except CannotUnfoldError as error:
+        controller: GroupController = algorithm(environment, kinematics, parameters, loops)
+        _REASONS[controller] = f"{error}; only the equation of the network is compiled"
+        return controller
+
+
+_REASONS: Final[WeakKeyDictionary[GroupController, str]] = WeakKeyDictionary()
+
+
+def why_interpreted(controller: GroupController) -> str:
+    """Returns why the step of a controller asked to be `compiled` is not; empty where it is, or was not asked to be."""
+    return _REASONS.get(controller, "")

@@ -1,0 +1,143 @@
+"""Axes that render together: every axis still has a sample, a torque and its part of the energy, the group one account.
+
+The energy of an axis in a group is -torque * displacement as for any other (eq. 2), but alone it proves nothing: what
+comes in by one axis may go out by another. Store, dissipation, surplus and certificate are those of the group; the
+balance of the axis says `Branch.GROUP`, and its h_i is all that stands in it.
+"""
+
+from collections.abc import Sequence
+
+from canhaptic.control.balance import Branch, EnergyBalance, Ledger
+from canhaptic.control.mechanisms.kinematics import Limit
+from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController, group_at_rest
+from canhaptic.control.passivity.controller import Controller
+from canhaptic.signals import PlantEnergy, Sample, Truth
+
+_GROUP, _HELD = Branch.GROUP.value, Branch.HELD.value
+
+LIMIT_TEXTS = {
+    Limit.WORKSPACE.value: "the mechanism is outside its declared workspace: no torque until it is back",
+    Limit.SINGULAR.value: "the pose is closer to a singular one than declared: no torque until it is away",
+    Limit.UNSOLVED.value: "the network's equation was not solved: what it could not know is not given out",
+}
+"""Limit -> what it means for the user, for logs."""
+
+
+class AxisGroup:
+    """Some axes of a rig, what renders on them, and their account.
+
+    Args:
+        name: Of the group, unlike that of any axis.
+        axes: Their places in the rig, in the order of the controller.
+        controller: Of as many axes.
+
+    Attributes:
+        ledger: The account of the group.
+        balance: Of the last step.
+        limits: How many holds each `Limit` lasted, NONE left out.
+        supplied: Came in where no motor drives, as by the mover of a wall [J]; part of the ledger's interaction.
+        unsure: Taken off the ledger's interaction because lost samples leave it open [J].
+    """
+
+    def __init__(self, name: str, axes: Sequence[int], controller: GroupController) -> None:
+        self.name = name
+        self.axes = tuple(axes)
+        self.controller = controller
+        self.ledger = Ledger()
+        self.balance: GroupBalance = group_at_rest(len(self.axes))
+        self.limits = {limit.name.lower(): 0 for limit in Limit if limit is not Limit.NONE}
+        self.supplied = self.unsure = 0.0
+        self._limit = Limit.NONE.value
+
+    def step(self, samples: Sequence[Sample]) -> GroupBalance:
+        """Returns the balance of the hold that ended; held when the sample of any of its axes is not fresh.
+
+        Args:
+            samples: Of the whole rig.
+        """
+        positions, torques = [], []
+        for axis in self.axes:
+            sample = samples[axis]
+            if not sample.fresh:
+                self.balance = self.controller.hold()
+                return self.balance
+            positions.append(sample.position)
+            torques.append(sample.torque_applied)
+        self.balance = self.controller.step(positions, torques)
+        return self.balance
+
+    def book(self, sync_index: int) -> str:
+        """Takes the last step into the ledger, and counts its limit.
+
+        Returns:
+            What to note of a limit that was not there before; empty otherwise.
+        """
+        self.ledger.add(self.balance.account, sync_index)
+        self.supplied += self.balance.supplied
+        self.unsure += self.balance.unsure
+        limit, before = self.balance.limit, self._limit
+        self._limit = limit
+        if not limit:
+            return ""
+        self.limits[Limit(limit).name.lower()] += 1
+        return LIMIT_TEXTS[limit] if before != limit else ""
+
+    def sample(self, samples: Sequence[Sample]) -> Sample:
+        """Returns what stands in the log for the group: it has no position, and the norm of its torques.
+
+        Args:
+            samples: Of the whole rig.
+        """
+        words, square, fresh = 0, 0.0, True
+        for axis in self.axes:
+            sample = samples[axis]
+            words |= sample.statusword
+            square += sample.torque_applied * sample.torque_applied
+            fresh = fresh and sample.fresh
+        return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
+
+    def truth(self, truths: Sequence[Truth]) -> Truth:
+        """Returns the true energies of its axes together.
+
+        Args:
+            truths: Of the whole rig.
+        """
+        energies = [truths[axis].energy for axis in self.axes]
+        return Truth(0.0, PlantEnergy(*(sum(parts) for parts in zip(*energies, strict=True))))
+
+
+class GroupedControllers:
+    """Controllers of a rig on which at least one group renders.
+
+    Args:
+        controllers: One for each axis that is in no group, in the order of the rig.
+        groups: Each axis of the rig is in one of them or has a controller.
+    """
+
+    def __init__(self, controllers: Sequence[Controller], groups: Sequence[AxisGroup]) -> None:
+        self.groups = tuple(groups)
+        grouped = {axis for group in groups for axis in group.axes}
+        self.axes = len(controllers) + len(grouped)
+        self._singles = list(zip((axis for axis in range(self.axes) if axis not in grouped), controllers, strict=True))
+        self._balances: list[EnergyBalance] = [axis_balance(0.0, 0.0, _GROUP, 0)] * self.axes
+
+    def step(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
+        """Returns one balance per axis; those of the groups are in `AxisGroup.balance`."""
+        balances = self._balances.copy()
+        for axis, controller in self._singles:
+            sample = samples[axis]
+            balances[axis] = (
+                controller.step(sample.position, sample.torque_applied) if sample.fresh else controller.hold()
+            )
+        for group in self.groups:
+            balance = group.step(samples)
+            branch, certificate = balance.account.branch, balance.account.certificate
+            branch = _HELD if branch == _HELD else _GROUP
+            for axis, torque, h_i in zip(group.axes, balance.torques, balance.interactions, strict=True):
+                balances[axis] = axis_balance(torque, h_i, branch, certificate)
+        return balances
+
+
+def axis_balance(torque: float, h_i: float, branch: int, certificate: int) -> EnergyBalance:
+    """Returns the balance of an axis in a group: the rest of its account is the group's."""
+    return EnergyBalance(torque, h_i, 0.0, h_i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, branch, 0.0, certificate, 0.0)

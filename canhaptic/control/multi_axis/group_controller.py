@@ -1,0 +1,78 @@
+"""What renders on several motor axes at once, and the one account that all of them share.
+
+The torque of every motor is constant during a hold, so the energy that came in is -sum(tau_i dq_i) in MOTOR
+coordinates, exactly, whatever the mechanism between motors and hand (eq. 2). Kinematics only shape the torques.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+from canhaptic.control.balance import AT_REST, EnergyBalance
+
+
+class GroupBalance(NamedTuple):
+    """One step of a group: the torques to apply next, and the account of the hold that ended. Energies in [J].
+
+    `account` keeps the identity of `canhaptic.control.balance` for the whole group. Its `h_i` is
+    sum(interactions) + supplied - unsure; its `torque` is the Euclidean norm of `torques`, for plots only; its
+    `state` is the first state of the network.
+    """
+
+    torques: tuple[float, ...]  # command for the next free hold, one per motor axis [N*m or N]
+    account: EnergyBalance  # of the whole group
+    interactions: tuple[float, ...]  # h_i of each motor axis
+    supplied: float = 0.0  # came in at ports of the network that no motor drives, as by the mover of a moving wall
+    unsure: float = 0.0  # taken off h_i because lost samples leave it open
+    limit: int = 0  # `kinematics.Limit`: why the torques are zero although they might not be
+
+
+def group_at_rest(axes: int) -> GroupBalance:
+    """Returns the balance of the first call after a reset: nothing held, nothing stored."""
+    zeros = (0.0,) * axes
+    return GroupBalance(zeros, AT_REST, zeros)
+
+
+class GroupController(Protocol):
+    """A network with its kinematics and passivity, rendered on several motor axes at once.
+
+    Attributes:
+        axes: Motor axes, in the order of every sequence below.
+    """
+
+    axes: int
+
+    def reset(self) -> None:
+        """Forgets everything: zero stored energy, no torque in flight, no last positions."""
+
+    def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
+        """Books the hold that just ended and returns the account with the torques for the next free hold.
+
+        The first call after `reset` only takes the positions: its balance is all zero.
+
+        Args:
+            positions: Of the motor axes at this SYNC [rad or m].
+            torques_applied: Torques that the drives held during the hold that ended here [N*m or N].
+
+        Raises:
+            ControlError: A position or torque is not finite, or the computed torque is not.
+        """
+
+    def hold(self) -> GroupBalance:
+        """Returns the balance of a SYNC at which the sample of any axis was lost: the last commands once more.
+
+        Nothing is booked; the next `step` books one displacement of all axes over several holds at its worst.
+        """
+
+
+class NetworkEnvironment(Protocol):
+    """What a scene names: the parameters of a network, made for a task space of a given dimension."""
+
+    def build(self, dimensions: int) -> Any:
+        """Returns the network with its geometry.
+
+        Args:
+            dimensions: Of task space.
+
+        Raises:
+            ParameterError: It does not fit that many dimensions, or would not be passive.
+        """

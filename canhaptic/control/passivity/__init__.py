@@ -1,0 +1,48 @@
+"""One passivity algorithm a file, and the table that names them."""
+
+from typing import Final
+
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.plain import plain
+from canhaptic.control.passivity.controller import Controller, LoopProperties
+from canhaptic.errors import ParameterError
+from canhaptic.parameters import Parameters
+from canhaptic.tables import load
+
+_HERE: Final = "canhaptic.control.passivity"
+
+ALGORITHMS: Final[dict[str, str]] = {
+    "direct": f"{_HERE}.direct:Direct",
+    "original": f"{_HERE}.original:Original",
+    "internal_dissipation": f"{_HERE}.internal_dissipation:InternalDissipation",
+    "passivity_observer": f"{_HERE}.passivity_observer:PassivityObserver",
+    "energy_bounding": f"{_HERE}.energy_bounding:EnergyBounding",
+    "guarded": f"{_HERE}.guarded:Guarded",
+}
+"""Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""
+
+
+def build_controller(
+    environment: Environment, algorithm_name: str, parameters: Parameters | None, loop: LoopProperties
+) -> Controller:
+    """Returns a controller of one axis, at rest and without stored energy.
+
+    Args:
+        environment: What is rendered.
+        algorithm_name: A name of `ALGORITHMS`.
+        parameters: The algorithm's own `parameters_type`; None for its defaults.
+        loop: Sample time, delay and what else is known of the loop.
+
+    Raises:
+        ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.
+    """
+    algorithm = load(ALGORITHMS, algorithm_name, "passivity algorithm")
+    if parameters is None:
+        parameters = algorithm.parameters_type()
+    if not isinstance(parameters, algorithm.parameters_type):
+        raise ParameterError(
+            f"passivity algorithm {algorithm_name!r}: got parameters {type(parameters).__name__}, "
+            f"expected {algorithm.parameters_type.__name__}"
+        )
+    controller: Controller = algorithm(plain(environment), parameters, loop)
+    return controller

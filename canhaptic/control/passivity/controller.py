@@ -1,0 +1,54 @@
+"""What every passivity algorithm of one axis is: an environment and the loop's properties, stepped once per SYNC."""
+
+from typing import Annotated, Protocol
+
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.parameters import Parameters, quantity
+
+
+class LoopProperties(Parameters):
+    """What is known of the loop around the controller; optional values are None when unknown, never assumed."""
+
+    sample_time: Annotated[float, quantity("s", gt=0.0, le=1.0)]
+    """Time T from SYNC to SYNC."""
+    delay: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    """Whole holds between the computation of a torque and the hold in which it acts: 0 event RPDO, 1 synchronous."""
+    moving_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)] | None = None
+    """UNDER-estimate of the inertia rigid with the encoder."""
+    device_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0)] | None = None
+    """Certain viscous damping of the device, an under-estimate."""
+    device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0)] | None = None
+    """Upper bound of the device damping (b_max of the hand-force certificate)."""
+    encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
+    """Displacement of one encoder count; 0 for an ideal encoder."""
+    torque_quantum: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
+    """Smallest step of the torque command; 0 for an ideal actuator."""
+    torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)] | None = None
+    """Largest torque the drive applies."""
+
+
+class Controller(Protocol):
+    """A passivity algorithm with its environment. Not shared between axes."""
+
+    def reset(self) -> None:
+        """Forgets everything: zero stored energy, no torque in flight, no last position."""
+
+    def hold(self) -> EnergyBalance:
+        """Returns the balance of a SYNC whose position was lost: the last command once more, and nothing booked.
+
+        The next `step` then books one displacement over several holds. Where their torques differed the energy is known
+        only to the difference times the excursion, and it is booked at its worst.
+        """
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Books the hold that just ended and returns the account with the torque for the next free hold.
+
+        The first call after `reset` only takes the position: its balance is all zero.
+
+        Args:
+            position: Axis position at this SYNC [m or rad].
+            torque_applied: Torque the drive held during the hold that ended here [N or N*m].
+
+        Raises:
+            ControlError: The position or torque is not finite.
+        """

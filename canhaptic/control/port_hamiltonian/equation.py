@@ -1,0 +1,169 @@
+"""The equation of one sample of a network at a given step of its state: efforts, losses, residual and Jacobian.
+
+s = T (J e - sum(a_j phi_j(f_j))) + g dc,    e = e_dg(x, x + s),    f_j = a_j . e + b_j . dc / T
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from canhaptic.control.port_hamiltonian.discrete_gradient import Matrix, Tables, Vector, discrete_gradient, extension
+
+
+class Room(NamedTuple):
+    """Where a step writes; shapes (n,), (d,) and (n, n)."""
+
+    step: Vector  # s; the guess before, the solution after
+    efforts: Vector  # e
+    slopes: Vector
+    flows: Vector  # f_j
+    losses: Vector  # phi_j(f_j)
+    factors: Vector  # d phi_j / d f_j
+    engaged: Vector  # share of the motion in which dissipator j was engaged, 0..1
+    driven: Vector  # g dc
+    residual: Vector
+    direction: Vector  # of Newton's step
+    scale: Vector  # of the residual, fixed before the first evaluation of a sample
+    weights: Vector  # change of the efforts along the direction, for the power of a step
+    before: Vector  # the step where a search along a direction began
+    jacobian: Matrix
+    mobility: Matrix  # T (J - R) as it acts on e
+
+
+def new_room(states: int, dissipators: int) -> Room:
+    """Returns empty lists of the sizes that a network needs."""
+
+    def zeros(count: int) -> list[float]:
+        return [0.0] * count
+
+    n, d = states, dissipators
+    return Room(
+        zeros(n), zeros(n), zeros(n), zeros(d), zeros(d), zeros(d), zeros(d), zeros(n), zeros(n), zeros(n), zeros(n),
+        zeros(n), zeros(n), [zeros(n) for _ in range(n)], [zeros(n) for _ in range(n)],
+    )  # fmt: skip
+
+
+def drive(tables: Tables, state: Vector, displacement: Vector, room: Room) -> None:
+    """Writes g dc, and how much of the motion every dissipator beside a storage took part in."""
+    driven, step = room.driven, room.step
+    for i in range(len(driven)):
+        row, total = tables.gain[i], 0.0
+        for j in range(len(row)):
+            total += row[j] * displacement[j]
+        driven[i] = total
+        if not tables.moving:
+            step[i] = total
+    for j in range(len(room.engaged)):
+        storage = tables.beside[j]
+        room.engaged[j] = 1.0 if storage < 0 else engaged_share(tables, storage, state[storage], step[storage])
+
+
+def engaged_share(tables: Tables, index: int, value: float, change: float) -> float:
+    """Returns the share of a state's change during which its storage was engaged; 0 where it is not at the end."""
+    after = extension(tables, index, value + change)
+    if tables.lower[index] == tables.upper[index]:
+        return 1.0
+    if after == 0.0:
+        return 0.0
+    return (after - extension(tables, index, value)) / change if change != 0.0 else 1.0
+
+
+def dissipate(tables: Tables, displacement: Vector, sample_time: float, room: Room) -> None:
+    """Writes flow, effort and slope of every dissipator at the efforts of the step."""
+    efforts = room.efforts
+    for j in range(len(room.flows)):
+        flow = 0.0
+        row = tables.on_ports[j]
+        for i in range(len(row)):
+            flow += row[i] * displacement[i]
+        flow /= sample_time
+        if tables.moving:
+            row = tables.on_states[j]
+            for i in range(len(row)):
+                flow += row[i] * efforts[i]
+        room.flows[j] = flow
+        r, r2, friction, share = tables.viscous[j], tables.squared[j], tables.coulomb[j], room.engaged[j]
+        size = abs(flow)
+        loss, factor = flow * (r + r2 * size), r + 2.0 * r2 * size
+        if friction != 0.0:
+            corner = tables.corner[j]
+            root = math.sqrt(flow * flow + corner * corner)
+            loss += friction * flow / root
+            factor += friction * corner * corner / (root * root * root)
+        room.losses[j] = share * loss
+        room.factors[j] = share * factor
+
+
+def evaluate(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> float:
+    """Writes the residual of the equation at `room.step`; returns its largest entry over the size of its terms.
+
+    Infinite where an entry is no finite number.
+    """
+    n = len(room.step)
+    discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
+    if user is not None:
+        user.add_discrete_gradient(state, room.step, room.efforts)
+    dissipate(tables, displacement, sample_time, room)
+    worst = 0.0
+    for i in range(n):
+        row, total = tables.structure[i], 0.0
+        size = abs(room.step[i]) + abs(room.driven[i])
+        for k in range(n):
+            if row[k] != 0.0:
+                term = row[k] * room.efforts[k]
+                total += term
+                size += sample_time * abs(term)
+        for j in range(len(room.losses)):
+            a = tables.on_states[j][i]
+            if a != 0.0:
+                term = a * room.losses[j]
+                total -= term
+                size += sample_time * abs(term)
+        missing = room.step[i] - sample_time * total - room.driven[i]
+        room.residual[i] = missing
+        if not abs(missing) < math.inf:
+            return math.inf
+        if abs(missing) > worst * size:
+            worst = abs(missing) / size
+    return worst
+
+
+def linearise(tables: Tables, sample_time: float, room: Room, user: Any) -> None:
+    """Writes the Jacobian of the equation, I + T (R' - J) de/ds."""
+    n = len(room.step)
+    mobility, jacobian = room.mobility, room.jacobian
+    for i in range(n):
+        structure, row = tables.structure[i], mobility[i]
+        for k in range(n):
+            row[k] = -sample_time * structure[k]
+    for j in range(len(room.factors)):
+        add_square(mobility, tables.on_states[j], sample_time * room.factors[j])
+    for i in range(n):
+        row, into = mobility[i], jacobian[i]
+        for k in range(n):
+            into[k] = row[k] * room.slopes[k]
+    if tables.coupled:
+        add_product(mobility, tables.quadratic, jacobian)
+    if user is not None:
+        user.add_slopes(mobility, jacobian)
+    for i in range(n):
+        jacobian[i][i] += 1.0
+
+
+def add_square(matrix: Matrix, row: Vector, factor: float) -> None:
+    """Adds factor a a'."""
+    for i in range(len(row)):
+        if row[i] != 0.0:
+            scaled, into = factor * row[i], matrix[i]
+            for k in range(len(row)):
+                into[k] += scaled * row[k]
+
+
+def add_product(left: Matrix, right: Matrix, into: Matrix) -> None:
+    """Adds half the product of two matrices."""
+    n = len(left)
+    for i in range(n):
+        for k in range(n):
+            total = 0.0
+            for j in range(n):
+                total += left[i][j] * right[j][k]
+            into[i][k] += 0.5 * total

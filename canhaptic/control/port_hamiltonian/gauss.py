@@ -1,0 +1,45 @@
+"""Linear equations in place, in plain loops: the few states of a network, factored at every step of Newton's method."""
+
+from canhaptic.control.port_hamiltonian.discrete_gradient import Matrix, Vector
+
+
+def solve_linear(matrix: Matrix, right: Vector) -> bool:
+    """Solves in place by elimination with row pivots; returns False where the matrix is singular."""
+    n = len(right)
+    for column in range(n):
+        pivot = pivot_of(matrix, column)
+        if not abs(matrix[pivot][column]) > 0.0:
+            return False
+        if pivot != column:
+            for k in range(column, n):
+                matrix[pivot][k], matrix[column][k] = matrix[column][k], matrix[pivot][k]
+            right[pivot], right[column] = right[column], right[pivot]
+        eliminate(matrix, right, column)
+    for back in range(n):
+        index = n - 1 - back
+        row, total = matrix[index], right[index]
+        for k in range(index + 1, n):
+            total -= row[k] * right[k]
+        right[index] = total / row[index]
+    return True
+
+
+def pivot_of(matrix: Matrix, column: int) -> int:
+    """Returns the row, from the diagonal down, with the largest entry of a column."""
+    pivot, largest = column, abs(matrix[column][column])
+    for row in range(column + 1, len(matrix)):
+        if abs(matrix[row][column]) > largest:
+            pivot, largest = row, abs(matrix[row][column])
+    return pivot
+
+
+def eliminate(matrix: Matrix, right: Vector, column: int) -> None:
+    """Takes a column out of all rows below its diagonal."""
+    n, above = len(right), matrix[column]
+    for index in range(column + 1, n):
+        row = matrix[index]
+        if row[column] != 0.0:
+            factor = row[column] / above[column]
+            for k in range(column + 1, n):
+                row[k] -= factor * above[k]
+            right[index] -= factor * right[column]

@@ -1,0 +1,220 @@
+"""One sample of a network: the state change that the discrete gradient balances with the motion of its ports.
+
+    s = T (J e - sum(a_j phi_j(f_j))) + g dc,    e = e_dg(x, x + s),    f_j = a_j . e + b_j . dc / T
+
+J is skew and e . s = H(x + s) - H(x), so that whatever T is
+
+    H(x + s) - H(x) = y . dc - T sum(phi_j f_j),    y = g'e + sum(b_j phi_j),    phi_j f_j >= 0
+
+A network whose state is moved by its ports alone (springs and dampers, no masses) has s = g dc and nothing to solve.
+Else Newton's method solves for s, with a residual that falls from step to step. Beside a double well the residual can
+have a minimum that is no solution; from there on the power r . de along a step counts, r the residual and de the change
+of the efforts. Where springs act on masses it is the slope of a potential (the masses' change of velocity, the losses
+and the integral of the springs' discrete gradients) whose every level place is a solution, so that the way goes down
+until it is level.
+"""
+
+import math
+from typing import Any, Final
+
+from canhaptic.control.port_hamiltonian.discrete_gradient import Tables, Vector, discrete_gradient
+from canhaptic.control.port_hamiltonian.equation import Room, dissipate, drive, evaluate, linearise
+from canhaptic.control.port_hamiltonian.gauss import solve_linear
+
+EVALUATIONS: Final = 60
+"""Most evaluations of the equation in one sample."""
+_BY_RESIDUAL: Final = 18
+"""Evaluations after which a residual that falls step by step has not fallen enough."""
+_CLOSE: Final = 4e-16
+"""Of the terms of the equation: rounding."""
+_FLOOR: Final = 1e-11
+"""Below it a residual that falls no more is rounding: forces of very stiff springs cancel."""
+_ROUNDING: Final = 1e-14
+"""Below it the residual need not fall any more."""
+_HALVINGS: Final = 8
+"""Of a Newton step after which the residual has not fallen; the shortest is taken all the same."""
+_LEAST_SCALE: Final = 1e-3
+"""Added to the root of a stiffness, for states that it leaves without a scale."""
+_STEEP: Final = 0.9
+"""Share of the power at the start of a step above which its end is no nearer to level ground: a longer one follows."""
+_LONGER: Final = 3.0
+_LEVEL: Final = 0.5
+"""Share of the power at the start of a step that is level enough for its end."""
+_INSIDE: Final = 0.1
+"""Share of the way between two places, at either end, in which no place between them is tried."""
+
+
+def advance(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> int:
+    """Finds the state change of one sample; returns the evaluations it took, negative where it did not converge.
+
+    Args:
+        tables: The network.
+        state: x at the start of the hold, (n,).
+        displacement: Motion of the ports during it, (r,).
+        sample_time: T, or several of them where samples were lost [s].
+        room: `step` holds a guess, and the solution afterwards.
+        user: Energies given as functions; None for none.
+    """
+    drive(tables, state, displacement, room)
+    if not tables.moving:
+        discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
+        if user is not None:
+            user.add_discrete_gradient(state, room.step, room.efforts)
+        dissipate(tables, displacement, sample_time, room)
+        return 1
+    for i in range(len(room.scale)):
+        room.scale[i] = math.sqrt(abs(tables.stiffness[i])) + _LEAST_SCALE
+    evaluations = by_residual(tables, state, displacement, sample_time, room, user)
+    if evaluations < 0:
+        evaluations = by_power(tables, state, displacement, sample_time, room, user, -evaluations)
+    return evaluations
+
+
+def by_residual(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> int:
+    """Takes Newton steps, each as far as the residual falls; returns the evaluations, negative where that ends."""
+    worst = evaluate(tables, state, displacement, sample_time, room, user)
+    evaluations = 1
+    while worst > _CLOSE:
+        before, merit = worst, merit_of(room)
+        linearise(tables, sample_time, room, user)
+        if not solve_linear(room.jacobian, room.residual):
+            return -evaluations
+        for i in range(len(room.step)):
+            room.direction[i] = room.residual[i]
+        worst, tried = descend(tables, state, displacement, sample_time, room, user, merit)
+        evaluations += tried
+        if worst <= _FLOOR and worst > 0.25 * before:
+            break  # Newton's method gains nothing more: rounding
+        if evaluations >= _BY_RESIDUAL or (tried == _HALVINGS and worst > _ROUNDING and not merit_of(room) < merit):
+            return -evaluations
+    return evaluations
+
+
+def merit_of(room: Room) -> float:
+    """Returns the size of the residual in the scale of the sample."""
+    total = 0.0
+    for i in range(len(room.residual)):
+        part = room.residual[i] * room.scale[i]
+        total += part * part
+    return total
+
+
+def descend(
+    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any, before: float
+) -> tuple[float, int]:
+    """Goes along the Newton step as far as the residual falls; returns (residual, evaluations)."""
+    share, taken = 1.0, 0.0
+    worst = 1.0
+    for tried in range(1, _HALVINGS + 1):
+        for i in range(len(room.step)):
+            room.step[i] -= (share - taken) * room.direction[i]
+        taken = share
+        worst = evaluate(tables, state, displacement, sample_time, room, user)
+        if worst <= _ROUNDING or merit_of(room) < before:
+            return worst, tried
+        share *= 0.5
+    return worst, _HALVINGS
+
+
+def by_power(
+    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any, spent: int
+) -> int:
+    """Goes on where the residual falls no more; returns all evaluations, negative where they were not enough.
+
+    The first step is a whole one: after it the equations without forces hold, and the power is that of the forces.
+    """
+    worst = evaluate(tables, state, displacement, sample_time, room, user)
+    evaluations, whole = spent + 1, True
+    while worst > _CLOSE:
+        if evaluations >= EVALUATIONS:
+            return -evaluations
+        before, near = worst, worst <= _FLOOR
+        power = aim(tables, sample_time, room, user)
+        if not (power > 0.0 or near):  # upwards, along a slope below 0: as if it were level
+            for i in range(len(room.slopes)):
+                room.slopes[i] = max(room.slopes[i], 0.0)
+            power = aim(tables, sample_time, room, user)
+        left = 1 if whole or near or not power > 0.0 else EVALUATIONS - evaluations
+        worst, tried = go_down(tables, state, displacement, sample_time, room, user, power, left)
+        evaluations, whole = evaluations + tried, False
+        if worst <= _FLOOR and worst > 0.25 * before:
+            break
+    return evaluations
+
+
+def aim(tables: Tables, sample_time: float, room: Room, user: Any) -> float:
+    """Writes Newton's direction and the change of the efforts along it; returns the power, 0 where it has none."""
+    n = len(room.step)
+    linearise(tables, sample_time, room, user)
+    for i in range(n):
+        room.direction[i] = room.residual[i]
+    if not solve_linear(room.jacobian, room.direction):
+        return 0.0
+    for i in range(n):
+        weight = max(room.slopes[i], 0.0) * room.direction[i]
+        if tables.coupled:
+            for k in range(n):
+                weight += 0.5 * tables.quadratic[i][k] * room.direction[k]
+        room.weights[i] = weight
+    if user is not None:
+        user.add_change(room.direction, room.weights)
+    return power_of(room)
+
+
+def power_of(room: Room) -> float:
+    """Returns r . de."""
+    total = 0.0
+    for i in range(len(room.residual)):
+        total += room.residual[i] * room.weights[i]
+    return total
+
+
+def go_down(
+    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any, power: float,
+    left: int,
+) -> tuple[float, int]:  # fmt: skip
+    """Goes along the direction towards level ground; returns (residual, evaluations).
+
+    Args:
+        tables: The network.
+        state: x, (n,).
+        displacement: Of the ports, (r,).
+        sample_time: T [s].
+        room: `direction` and `weights` say where to.
+        user: Energies given as functions; None for none.
+        power: Where the way begins; > 0.
+        left: Evaluations; with one the whole step is taken.
+    """
+    for i in range(len(room.step)):
+        room.before[i] = room.step[i]
+    share, low, high, at_low, at_high = 1.0, 0.0, 0.0, power, 0.0
+    worst = 1.0
+    for tried in range(1, left + 1):
+        for i in range(len(room.step)):
+            room.step[i] = room.before[i] - share * room.direction[i]
+        worst = evaluate(tables, state, displacement, sample_time, room, user)
+        here = power_of(room) if worst < math.inf else -math.inf
+        if worst <= _FLOOR or abs(here) <= _LEVEL * power or (high == 0.0 and 0.0 < here <= _STEEP * power):
+            return worst, tried
+        if here < 0.0:
+            at_low *= 0.5 if at_high < 0.0 else 1.0  # the same end again: the other counts for less (Illinois)
+            high, at_high = share, here
+        else:
+            low, at_low = share, here
+        if high == 0.0:
+            share *= _LONGER
+        else:
+            share = low + (high - low) * min(max(at_low / (at_low - at_high), _INSIDE), 1.0 - _INSIDE)
+    return worst, left
+
+
+def rest_on_ports(
+    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any
+) -> None:
+    """Takes s = g dc where no solution was found: nothing moves by itself in this sample, and nothing is created."""
+    for i in range(len(room.step)):
+        room.step[i] = room.driven[i]
+    discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
+    if user is not None:
+        user.add_discrete_gradient(state, room.step, room.efforts)
+    dissipate(tables, displacement, sample_time, room)

@@ -1,0 +1,1 @@
+"""Virtual objects in task space, each a port-Hamiltonian network."""

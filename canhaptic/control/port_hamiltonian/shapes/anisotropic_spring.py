@@ -1,0 +1,38 @@
+"""A spring to a point of task space, with a stiffness and a damping matrix."""
+
+from pydantic import model_validator
+
+from canhaptic.control.port_hamiltonian.network import DampingMatrix, Network, QuadraticForm
+from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, check_length, identity_rows
+from canhaptic.control.port_hamiltonian.storages import symmetric_positive
+from canhaptic.parameters import Parameters
+
+
+class AnisotropicSpring(Parameters):
+    """F = -K (p - centre) - D p'."""
+
+    centre: tuple[float, ...]
+    """Task coordinates [m or rad] where the spring is at rest."""
+    stiffness: tuple[tuple[float, ...], ...]
+    """K, symmetric and positive semidefinite [N/m or N*m/rad]."""
+    damping: tuple[tuple[float, ...], ...] | None = None
+    """D, symmetric and positive semidefinite [N*s/m or N*m*s/rad]."""
+
+    @model_validator(mode="after")
+    def _passive(self) -> "AnisotropicSpring":
+        symmetric_positive(self.stiffness, "stiffness", "an energy below 0 could be drawn on for ever")
+        if self.damping is not None:
+            symmetric_positive(self.damping, "damping", "a damper that gives energy is not rendered")
+        return self
+
+    def build(self, dimensions: int) -> Rendered:
+        """Returns the spring; see `NetworkEnvironment`."""
+        check_length("anisotropic_spring", "centre", len(self.centre), dimensions)
+        check_length("anisotropic_spring", "stiffness", len(self.stiffness), dimensions)
+        dampers = []
+        if self.damping is not None:
+            check_length("anisotropic_spring", "damping", len(self.damping), dimensions)
+            dampers = [DampingMatrix(matrix=self.damping, ports=tuple(range(dimensions)))]
+        rows = identity_rows(dimensions)
+        network = Network([QuadraticForm(matrix=self.stiffness)], dampers, gain=rows)
+        return Rendered(network, LinearGeometry(rows, self.centre))

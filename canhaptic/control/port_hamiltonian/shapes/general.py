@@ -1,0 +1,55 @@
+"""A network written out: storages, dissipators, structure and gain, at coordinates of task space."""
+
+from pydantic import model_validator
+
+from canhaptic.control.port_hamiltonian.dissipators import Dissipator
+from canhaptic.control.port_hamiltonian.network import Network, check_rows
+from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, check_length, identity_rows
+from canhaptic.control.port_hamiltonian.storages import Storage
+from canhaptic.errors import ParameterError
+from canhaptic.parameters import Parameters
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+class General(Parameters):
+    """xdot = (J - R) e + g u, y = g'e + S u; see `canhaptic.control.port_hamiltonian.network.Network`."""
+
+    storages: tuple[Storage, ...]
+    """What stores energy, in the order of the states x."""
+    dissipators: tuple[Dissipator, ...] = ()
+    """What dissipates: R and S of the equation."""
+    structure: Rows | None = None
+    """J, skew; None: zero."""
+    gain: Rows
+    """g, one row for each state, one column for each port."""
+    origin: Rows | None = None
+    """x(0) over the ports' first coordinates; None: walls where they are, masses at rest."""
+    ports: Rows | None = None
+    """Rows of the ports over task space; None: its coordinates."""
+    offset: tuple[float, ...] | None = None
+    """Taken off the ports' coordinates; None: zeros."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "General":
+        self._network()
+        return self
+
+    def _network(self) -> Network:
+        return Network(
+            self.storages, self.dissipators, gain=self.gain, structure=self.structure, origin=self.origin
+        )  # fmt: skip
+
+    def build(self, dimensions: int) -> Rendered:
+        """Returns the network; see `NetworkEnvironment`."""
+        network = self._network()
+        if self.ports is None and network.ports != dimensions:
+            raise ParameterError(
+                f"general.gain: got {network.ports} columns, one for each port, in a task space of {dimensions} "
+                "dimensions, expected as many; or give ports, their rows over task space"
+            )
+        rows = identity_rows(dimensions) if self.ports is None else self.ports
+        check_rows("ports", rows, network.ports, dimensions)
+        offset = self.offset or (0.0,) * network.ports
+        check_length("general", "offset", len(offset), network.ports)
+        return Rendered(network, LinearGeometry(rows, offset))

@@ -1,0 +1,40 @@
+"""A flat wall that moves by itself to and fro; the energy of its mover enters the account at a port of its own."""
+
+import math
+from typing import Annotated
+
+from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered
+from canhaptic.control.port_hamiltonian.shapes.surface import Surface, unit_vector
+from canhaptic.parameters import quantity
+
+
+class MovingWall(Surface):
+    """Material where normal . p < offset + w(t), w(t) = amplitude (1 - cos(2 pi f t)) / 2: from 0 to the amplitude.
+
+    The wall can push: what it gives is what its mover gives, `GroupBalance.supplied`, and the promise of the account is
+    sum(h_i) >= 0 with the mover's energy in it.
+    """
+
+    normal: tuple[float, ...]
+    """Out of the material; its length does not matter."""
+    offset: float = 0.0
+    """Distance of the surface from the origin along the normal at rest [m or rad]."""
+    amplitude: Annotated[float, quantity("m", "rad")]
+    """Largest advance of the surface along the normal."""
+    frequency: Annotated[float, quantity("Hz", gt=0.0, le=100.0)]
+    """Of its motion, f."""
+
+    def build(self, dimensions: int) -> Rendered:
+        """Returns the wall; see `NetworkEnvironment`."""
+        normal = unit_vector("moving_wall", "normal", self.normal, dimensions)
+        return self.behind(_Moved(normal, self.offset, self.amplitude, self.frequency))
+
+
+class _Moved(LinearGeometry):
+    def __init__(self, normal: tuple[float, ...], offset: float, amplitude: float, frequency: float) -> None:
+        super().__init__([normal], [offset])
+        self._half, self._rate = 0.5 * amplitude, 2.0 * math.pi * frequency
+
+    def mover(self, time: float) -> tuple[float, ...]:
+        """Returns w(t)."""
+        return (self._half * (1.0 - math.cos(self._rate * time)),)

@@ -1,0 +1,76 @@
+"""What touchable surfaces share: one coordinate, the distance from the surface, negative inside the material."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
+from canhaptic.control.port_hamiltonian.shapes.geometry import Coordinates, Geometry, Rendered
+from canhaptic.errors import ParameterError
+from canhaptic.parameters import Parameters, quantity
+
+
+class Surface(Parameters):
+    """Material behind a surface: a spring and a damper side by side, felt where the distance is negative."""
+
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
+    """Of the spring behind the surface."""
+    hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)] = 0.0
+    """Cubic coefficient k3."""
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
+    """Of the damper beside the spring; it acts in contact only."""
+
+    def network(self) -> Network:
+        """Returns spring and damper at one port, engaged below 0."""
+        return Network(
+            [Spring(stiffness=self.stiffness, hardening=self.hardening, upper=None)],
+            [Damper(viscous=self.damping, beside=0)] if self.damping else [],
+            gain=[[1.0]],
+        )
+
+    def behind(self, geometry: Geometry) -> Rendered:
+        """Returns the material behind a surface given by its distance."""
+        return Rendered(self.network(), geometry)
+
+
+class Distance:
+    """A geometry of one port that does not move; the owner says how far away its surface is."""
+
+    ports = 1
+
+    def __init__(self, dimensions: int) -> None:
+        """Makes the geometry in a task space of given dimensions."""
+        self.dimensions = dimensions
+
+    def mover(self, time: float) -> tuple[float, ...] | None:
+        """Returns None: nothing moves."""
+        return None
+
+
+def unit_vector(owner: str, name: str, vector: Sequence[float], dimensions: int) -> tuple[float, ...]:
+    """Returns the direction of a vector.
+
+    Raises:
+        ParameterError: It has another number of entries than task space, or no direction.
+    """
+    length = math.hypot(*vector)
+    if len(vector) != dimensions or not (length > 0.0 and math.isfinite(length)):
+        raise ParameterError(
+            f"{owner}.{name}: got {tuple(vector)}, expected {dimensions} finite numbers that are not all 0"
+        )
+    return tuple(v / length for v in vector)
+
+
+def radial(offset: Sequence[float], radius: float, outwards: bool) -> Coordinates:
+    """Returns distance and gradient of a round surface at `offset` from its centre or axis.
+
+    Args:
+        offset: From the centre, or from the nearest point of the axis [m].
+        radius: [m].
+        outwards: Whether free space is outside.
+    """
+    length = math.hypot(*offset)
+    sign = 1.0 if outwards else -1.0
+    # At the very centre there is no direction: any will do, for a hand there is either free or as deep as can be.
+    row = tuple([sign * v / length for v in offset]) if length > 0.0 else (sign,) + (0.0,) * (len(offset) - 1)
+    return Coordinates((sign * (length - radius),), (row,))

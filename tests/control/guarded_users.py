@@ -1,0 +1,205 @@
+"""Six kinds of user on a moving mass, exact for a hand force constant within a quarter of a hold. Judges by truth.
+
+Independent of `canhaptic.sim`: closed form of m v' + b v = F for constant F. Every wall lies below 0, so outward is
+positive. The hand force is limited to the declared one along the torque, so that a certificate is on trial and not the
+user: outward always, inward too where a damper can make the torque negative. Energies are those of the plant, not the
+controller's belief.
+"""
+
+import math
+import random
+from typing import NamedTuple
+
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
+
+MASS, FRICTION, HAND_FORCE, PUSH = 0.25, 0.1, 20.0, 60.0
+SUBSTEPS = 4
+
+
+class Mass:
+    """m v' + b v = F."""
+
+    def __init__(self, mass, damping, step, position):
+        rate = damping / mass
+        self.position, self.velocity, self.step = position, 0.0, step
+        if rate * step < 1e-6:
+            self.keep, self.gain, self.drift, self.creep = (
+                1.0 - rate * step,
+                step / mass,
+                step,
+                0.5 * step * step / mass,
+            )
+        else:
+            self.keep, self.gain = math.exp(-rate * step), -math.expm1(-rate * step) / damping
+            self.drift = self.gain * mass
+            self.creep = (step - self.drift) / damping
+
+    def advance(self, force):
+        self.position += self.drift * self.velocity + self.creep * force
+        self.velocity = self.keep * self.velocity + self.gain * force
+
+
+def sinusoid(_rng):
+    w = 2.0 * math.pi
+    return lambda t, q, v, _f: 300.0 * (0.03 * math.cos(w * t) - q) - 3.0 * (0.03 * w * math.sin(w * t) + v)
+
+
+def tremor(_rng):
+    return lambda t, _q, v, _f: -4.0 + 3.0 * math.sin(16.0 * math.pi * t) - 2.0 * v
+
+
+def tapping(_rng):
+    return lambda t, q, v, _f: 600.0 * (0.01 * math.sin(6.0 * math.pi * t) - q) - 5.0 * v
+
+
+def sudden_pull(_rng):
+    return lambda t, q, v, _f: -8.0 - 5.0 * v if t % 1.0 < 0.6 and q > -0.5 else HAND_FORCE
+
+
+def adversary(rng):
+    """Lets the wall load, pushes in within a hold where that is cheap, and pulls along the torque where it is not."""
+    threshold, push, kind = rng.uniform(0.02, 3.0), rng.uniform(1.0, 15.0), rng.randrange(4)
+    memory = {"peak": 0.0, "tick": 0, "period": 4, "part": 0.3}
+
+    def impulses():
+        memory["tick"] += 1
+        if memory["tick"] % memory["period"] == 0:
+            memory["period"], memory["part"] = rng.randrange(1, 13), 0.5 * rng.random()
+        return -4.0 * push if memory["tick"] % memory["period"] < memory["part"] * memory["period"] else HAND_FORCE
+
+    def force(_t, q, v, torque):
+        if q > 0.002:
+            return -0.3 * push - 3.0 * v
+        if q < -0.3:
+            return HAND_FORCE
+        if kind == 0:
+            return HAND_FORCE if torque > threshold else -push
+        if kind == 1:
+            return HAND_FORCE if torque > 0.0 and v > -0.01 else -push
+        if kind == 2:
+            memory["peak"] = max(0.999 * memory["peak"], torque)
+            return HAND_FORCE if torque >= 0.5 * memory["peak"] else -push
+        return impulses()
+
+    return force
+
+
+def telegraph(rng):
+    """Pulls and pushes at random, each for a while."""
+    state = [1.0]
+
+    def force(_t, q, v, _f):
+        if rng.random() < 0.03:
+            state[0] = rng.choice((-1.0, 1.0)) * rng.random()
+        if q > 0.005:
+            return -5.0 - 3.0 * v
+        return HAND_FORCE if q < -0.3 else state[0] * HAND_FORCE
+
+    return force
+
+
+USERS = {
+    "sinusoid": sinusoid,
+    "tremor": tremor,
+    "tapping": tapping,
+    "sudden_pull": sudden_pull,
+    "adversary": adversary,
+    "telegraph": telegraph,
+}
+
+
+def guarded(stiffness, damping, rate, delay=0, *, hand_force=HAND_FORCE, certain=None, count=0.0, quantum=0.0, **other):
+    """A guarded wall below 0 with the plant known; `certain` is the device damping declared."""
+    mass = other.pop("mass", MASS)
+    most = other.pop("most", FRICTION)
+    return Guarded(
+        SpringDamperWall(stiffness=stiffness, damping=damping),
+        GuardedParameters(hand_force=hand_force, **other),
+        LoopProperties(
+            sample_time=1.0 / rate,
+            delay=delay,
+            moving_mass=mass,
+            device_damping=certain,
+            device_damping_bound=most,
+            encoder_count=count,
+            torque_quantum=quantum,
+        ),
+    )
+
+
+class Loss(NamedTuple):
+    """Frames lost at random, either way; never more than `most` cycles in a row."""
+
+    share: float
+    most: int = 2
+
+
+class Truth(NamedTuple):
+    """What the plant says. Energies in [J]."""
+
+    least: float  # of sum(h_i)
+    least_with_damping: float  # of sum(h_i) + (b/T) sum(dq^2) with the true b
+    least_margin: float  # of sum(h_i) - sum(h_r), as booked
+    believed_error: float  # largest |booked - true| sum(h_i)
+    error_bound: float  # of trap 12, at the end
+    positions: list  # true, at the samples
+    torques: list  # applied in the hold that begins there
+
+
+def run(
+    controller,
+    user,
+    rate,
+    cycles,
+    *,
+    delay=0,
+    damping=FRICTION,
+    hand_force=HAND_FORCE,
+    push=PUSH,
+    count=0.0,
+    quantum=0.0,
+    loss=None,
+    position=0.003,
+    seed=0,
+):
+    """Runs a user against a controller; `user` is a force law (t, q, v, torque) -> force."""
+    rng = random.Random(seed)
+    sample_time = 1.0 / rate
+    mass = Mass(MASS, damping, sample_time / SUBSTEPS, position)
+    held, pending, command, lost_in_a_row = 0.0, [0.0] * delay, 0.0, 0
+    true = least = with_damping = least_damping = margin = least_margin = booked = worst = variation = 0.0
+    positions, torques = [], []
+    for cycle in range(cycles):
+        start = mass.position
+        seen = round(start / count) * count if count else start
+        tpdo = rpdo = True
+        if loss and cycle > 2 and lost_in_a_row < loss.most:
+            tpdo, rpdo = rng.random() >= loss.share, rng.random() >= loss.share
+        lost_in_a_row = 0 if tpdo and rpdo else lost_in_a_row + 1
+        balance = controller.step(seen, held) if tpdo else controller.hold()
+        if tpdo:
+            booked += balance.h_i
+            worst = max(worst, abs(booked - true))
+            margin += balance.h_i - balance.h_r
+            least_margin = min(least_margin, margin)
+        command = round(balance.torque / quantum) * quantum if quantum else balance.torque
+        arriving = command if rpdo else None
+        if delay:
+            pending.append(arriving)
+            arriving = pending.pop(0)
+        before, held = held, held if arriving is None else arriving
+        variation += abs(held - before)
+        for part in range(SUBSTEPS):
+            hand = user((cycle + part / SUBSTEPS) * sample_time, mass.position, mass.velocity, held)
+            mass.advance(held + max(-push, min(hand_force, hand)))
+        moved = mass.position - start
+        true -= held * moved
+        with_damping += damping / sample_time * moved * moved
+        least, least_damping = min(least, true), min(least_damping, true + with_damping)
+        positions.append(start)
+        torques.append(held)
+        assert abs(mass.position) < 100.0, "diverged"
+    bound = 0.5 * count * (variation + abs(held))
+    return Truth(least, least_damping, least_margin, worst, bound, positions, torques)

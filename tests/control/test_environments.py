@@ -1,0 +1,125 @@
+"""What every environment keeps. A new one needs a line in its table and an example in `cases`."""
+
+import math
+
+import pytest
+from cases import EXAMPLES
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.environments.coulomb_surface import CoulombSurface
+from canhaptic.control.environments.detents import Detents
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
+from canhaptic.errors import ParameterError
+from canhaptic.tables import load
+
+every_environment = pytest.mark.parametrize("environment", [pair[0] for pair in EXAMPLES.values()], ids=EXAMPLES)
+positions = st.floats(-0.03, 0.03)
+
+
+def test_every_environment_of_the_table_has_an_example_of_its_class():
+    assert set(EXAMPLES) == set(ENVIRONMENTS)
+    for name, pair in EXAMPLES.items():
+        assert all(type(environment) is load(ENVIRONMENTS, name, "environment") for environment in pair)
+
+
+def touched(environment, position):
+    """The true state at a position reached from 1 mm away, or None out of contact."""
+    return environment.true_state(position, 1e-3, 0.0) if environment.contact(position) else None
+
+
+@every_environment
+@given(position=positions)
+def test_stored_energy_is_never_negative_and_effort_is_its_gradient(environment, position):
+    state = touched(environment, position)
+    if state is None:
+        return
+    step = 1e-7
+    slope = (environment.stored_energy(state + step) - environment.stored_energy(state - step)) / (2.0 * step)
+    assert environment.stored_energy(state) >= 0.0
+    assert environment.effort(state) == pytest.approx(slope, rel=1e-5, abs=1e-4)
+    assert environment.stored_energy(0.0) == 0.0
+
+
+@every_environment
+@given(position=positions)
+def test_the_state_of_an_energy_stores_that_energy_on_the_same_branch(environment, position):
+    state = touched(environment, position)
+    if state is None or environment.stored_energy(state) == 0.0:
+        return
+    back = environment.state_of_energy(environment.stored_energy(state), state)
+    assert back == pytest.approx(state, rel=1e-6, abs=1e-6)
+    assert environment.stored_energy(back) == pytest.approx(environment.stored_energy(state), rel=1e-9)
+
+
+@every_environment
+@given(position=positions, sample_time=st.floats(1e-5, 0.1))
+def test_relaxation_never_stores_more(environment, position, sample_time):
+    state = touched(environment, position)
+    if state is None:
+        return
+    relaxed = environment.relaxed(state, sample_time)
+    assert environment.stored_energy(relaxed) <= environment.stored_energy(state)
+    assert environment.relaxes or relaxed == state
+
+
+@every_environment
+@given(position=positions)
+def test_a_linear_stiffness_tells_the_whole_storage(environment, position):
+    state = touched(environment, position)
+    if state is None or environment.linear_stiffness is None:
+        return
+    assert environment.stored_energy(state) == pytest.approx(0.5 * environment.linear_stiffness * state * state)
+
+
+@every_environment
+@given(position=positions)
+def test_a_true_state_is_admissible_and_so_is_the_nearest_to_any(environment, position):
+    state = touched(environment, position)
+    if state is None:
+        return
+    assert environment.admissible(state, state) == state
+    for other in (-0.02, 0.0, 0.02):
+        nearest = environment.admissible(other, state)
+        assert environment.admissible(nearest, state) == nearest
+
+
+@pytest.mark.parametrize("name", sorted(EXAMPLES))
+@settings(max_examples=50)
+@given(position=positions)
+def test_the_mirror_image_has_the_mirrored_effort(name, position):
+    one, other = EXAMPLES[name]
+    state, image = touched(one, position), None
+    if state is None:
+        assert other.contact(-position) == 0
+        return
+    image = other.true_state(-position, -1e-3, 0.0)
+    assert other.effort(image) == pytest.approx(-one.effort(state), rel=1e-9, abs=1e-9)
+
+
+def test_detents_rest_at_every_pitch_and_peak_a_quarter_beside():
+    detents = Detents(peak=2.0, pitch=0.01)
+    assert detents.contact(0.02) == detents.contact(-0.01) == 0
+    assert detents.contact(0.015) != detents.contact(0.025)
+    state = detents.true_state(0.0225, 0.0, 0.0)
+    assert detents.effort(state) == pytest.approx(2.0)
+    assert detents.stored_energy(0.005) == pytest.approx(2.0 * 0.01 / math.pi)
+
+
+def test_a_bristle_yields_at_the_friction_effort():
+    surface = CoulombSurface(friction=1.5, stiffness=2000.0)
+    assert surface.effort(surface.relaxed(0.01, 1e-3)) == pytest.approx(1.5)
+    assert surface.effort(surface.relaxed(-0.01, 1e-3)) == pytest.approx(-1.5)
+
+
+def test_bad_parameters_are_refused_with_value_and_limit():
+    with pytest.raises(ParameterError, match="stiffness: got -1"):
+        SpringDamperWall(stiffness=-1.0)
+    with pytest.raises(ParameterError, match=r"lower 0\.2 lies above upper 0\.1"):
+        TwoSidedWall(stiffness=1.0, lower=0.2, upper=0.1)
+    with pytest.raises(ParameterError, match="pitch: got 0"):
+        Detents(peak=1.0, pitch=0.0)
+    with pytest.raises(ParameterError, match="stiffness: got nan"):
+        SpringDamperWall(stiffness=math.nan)

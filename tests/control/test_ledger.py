@@ -1,0 +1,91 @@
+"""The ledger: compensated sums, the least margin and where it was, and the names of `run --json`."""
+
+import json
+import math
+import random
+
+import pytest
+
+from canhaptic.control.balance import AT_REST, Branch, Certificate, Ledger
+
+
+def hold(h_i=0.0, h_r=0.0, **more):
+    return AT_REST._replace(h_i=h_i, h_m=h_i, h_r=h_r, branch=Branch.EXACT.value, **more)
+
+
+def test_sums_equal_the_exact_sum_over_values_of_every_size():
+    generator = random.Random(3)
+    terms = [generator.gauss(0.0, 1.0) * 10.0 ** generator.randint(-12, 3) for _ in range(20_000)]
+    ledger = Ledger()
+    for cycle, term in enumerate(terms):
+        ledger.add(hold(h_i=term, h_r=abs(term) * 0.1), cycle)
+    summary = ledger.summary()
+    assert summary.energy_in == pytest.approx(math.fsum(term for term in terms if term > 0.0), rel=1e-15)
+    assert summary.energy_in - summary.energy_out == pytest.approx(math.fsum(terms), abs=1e-10)
+    assert summary.dissipated == pytest.approx(math.fsum(abs(term) * 0.1 for term in terms), rel=1e-15)
+
+
+def test_the_least_margin_comes_with_its_cycle():
+    ledger = Ledger()
+    for cycle, (h_i, h_r) in enumerate([(1.0, 0.2), (-0.5, 0.5), (-0.4, 0.1), (0.3, 0.0)]):
+        ledger.add(hold(h_i, h_r), cycle)
+    summary = ledger.summary()
+    assert summary.margin_value == pytest.approx(-0.7)
+    assert summary.margin_cycle == 2
+    assert summary.least_interaction == 0.0
+    assert summary.energy_out == pytest.approx(0.9)
+
+
+def test_a_run_that_never_loses_has_its_least_margin_before_it_began():
+    ledger = Ledger()
+    for cycle in range(5):
+        ledger.add(hold(0.1, 0.1), cycle)
+    assert (ledger.summary().margin_value, ledger.summary().margin_cycle) == (0.0, 0)
+
+
+def test_energy_drawn_before_any_was_put_in_is_seen():
+    ledger = Ledger()
+    ledger.add(hold(-0.25), 0)
+    ledger.add(hold(1.0), 1)
+    assert ledger.summary().least_interaction == -0.25
+
+
+def test_the_weakest_certificate_and_the_range_of_damping_in_contact_are_kept():
+    ledger = Ledger()
+    ledger.add(hold(damping_rendered=3.0, certificate=Certificate.DEVICE_DAMPING.value), 0)
+    ledger.add(hold(damping_rendered=7.0, certificate=Certificate.HAND_SPEED.value), 1)
+    ledger.add(AT_REST, 2)
+    summary = ledger.summary()
+    assert (summary.damping_least, summary.damping_most) == (3.0, 7.0)
+    assert summary.certificate is Certificate.HAND_SPEED
+    assert summary.branches == {
+        branch.name.lower(): {"free": 1, "exact": 2}.get(branch.name.lower(), 0) for branch in Branch
+    }
+
+
+def test_the_json_of_a_port_has_the_shared_names_and_no_number_that_json_lacks():
+    ledger = Ledger()
+    port = ledger.summary().as_json(sample_time=1e-3)
+    assert {"in", "out", "stored", "dissipated", "surplus", "recovered", "leaked", "deficit", "margin"} <= set(port)
+    assert {"least_interaction", "certificate", "branches", "damping_rendered"} <= set(port)
+    assert set(port["margin"]) == {"value", "cycle", "time"}
+    json.dumps(port, allow_nan=False)
+
+
+@pytest.mark.slow
+def test_ten_million_holds_of_noise_drift_less_than_a_nanojoule():
+    generator = random.Random(11)
+    ledger, block = Ledger(), [generator.gauss(0.0, 1.0) for _ in range(1000)]
+    for cycle in range(10_000_000):
+        ledger.add(hold_cached(block[cycle % 1000]), cycle)
+    summary = ledger.summary()
+    assert summary.energy_in - summary.energy_out == pytest.approx(1e4 * math.fsum(block), abs=1e-9)
+
+
+_cache = {}
+
+
+def hold_cached(h_i):
+    if h_i not in _cache:
+        _cache[h_i] = hold(h_i)
+    return _cache[h_i]
