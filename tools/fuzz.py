@@ -59,8 +59,8 @@ def bus_log() -> Target:
 
 def sdo_client() -> Target:
     """Answers to an upload and to a download, 8 bytes each."""
-    from canhaptic.drive import sdo_transfer
-    from canhaptic.drive.sdo_transfer import ProtocolError
+    from canhaptic.drive.can import sdo_transfer
+    from canhaptic.drive.can.sdo_transfer import ProtocolError
 
     def answer(data: bytes) -> None:
         for transfer in (sdo_transfer.upload(0x1008, 0), sdo_transfer.download(0x1008, 0, bytes(20))):

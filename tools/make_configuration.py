@@ -20,7 +20,7 @@ from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.drive.parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS, SCALING_KEYS

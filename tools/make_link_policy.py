@@ -1,10 +1,10 @@
-"""Writes docs/link_policy.md from the tables of `canhaptic.drive.link_policy`: `python -m tools.make_link_policy`."""
+"""Writes docs/link_policy.md from the tables of `canhaptic.drive.profile.link_policy`: `python -m tools.make_link_policy`."""
 
 import sys
 from pathlib import Path
 from typing import Final
 
-from canhaptic.drive.link_policy import READ_BACK_TABLE, STOP_TABLE, Action, StopReason
+from canhaptic.drive.profile.link_policy import READ_BACK_TABLE, STOP_TABLE, Action, StopReason
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "link_policy.md"
 _MISSED: Final = {
@@ -16,7 +16,7 @@ _MISSED: Final = {
 _INTRODUCTION: Final = """\
 # Link policy
 
-What becomes of the torque when a drive goes unheard or unwell. This page is made from `canhaptic/drive/link_policy.py`
+What becomes of the torque when a drive goes unheard or unwell. This page is made from `canhaptic/drive/profile/link_policy.py`
 by `python -m tools.make_link_policy`.
 
 ## Missed TPDOs

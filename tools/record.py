@@ -16,8 +16,8 @@ import can
 from can.interfaces.virtual import VirtualBus
 
 from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.link import Link
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError
 from canhaptic.logs.bus_log import BusLogWriter

@@ -13,9 +13,9 @@ from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.host import host_settings
 from canhaptic.cli.output import write_json
-from canhaptic.drive.bus_budget import BusBudget, require_budget
-from canhaptic.drive.fitness import Finding, Verdict, check_dictionary
-from canhaptic.drive.pdo_map import choose_map
+from canhaptic.drive.can.bus_budget import BusBudget, require_budget
+from canhaptic.drive.can.pdo_map import choose_map
+from canhaptic.drive.profile.fitness import Finding, Verdict, check_dictionary
 from canhaptic.drive.realtime import GRANTED, Realtime
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene

@@ -11,8 +11,8 @@ from rich.table import Table
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import write_json
-from canhaptic.drive.fitness import Verdict
-from canhaptic.drive.pdo_map import AxisMap, PdoPlan
+from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
+from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, survey, unconfigured_axis
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.view.energy_table import make_console

@@ -7,7 +7,7 @@ from typing import Final
 from canhaptic.canopen import objects as od
 from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
-from canhaptic.drive.link import Link
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import SdoError, StartError
 from canhaptic.parameters import effort_unit

@@ -6,7 +6,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.commission.laws import NO_TORQUE, OpenLoop
 from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
-from canhaptic.drive.cia402 import TORQUE_FREE, drive_state
+from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
 from canhaptic.errors import RigError, SdoError
 
 _LOST: Final[tuple[str, ...]] = ("missed_tpdos", "late", "error_frames")

@@ -14,14 +14,14 @@ from types import TracebackType
 from typing import Final, NamedTuple, Self
 
 from canhaptic.drive import rig_start, rig_stop
-from canhaptic.drive.background_sdo import BackgroundSdo, SdoLine
-from canhaptic.drive.bring_up import BringUp
-from canhaptic.drive.bus_budget import BusBudget, has_room_for_sdo, require_budget
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
+from canhaptic.drive.can.bus_budget import BusBudget, has_room_for_sdo, require_budget
+from canhaptic.drive.can.exchange import Exchange
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.exchange import Exchange
-from canhaptic.drive.link import Link
-from canhaptic.drive.link_policy import STOP_TABLE, StopReason
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.profile.bring_up import BringUp
+from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
 from canhaptic.drive.realtime import Realtime, RealtimeParameters
 from canhaptic.drive.rig_stop import Trust
 from canhaptic.drive.servo_drive import ServoDrive

@@ -13,9 +13,9 @@ from canhaptic.canopen.objects import (
     NmtState,
     StatusBit,
 )
-from canhaptic.drive.bring_up import BringUp, nmt_name
-from canhaptic.drive.cia402 import FAULTED, DriveState, next_controlword
-from canhaptic.drive.exchange import Exchange
+from canhaptic.drive.can.exchange import Exchange
+from canhaptic.drive.profile.bring_up import BringUp, nmt_name
+from canhaptic.drive.profile.power_states import FAULTED, DriveState, next_controlword
 from canhaptic.drive.servo_drive import ServoDrive
 
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames

@@ -18,9 +18,9 @@ from canhaptic.canopen.objects import (
     NmtCommand,
     NmtState,
 )
-from canhaptic.drive.bring_up import BringUp
-from canhaptic.drive.cia402 import TORQUE_FREE, drive_state
-from canhaptic.drive.exchange import Exchange
+from canhaptic.drive.can.exchange import Exchange
+from canhaptic.drive.profile.bring_up import BringUp
+from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import LinkError, RigError
 

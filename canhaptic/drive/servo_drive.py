@@ -6,17 +6,17 @@ from typing import Final, NamedTuple
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.cia402 import ENABLED_MASK, ENABLED_VALUE, FAULTED, DriveState, drive_state
-from canhaptic.drive.fitness import require_fit
-from canhaptic.drive.limiter import TorqueLimiter
-from canhaptic.drive.link import Link
-from canhaptic.drive.link_policy import LinkPolicy, StopReason
-from canhaptic.drive.parameters import AxisParameters, BusParameters
-from canhaptic.drive.pdo_codec import codec
-from canhaptic.drive.pdo_map import AxisMap, PdoPlan, choose_map
-from canhaptic.drive.quirks import quirks_of
-from canhaptic.drive.scaling import axis_scaling
-from canhaptic.drive.sdo import SdoChannel
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.pdo_codec import codec
+from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, choose_map
+from canhaptic.drive.can.sdo import SdoChannel
+from canhaptic.drive.profile.fitness import require_fit
+from canhaptic.drive.profile.limiter import TorqueLimiter
+from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
+from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, DriveState, drive_state
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.scaling import axis_scaling
 from canhaptic.signals import Sample
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}

@@ -13,11 +13,11 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable, datatypes
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.bus_budget import bus_budget
-from canhaptic.drive.fitness import Finding, Verdict, check_dictionary
-from canhaptic.drive.parameters import AxisParameters, BusParameters
-from canhaptic.drive.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
-from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.can.bus_budget import bus_budget
+from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
+from canhaptic.drive.profile.fitness import Finding, Verdict, check_dictionary
+from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
 RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)

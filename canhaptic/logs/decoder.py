@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
-from canhaptic.drive.cia402 import drive_state
+from canhaptic.drive.profile.power_states import drive_state
 from canhaptic.logs.pdo_decoder import Field, PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.parameters import effort_unit

@@ -1,10 +1,10 @@
 """A rig that joins a bus whose drives are enabled already: for recordings that lack the start."""
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.fitness import agreed_rated_torque
-from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.profile.fitness import agreed_rated_torque
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.scaling import axis_scaling
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.scaling import axis_scaling
 from canhaptic.drive.servo_drive import ServoDrive
 
 

@@ -7,8 +7,8 @@ from typing import Any, Final
 import can
 
 from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import WallClock
-from canhaptic.drive.link import Link
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError, RigError
 from canhaptic.replay.difference import describe

@@ -5,9 +5,9 @@ from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.drive.cia402 import is_enabled
-from canhaptic.drive.pdo_codec import codec
-from canhaptic.drive.pdo_map import choose_map
+from canhaptic.drive.can.pdo_codec import codec
+from canhaptic.drive.can.pdo_map import choose_map
+from canhaptic.drive.profile.power_states import is_enabled
 from canhaptic.scene.models import Scene
 
 _ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)

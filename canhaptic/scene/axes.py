@@ -5,8 +5,8 @@ from typing import Any, Final, get_args
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.drive.parameters import AxisParameters, BusParameters
-from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.parameters import Motion, Parameters
 from canhaptic.scene.buses import BUS_KEY
 from canhaptic.scene.document import MarkedMapping

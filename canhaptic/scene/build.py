@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Literal, Self
 import can
 
 from canhaptic.cycle import Cycle
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.link import Link, Recorder
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
-from canhaptic.drive.link import Link, Recorder
-from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_log import BusLogWriter

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Final, NamedTuple
 
 from pydantic import Field
 
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.parameters import Parameters, quantity, shown
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.faults import Faults

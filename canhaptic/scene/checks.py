@@ -3,10 +3,10 @@
 from collections import Counter
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.drive.bus_budget import require_budget
-from canhaptic.drive.fitness import Verdict, check_dictionary
-from canhaptic.drive.parameters import BusParameters
-from canhaptic.drive.pdo_map import AxisMap, choose_map
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.bus_budget import require_budget
+from canhaptic.drive.can.pdo_map import AxisMap, choose_map
+from canhaptic.drive.profile.fitness import Verdict, check_dictionary
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.scene.buses import bus_section
 from canhaptic.scene.document import MarkedList, MarkedMapping

@@ -15,7 +15,7 @@ from typing import Final
 import can
 from can.interfaces import BACKENDS
 
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError, InputError, LinkError
 from canhaptic.tables import nearest
 

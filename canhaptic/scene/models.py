@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.drive.parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.scene.buses import FurtherBus, NamedBus

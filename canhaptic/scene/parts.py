@@ -12,8 +12,8 @@ from canhaptic.control.multi_axis.axis_group import AxisGroup
 from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller
-from canhaptic.drive.link import Link
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene, Typed

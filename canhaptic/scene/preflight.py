@@ -15,7 +15,7 @@ import subprocess
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal, NamedTuple
 
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import LinkError
 from canhaptic.scene.models import Scene
 

@@ -8,7 +8,7 @@ scale, limits) cannot be in a profile. Where a drive is simulated, its twin has 
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic.drive.parameters import AxisParameters
+from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
 from canhaptic.parameters import shown
 from canhaptic.scene.document import MarkedMapping, parse_yaml

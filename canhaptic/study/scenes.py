@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Final, cast
 
 from canhaptic.control.environments.environment import Environment
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant

@@ -12,11 +12,11 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.balance import Ledger
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
-from canhaptic.drive.cia402 import is_enabled
-from canhaptic.drive.fitness import agreed_rated_torque
-from canhaptic.drive.parameters import AxisParameters
-from canhaptic.drive.quirks import quirks_of
-from canhaptic.drive.scaling import AxisScaling, axis_scaling
+from canhaptic.drive.axis_parameters import AxisParameters
+from canhaptic.drive.profile.fitness import agreed_rated_torque
+from canhaptic.drive.profile.power_states import is_enabled
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.scaling import AxisScaling, axis_scaling
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog

@@ -8,7 +8,7 @@ from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, DataRange1d, Div, HoverTool
 from bokeh.plotting import figure
 
-from canhaptic.drive.cia402 import drive_state
+from canhaptic.drive.profile.power_states import drive_state
 from canhaptic.parameters import effort_unit
 from canhaptic.view.decimate import decimate
 from canhaptic.view.live_log import LiveLog, News

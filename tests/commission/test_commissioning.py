@@ -13,8 +13,8 @@ from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.report import Finding, Report, Verdict
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.link import Link
 from canhaptic.errors import InputError, StartError
 from canhaptic.scene.load import load_scene
 

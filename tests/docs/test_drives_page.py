@@ -4,7 +4,7 @@ import re
 
 from documents import ROOT
 
-from canhaptic.drive.quirks import QUIRKS
+from canhaptic.drive.profile.quirks import QUIRKS
 from canhaptic.scene.profiles import profile_names
 
 PAGE = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")

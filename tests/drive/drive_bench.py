@@ -10,9 +10,9 @@ import can
 from canopen import ObjectDictionary
 
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.link import Link
-from canhaptic.drive.parameters import AxisParameters, BusParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.signals import PlantEnergy

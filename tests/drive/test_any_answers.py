@@ -9,9 +9,9 @@ from drive_bench import OUR_EDS, axis, dictionary, private_channel
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.link import Link
-from canhaptic.drive.sdo import SdoChannel
 from canhaptic.errors import SdoError
 
 ANY = st.binary(max_size=8)

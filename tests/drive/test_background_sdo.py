@@ -9,10 +9,10 @@ from drive_bench import Bench, MakeBench, axis
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive import sdo_transfer
-from canhaptic.drive.bus_budget import bus_budget, has_room_for_sdo
-from canhaptic.drive.parameters import BusParameters
-from canhaptic.drive.sdo_transfer import ProtocolError
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can import sdo_transfer
+from canhaptic.drive.can.bus_budget import bus_budget, has_room_for_sdo
+from canhaptic.drive.can.sdo_transfer import ProtocolError
 from canhaptic.errors import InputError, SdoError
 from canhaptic.sim.state_machine import DriveState
 

@@ -3,9 +3,9 @@
 import pytest
 from drive_bench import OUR_EDS, axis, dictionary
 
-from canhaptic.drive.bus_budget import bus_budget, require_budget, worst_case_bits
-from canhaptic.drive.parameters import BusParameters
-from canhaptic.drive.pdo_map import AxisMap, choose_map
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.bus_budget import bus_budget, require_budget, worst_case_bits
+from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.errors import BusBudgetError
 
 

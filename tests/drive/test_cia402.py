@@ -2,7 +2,7 @@
 
 from canopen.profiles.p402 import State402
 
-from canhaptic.drive.cia402 import TORQUE_FREE, DriveState, drive_state, is_enabled, next_controlword
+from canhaptic.drive.profile.power_states import TORQUE_FREE, DriveState, drive_state, is_enabled, next_controlword
 
 
 def test_every_statusword_has_the_state_that_canopens_masks_give() -> None:

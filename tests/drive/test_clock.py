@@ -8,9 +8,9 @@ import can
 import pytest
 from drive_bench import FreeMass, axis, dictionary, make_bench, private_channel
 
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock, WallClock
-from canhaptic.drive.link import Link
-from canhaptic.drive.parameters import BusParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.sim.drive_node import SimulatedDrive

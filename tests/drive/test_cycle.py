@@ -11,7 +11,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.cycle import Cycle
-from canhaptic.drive.link_policy import StopReason
+from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import CommandLostError, DriveFaultError, InputError, LinkError
 from canhaptic.sim.state_machine import DriveState
 

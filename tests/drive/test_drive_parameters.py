@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from drive_bench import axis
 
-from canhaptic.drive.parameters import BusParameters
-from canhaptic.drive.quirks import Quirks, quirks_of
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.profile.quirks import Quirks, quirks_of
 from canhaptic.errors import ParameterError
 
 

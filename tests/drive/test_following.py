@@ -5,7 +5,7 @@ import pytest
 from drive_bench import Bench, MakeBench, axis
 
 from canhaptic.canopen.objects import StatusBit
-from canhaptic.drive.link_policy import StopReason
+from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import CommandLostError, EmergencyError, NotFollowingError, StateLeftError, TorqueLimitedError
 from canhaptic.sim.state_machine import DriveState
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive.limiter import Saturation, TorqueLimiter
-from canhaptic.drive.link_policy import STOP_TABLE, Action, LinkPolicy, StopReason
+from canhaptic.drive.profile.limiter import Saturation, TorqueLimiter
+from canhaptic.drive.profile.link_policy import STOP_TABLE, Action, LinkPolicy, StopReason
 from canhaptic.errors import ControlError, ParameterError, RigError
 
 LIMIT, SAMPLE_TIME, RATE, POWER = 5.0, 1e-3, 1000.0, 2.0

@@ -7,9 +7,9 @@ import pytest
 from canopen import ObjectDictionary
 from drive_bench import OUR_EDS, TamperedBus, axis, dictionary, private_channel
 
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.link import Link
-from canhaptic.drive.sdo import SdoChannel
 from canhaptic.errors import LinkError, SdoError
 
 

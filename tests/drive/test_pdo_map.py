@@ -8,8 +8,8 @@ from drive_bench import OUR_EDS, axis, dictionary
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive.pdo_codec import MappedObject, codec, decode_entry
-from canhaptic.drive.pdo_map import AxisMap, choose_map
+from canhaptic.drive.can.pdo_codec import MappedObject, codec, decode_entry
+from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.errors import DictionaryError
 
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import pytest
 from drive_bench import Bench, axis, dictionary
 
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import WallClock
-from canhaptic.drive.link import Link
 from canhaptic.drive.realtime import GRANTED, Realtime, RealtimeParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive

@@ -8,7 +8,7 @@ import can
 import pytest
 from drive_bench import OUR_EDS, Bench, MakeBench, axis, dictionary
 
-from canhaptic.drive.fitness import Verdict, agreed_rated_torque, check_dictionary, require_fit
+from canhaptic.drive.profile.fitness import Verdict, agreed_rated_torque, check_dictionary, require_fit
 from canhaptic.errors import BusBudgetError, DictionaryError, InputError, StartError
 from canhaptic.sim.state_machine import DriveState
 

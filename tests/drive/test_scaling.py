@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive.scaling import AxisScaling, torque_limit_per_mille
+from canhaptic.drive.profile.scaling import AxisScaling, torque_limit_per_mille
 from canhaptic.errors import ParameterError
 
 

@@ -6,7 +6,7 @@ import pytest
 from drive_bench import RATED_TORQUE, MakeBench, axis
 
 from canhaptic.canopen.objects import NmtState
-from canhaptic.drive.cia402 import is_enabled
+from canhaptic.drive.profile.power_states import is_enabled
 from canhaptic.sim.state_machine import DriveState
 
 VENDOR_FILES = ("elmo_gold.dcf", "zeroerr_erob.eds", "maxon_epos4.dcf", "kollmorgen_rgm.eds")

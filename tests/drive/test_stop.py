@@ -7,7 +7,7 @@ import pytest
 from drive_bench import Bench, MakeBench, axis
 
 from canhaptic.canopen.objects import NmtState
-from canhaptic.drive.link_policy import StopReason
+from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import ControlError, DriveFaultError, LinkError, RigError
 from canhaptic.sim.state_machine import DriveState
 

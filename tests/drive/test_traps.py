@@ -11,7 +11,7 @@ from drive_bench import REPOSITORY, Bench, MakeBench, axis, make_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.bus import open_bus
 from canhaptic.sim.state_machine import DriveState

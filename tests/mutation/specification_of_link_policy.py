@@ -1,4 +1,4 @@
-"""What `canhaptic.drive.link_policy` must do: the decision table, the numbers in the log, the shares by hand."""
+"""What `canhaptic.drive.profile.link_policy` must do: the decision table, the numbers in the log, the shares by hand."""
 
 from types import ModuleType
 

@@ -1,4 +1,4 @@
-"""What `canhaptic.drive.scaling` must do: values by hand, and where a torque is rounded to."""
+"""What `canhaptic.drive.profile.scaling` must do: values by hand, and where a torque is rounded to."""
 
 import math
 from pathlib import Path
@@ -6,7 +6,7 @@ from types import ModuleType
 
 import pytest
 
-from canhaptic.drive.parameters import AxisParameters
+from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import ParameterError
 
 INT16 = 32_767

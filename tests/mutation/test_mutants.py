@@ -19,7 +19,8 @@ import specification_of_state_machine
 from mutator import load, mutants
 
 from canhaptic.canopen.objects import Controlword, StatusBit
-from canhaptic.drive import cia402, limiter, link_policy, scaling
+from canhaptic.drive.profile import limiter, link_policy, scaling
+from canhaptic.drive.profile import power_states as cia402
 from canhaptic.sim import state_machine
 
 

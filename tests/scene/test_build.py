@@ -9,8 +9,8 @@ import pytest
 from scene_text import SECOND_AXIS, scene_file
 
 from canhaptic.cycle import run
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.clock import VirtualClock, WallClock
-from canhaptic.drive.parameters import BusParameters
 from canhaptic.errors import InputError, LinkError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build, build_drive_group

@@ -9,7 +9,7 @@ import pytest
 from can.interfaces import BACKENDS
 from scene_text import REPOSITORY, faults
 
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError, InputError, LinkError
 from canhaptic.scene.interfaces import REMEDIES, accepted_options, interface_faults, opening_error
 from canhaptic.scene.load import load_scene

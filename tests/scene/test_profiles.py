@@ -9,7 +9,7 @@ from scene_text import REPOSITORY, faults, scene_file
 
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
-from canhaptic.drive.quirks import QUIRKS
+from canhaptic.drive.profile.quirks import QUIRKS
 from canhaptic.errors import SceneError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene

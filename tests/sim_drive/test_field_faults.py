@@ -7,7 +7,7 @@ from canopen.objectdictionary import ODVariable
 from drive_on_bus import Rig
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.drive.pdo_map import choose_map, pdo_capabilities
+from canhaptic.drive.can.pdo_map import choose_map, pdo_capabilities
 from canhaptic.drive.survey import Suitability, survey, unconfigured_axis
 
 HEAD = "[FileInfo]\nFileName=x.eds\n"

@@ -17,8 +17,8 @@ import canopen
 from can.interfaces.virtual import VirtualBus
 
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
-from canhaptic.drive.link import Link
 from canhaptic.drive.rig import Rig
 from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.load import load_scene

@@ -10,8 +10,8 @@ from typing import Final
 
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock, WallClock
-from canhaptic.drive.link import Link
 from canhaptic.drive.rig import Rig
 from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.bus import open_bus, private_channel

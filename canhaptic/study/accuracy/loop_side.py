@@ -11,10 +11,10 @@ import numpy as np
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.drive.bus_budget import bus_budget
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.bus_budget import bus_budget
+from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.clock import WallClock
-from canhaptic.drive.parameters import BusParameters
-from canhaptic.drive.pdo_map import AxisMap, choose_map
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import effort_unit
 from canhaptic.scene.accuracy_choice import simulation_of

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final, TypeVar
 
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene, Typed

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from canhaptic.canopen.objects import PDO_COUNT, RPDO_COMMUNICATION, TPDO_COMMUNICATION
-from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.realtime import RealtimeParameters
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters, quantity
@@ -104,7 +104,7 @@ class AxisParameters(Parameters):
     eds: Path
     """Object dictionary (EDS or DCF) of the drive."""
     quirks: tuple[str, ...] = ()
-    """Named deviations of this drive from the standard (`canhaptic.drive.quirks`)."""
+    """Named deviations of this drive from the standard (`canhaptic.drive.profile.quirks`)."""
     unit: Literal["m", "rad"] = "rad"
     """In what the axis moves: m where it slides, rad where it turns. Every other unit of the axis follows from it."""
     counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0)]

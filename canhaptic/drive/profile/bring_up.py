@@ -7,11 +7,11 @@ from typing import Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword, NmtCommand, NmtState
-from canhaptic.drive.cia402 import FAULTED, TORQUE_FREE, DriveState, drive_state
-from canhaptic.drive.fitness import agreed_rated_torque
-from canhaptic.drive.pdo_map import is_writable
-from canhaptic.drive.pdo_setup import write_map
-from canhaptic.drive.scaling import axis_scaling, torque_limit_per_mille
+from canhaptic.drive.can.pdo_map import is_writable
+from canhaptic.drive.can.pdo_setup import write_map
+from canhaptic.drive.profile.fitness import agreed_rated_torque
+from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, DriveState, drive_state
+from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 

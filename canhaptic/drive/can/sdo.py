@@ -14,9 +14,9 @@ from canopen.objectdictionary import datatypes
 from canopen.sdo.exceptions import SdoAbortedError
 
 from canhaptic.canopen.objects import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
-from canhaptic.drive import sdo_transfer
-from canhaptic.drive.link import Link
-from canhaptic.drive.sdo_transfer import FRAME_LENGTH, ProtocolError, Transfer
+from canhaptic.drive.can import sdo_transfer
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.sdo_transfer import FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.errors import LinkError, SdoError
 
 ATTEMPTS: Final = 3

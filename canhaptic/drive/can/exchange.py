@@ -7,8 +7,8 @@ sample and hold at intervals that nobody computed with.
 from collections.abc import Sequence
 
 from canhaptic.canopen.objects import HEARTBEAT_BASE, SYNC_FRAME_COB_ID, NmtState
-from canhaptic.drive.link import Link
-from canhaptic.drive.parameters import BusParameters
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.servo_drive import ServoDrive, SyncWindow
 from canhaptic.errors import LinkError
 

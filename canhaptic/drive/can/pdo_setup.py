@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Final
 
 from canhaptic.canopen.objects import COB_ID_INVALID, RPDO_COMMUNICATION, SYNCHRONOUS_EVERY_SYNC, TPDO_COMMUNICATION
-from canhaptic.drive.pdo_codec import decode_entry
-from canhaptic.drive.pdo_map import AxisMap, PdoPlan, is_writable, pdo_numbers
-from canhaptic.drive.sdo import SdoChannel
+from canhaptic.drive.can.pdo_codec import decode_entry
+from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, is_writable, pdo_numbers
+from canhaptic.drive.can.sdo import SdoChannel
 
 _COB_ID, _TRANSMISSION_TYPE, _EVENT_TIMER = 1, 2, 5  # subindices of the communication parameters
 _NO_RTR: Final = 1 << 30  # bit 30 of a TPDO's COB-ID: some drives insist on it

@@ -13,9 +13,9 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import datatypes
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.parameters import AxisParameters
-from canhaptic.drive.pdo_codec import MappedObject, codec, decode_entry
-from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.axis_parameters import AxisParameters
+from canhaptic.drive.can.pdo_codec import MappedObject, codec, decode_entry
+from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
 _MOST_TPDOS: Final = 3  # statusword, position and torque each in a TPDO of its own

@@ -10,9 +10,9 @@ from typing import Final, NamedTuple
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.parameters import AxisParameters
-from canhaptic.drive.pdo_map import choose_map
-from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.axis_parameters import AxisParameters
+from canhaptic.drive.can.pdo_map import choose_map
+from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
 _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more

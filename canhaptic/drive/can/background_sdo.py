@@ -18,10 +18,10 @@ from typing import Any, Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
-from canhaptic.drive import sdo_transfer
-from canhaptic.drive.link import Link
-from canhaptic.drive.sdo import ATTEMPTS
-from canhaptic.drive.sdo_transfer import ABORT, FRAME_LENGTH, ProtocolError, Transfer
+from canhaptic.drive.can import sdo_transfer
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.sdo import ATTEMPTS
+from canhaptic.drive.can.sdo_transfer import ABORT, FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import LinkError, SdoError
 

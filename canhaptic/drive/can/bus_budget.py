@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from canhaptic.drive.parameters import BusParameters
-from canhaptic.drive.pdo_map import TORQUE_DEMAND, AxisMap
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.pdo_map import TORQUE_DEMAND, AxisMap
 from canhaptic.errors import BusBudgetError
 
 _LONGEST_DATA: Final = 8

@@ -6,8 +6,8 @@ Positions are 32-bit counts that wrap; torques are per mille of the rated torque
 import math
 from typing import Final
 
-from canhaptic.drive.parameters import AxisParameters
-from canhaptic.drive.quirks import quirks_of
+from canhaptic.drive.axis_parameters import AxisParameters
+from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
 
 _WRAP: Final = 1 << 32  # 0x6064 is INTEGER32

@@ -1,0 +1,1 @@
+"""The profile over CAN: frames, COB-IDs, SDO and PDO, bus budget."""
