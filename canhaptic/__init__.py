@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from canhaptic.result import run_result as run_result
     from canhaptic.scene.build import build as build
     from canhaptic.scene.load import load_scene as load_scene
-    from canhaptic.sim.direct_rig import DirectRig as DirectRig
-    from canhaptic.sim.plant import Plant as Plant
+    from canhaptic.sim.plant.direct_rig import DirectRig as DirectRig
+    from canhaptic.sim.plant.plant import Plant as Plant
 
 _PUBLIC: Final = {
     "CanHapticError": "canhaptic.errors",
     "Cycle": "canhaptic.cycle",
-    "DirectRig": "canhaptic.sim.direct_rig",
+    "DirectRig": "canhaptic.sim.plant.direct_rig",
     "EnergyBalance": "canhaptic.control.balance",
     "EnergyLog": "canhaptic.logs.energy_reader",
     "Ledger": "canhaptic.control.balance",
     "LoopProperties": "canhaptic.control.passivity.controller",
-    "Plant": "canhaptic.sim.plant",
+    "Plant": "canhaptic.sim.plant.plant",
     "Rig": "canhaptic.drive.rig",
     "build": "canhaptic.scene.build",
     "build_controller": "canhaptic.control.passivity",

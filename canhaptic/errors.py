@@ -31,8 +31,8 @@
           |- TorqueNotFiniteError            3   the controller's torque is no number
           `- CycleFailedError                3   anything else was raised in the cycle; it is the cause
 
-A rig that stops by itself raises one of the innermost, by the reason in `canhaptic.drive.profile.link_policy`, with the last
-thousand records.
+A rig that stops by itself raises one of the innermost, by the reason in `canhaptic.drive.profile.link_policy`, with
+the last thousand records.
 
 Every message says what happened, the value seen, the limit, and what to do.
 """

@@ -27,12 +27,12 @@ from canhaptic.scene.axes import LOOP_KEYS, SCALING_KEYS
 from canhaptic.scene.buses import BusTitle, FurtherBus
 from canhaptic.scene.models import AutoAccuracy, RunParameters, SimulationParameters
 from canhaptic.scene.profiles import PROFILE_KEY
-from canhaptic.sim.bus_effects import BusEffects
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.effects import EFFECTS
-from canhaptic.sim.mechanism import MECHANISMS
-from canhaptic.sim.mechanism.task_hand import TaskHand
-from canhaptic.sim.plant import AccuracyParameters, PlantParameters
+from canhaptic.sim.bus.bus_effects import BusEffects
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.effects import EFFECTS
+from canhaptic.sim.plant.mechanism import MECHANISMS
+from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.tables import load
 from tools.field_words import first_sentence, words_of

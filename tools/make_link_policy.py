@@ -1,4 +1,4 @@
-"""Writes docs/link_policy.md from the tables of `canhaptic.drive.profile.link_policy`: `python -m tools.make_link_policy`."""
+"""Writes docs/link_policy.md from `canhaptic.drive.profile.link_policy`: `python -m tools.make_link_policy`."""
 
 import sys
 from pathlib import Path
@@ -16,8 +16,8 @@ _MISSED: Final = {
 _INTRODUCTION: Final = """\
 # Link policy
 
-What becomes of the torque when a drive goes unheard or unwell. This page is made from `canhaptic/drive/profile/link_policy.py`
-by `python -m tools.make_link_policy`.
+What becomes of the torque when a drive goes unheard or unwell. This page is made from
+`canhaptic/drive/profile/link_policy.py` by `python -m tools.make_link_policy`.
 
 ## Missed TPDOs
 

@@ -15,11 +15,11 @@ from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.errors import InputError
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant, effect_of
-from canhaptic.sim.direct_rig import DirectRig
-from canhaptic.sim.plant import AccuracyParameters, Plant
-from canhaptic.sim.textbook.located import reference
-from canhaptic.sim.textbook.model import Model
-from canhaptic.sim.textbook.motion import Motion, MotionError, difference
+from canhaptic.sim.plant.direct_rig import DirectRig
+from canhaptic.sim.plant.plant import AccuracyParameters, Plant
+from canhaptic.sim.textbook.event_location import reference
+from canhaptic.sim.textbook.reference_model import Model
+from canhaptic.sim.textbook.reference_motion import Motion, MotionError, difference
 
 HOLDS: Final = 1000
 """Holds that settings are compared over; a scene that lasts shorter is compared over all of it."""

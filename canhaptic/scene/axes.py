@@ -17,9 +17,9 @@ from canhaptic.scene.models import AxisScene, AxisSimulation, Typed
 from canhaptic.scene.profiles import PROFILE_KEY, with_profile
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type
 from canhaptic.scene.twins import lay_twin
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.effects import EFFECTS
-from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.effects import EFFECTS
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
 
 LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")

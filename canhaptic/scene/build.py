@@ -33,11 +33,11 @@ from canhaptic.scene.parts import (
     shared_motors,
 )
 from canhaptic.signals import FarSide, Truth
-from canhaptic.sim.drive_group import DriveGroup, DriveGroups, Drives
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.drive.drive_group import DriveGroup, DriveGroups, Drives
+from canhaptic.sim.plant.plant import Plant
 
 if TYPE_CHECKING:
-    from canhaptic.sim.faulty_bus import FaultyBus
+    from canhaptic.sim.bus.faulty_bus import FaultyBus
 
 Pace = Literal["real", "free"]
 

@@ -10,10 +10,10 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.scene.interfaces import opening_error
 from canhaptic.scene.models import Scene
-from canhaptic.sim.virtual_bus import LeanVirtualBus
+from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 
 if TYPE_CHECKING:
-    from canhaptic.sim.faulty_bus import FaultyBus
+    from canhaptic.sim.bus.faulty_bus import FaultyBus
 
 _ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that give back what was sent, whatever they are told
 _SEEDS_APART: Final = 1_000_003  # from one bus to the next
@@ -57,7 +57,7 @@ def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]
         side: Whose connection it is.
         index: Of the bus among those of the scene.
     """
-    from canhaptic.sim.faulty_bus import FaultyBus
+    from canhaptic.sim.bus.faulty_bus import FaultyBus
 
     if scene.bus_effects is None or scene.simulation is None:
         raise InputError(f"{scene.source}: names no effect on its bus (simulation.bus)")

@@ -5,8 +5,8 @@ from typing import Final
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.scene.schema_parts import Schema, SchemaParts, or_null
-from canhaptic.sim.mechanism import MECHANISMS
-from canhaptic.sim.mechanism.task_hand import TaskHand
+from canhaptic.sim.plant.mechanism import MECHANISMS
+from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 
 _NAMES: Final[Schema] = {"type": "array", "minItems": 1, "items": {"type": "string"}}
 

@@ -26,10 +26,10 @@ from canhaptic.scene.mechanisms import (
 from canhaptic.scene.models import AutoAccuracy, AxisScene, RunParameters, Scene, SimulationParameters
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.section import read_list, read_mapping, read_section, refuse_unknown_keys
-from canhaptic.sim.plant import AccuracyParameters
+from canhaptic.sim.plant.plant import AccuracyParameters
 
 if TYPE_CHECKING:
-    from canhaptic.sim.bus_effects import BusEffects
+    from canhaptic.sim.bus.bus_effects import BusEffects
 
 MAX_BYTES: Final = 1_000_000
 SECTIONS: Final = ("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log", "duration")
@@ -179,7 +179,7 @@ def _bus_effects(sections: MarkedMapping, faults: Faults) -> "BusEffects | None"
     simulation = sections.get("simulation")
     if not isinstance(simulation, MarkedMapping) or "bus" not in simulation:
         return None
-    from canhaptic.sim.bus_effects import BusEffects
+    from canhaptic.sim.bus.bus_effects import BusEffects
 
     section = _section(simulation, "bus", faults)
     return None if section is None else read_section(BusEffects, section, faults)

@@ -57,8 +57,8 @@ def read_mechanisms(
 
 
 def _read_mechanism(entry: MechanismEntry, axes: Sequence[AxisScene], faults: Faults) -> MechanismScene | None:
-    from canhaptic.sim.mechanism import MECHANISMS
-    from canhaptic.sim.mechanism.task_hand import TaskHand
+    from canhaptic.sim.plant.mechanism import MECHANISMS
+    from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 
     section, before = entry.section, len(faults)
     found = read_type(section, "type", "mechanism", MECHANISMS, faults)

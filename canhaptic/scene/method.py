@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from canhaptic.scene.models import Scene
 from canhaptic.scene.plant_price import PlantPrice
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.plant.plant import Plant
 
 
 def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, prices: Sequence[PlantPrice] = ()) -> str:

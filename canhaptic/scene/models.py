@@ -11,13 +11,13 @@ from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.logs.parameters import LogParameters
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.scene.buses import FurtherBus, NamedBus
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.plant import AccuracyParameters, PlantParameters
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
 
 if TYPE_CHECKING:
-    from canhaptic.sim.bus_effects import BusEffects
-    from canhaptic.sim.mechanism.task_hand import TaskHand
+    from canhaptic.sim.bus.bus_effects import BusEffects
+    from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 
 
 class RunParameters(Parameters):

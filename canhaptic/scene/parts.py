@@ -17,12 +17,12 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene, Typed
-from canhaptic.sim.drive_node import SimulatedDrive
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.effects import Effect
-from canhaptic.sim.mechanism import Mechanism, MechanismParameters
-from canhaptic.sim.mechanism.shared_mechanism import MechanismMotor, SharedMechanism
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.drive.drive_node import SimulatedDrive
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.mechanism import Mechanism, MechanismParameters
+from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor, SharedMechanism
+from canhaptic.sim.plant.plant import Plant
 
 
 def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:

@@ -16,7 +16,7 @@ from canhaptic.errors import CanHapticError
 from canhaptic.scene.accuracy_choice import observed, simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.plant import AccuracyParameters, Plant
+from canhaptic.sim.plant.plant import AccuracyParameters, Plant
 
 _PRODUCTS: Final = 12_000
 """Of the plant that is timed: about 50 ms."""

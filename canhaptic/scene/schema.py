@@ -13,10 +13,10 @@ from canhaptic.scene.group_schema import group_schema, mechanism_schema
 from canhaptic.scene.models import AutoAccuracy, RunParameters, SimulationParameters
 from canhaptic.scene.profiles import PROFILE_KEY
 from canhaptic.scene.schema_parts import Schema, SchemaParts, or_null, partial
-from canhaptic.sim.bus_effects import BusEffects
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.effects import EFFECTS
-from canhaptic.sim.plant import AccuracyParameters, PlantParameters
+from canhaptic.sim.bus.bus_effects import BusEffects
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.effects import EFFECTS
+from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
 
 

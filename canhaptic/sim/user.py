@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal
 from pydantic import model_validator
 
 from canhaptic.parameters import Parameters, quantity
-from canhaptic.sim.assembly import Guard, Rows, Scene
+from canhaptic.sim.plant.assembly import Guard, Rows, Scene
 
 HAND: Final = "hand"
 """Name of the hand's part and of its work."""

@@ -17,9 +17,9 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.environments.viscous_medium import ViscousMedium
-from canhaptic.sim.assembly import MOTOR, Guard, LinearPart, Part, Rows, Scene
-from canhaptic.sim.effects import Effect
-from canhaptic.sim.propagator import Array
+from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, Rows, Scene
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.propagator import Array
 
 
 def continuous_effect(environment: Environment) -> Effect | None:

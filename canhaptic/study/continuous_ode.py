@@ -11,8 +11,8 @@ import numpy as np
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.errors import InputError
-from canhaptic.sim.assembly import Rows
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.plant.assembly import Rows
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.study.loop import Array
 
 _TOLERANCE: Final = 1e-10

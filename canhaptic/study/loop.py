@@ -14,8 +14,8 @@ from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.errors import ControlError
 from canhaptic.parameters import Parameters
-from canhaptic.sim.direct_rig import DirectRig
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.plant.direct_rig import DirectRig
+from canhaptic.sim.plant.plant import Plant
 
 Array = NDArray[np.float64]
 

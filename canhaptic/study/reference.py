@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.control.environments.environment import Environment
-from canhaptic.sim.effects import Effect
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.continuous import continuous_effect
 from canhaptic.study.loop import Array

@@ -8,8 +8,8 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.effects import Effect
-from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.loop import LoopCase
 

@@ -7,10 +7,10 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.sim.effects import Effect
-from canhaptic.sim.effects.grasp_change import GraspChange
-from canhaptic.sim.effects.tremor import Tremor
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.effects.grasp_change import GraspChange
+from canhaptic.sim.plant.effects.tremor import Tremor
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.loop import LoopCase
 from canhaptic.study.reference import Reference, continuous_reference

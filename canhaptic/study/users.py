@@ -19,7 +19,7 @@ _DEEP, _OUT = -0.3, 0.005  # [m] where a user turns round, whatever he wants
 
 
 class HandPlant:
-    """A moving mass under torque and hand, with the interface of `canhaptic.sim.plant.Plant` that a loop uses.
+    """A moving mass under torque and hand, with the interface of `canhaptic.sim.plant.plant.Plant` that a loop uses.
 
     Args:
         law: Of the hand.

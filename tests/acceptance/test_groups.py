@@ -15,7 +15,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replay import replay
 from canhaptic.scene.build import Experiment
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.mechanism.shared_mechanism import MechanismMotor
+from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
 from canhaptic.view.inspection import inspect
 from canhaptic.view.recompute import recompute_all
 from canhaptic.view.rederive import rederive

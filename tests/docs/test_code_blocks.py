@@ -14,7 +14,7 @@ from documents import ROOT, Block, blocks, pages
 from canhaptic.cli.main import main
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.sim.effects import EFFECTS
+from canhaptic.sim.plant.effects import EFFECTS
 
 NOT_RUN = {
     "make": "the tests themselves are run by it",

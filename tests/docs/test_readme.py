@@ -8,7 +8,7 @@ from documents import ROOT
 from canhaptic.cli.main import COMMANDS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.sim.bus_effects import BusEffects
+from canhaptic.sim.bus.bus_effects import BusEffects
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 NUMBERS = {6: "Six", 9: "nine"}

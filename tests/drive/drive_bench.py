@@ -16,8 +16,8 @@ from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.drive_node import SimulatedDrive
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive.drive_node import SimulatedDrive
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
 OUR_EDS = REPOSITORY / "eds" / "cia402_servo.eds"

@@ -13,9 +13,9 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive
-from canhaptic.sim.drive_node import SimulatedDrive
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.state_machine import DriveState
+from canhaptic.sim.drive.drive_node import SimulatedDrive
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive.state_machine import DriveState
 
 MS = 1_000_000
 

@@ -10,9 +10,9 @@ from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import BusBudgetError, LinkError
-from canhaptic.sim.drive_node import SimulatedDrive
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.state_machine import DriveState
+from canhaptic.sim.drive.drive_node import SimulatedDrive
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive.state_machine import DriveState
 
 
 class Buses:

@@ -1,4 +1,4 @@
-"""What `canhaptic.drive.profile.link_policy` must do: the decision table, the numbers in the log, the shares by hand."""
+"""What `canhaptic.drive.profile.link_policy` must do: decision table, numbers in the log, shares by hand."""
 
 from types import ModuleType
 

@@ -1,4 +1,4 @@
-"""What `canhaptic.sim.state_machine` must do, written from figure 2 of IEC 61800-7-201 and the table of commands."""
+"""What `canhaptic.sim.drive.state_machine` must do, from figure 2 of IEC 61800-7-201 and the table of commands."""
 
 from types import ModuleType
 

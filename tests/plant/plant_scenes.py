@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from canhaptic.sim.effects import read_effect
-from canhaptic.sim.plant import AccuracyParameters, Plant, PlantParameters
+from canhaptic.sim.plant.effects import read_effect
+from canhaptic.sim.plant.plant import AccuracyParameters, Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 MS = 1_000_000

@@ -14,7 +14,7 @@ import pytest
 from plant_scenes import MS, make_plant, run
 
 from canhaptic.sim import effects as effects_package
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.plant.plant import Plant
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 STOP = {"type": "hard_stop", "position": 0.01, "stiffness": 1e6, "damping": 30}
@@ -56,8 +56,8 @@ SCRIPT = """
 import sys
 {leak}
 sys.path[:0] = [{tests!r}]
-from canhaptic.sim.plant import Plant, PlantParameters
-from canhaptic.sim.effects import read_effect
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.effects import read_effect
 plant = Plant(PlantParameters(mass=0.25), None, [read_effect(e) for e in {effects!r}], 1_000_000)
 plant.begin(0)
 for k in range(3):
@@ -76,7 +76,7 @@ def imported(effects: list[dict[str, Any]], leak: str = "") -> set[str]:
 
 
 def effect_modules(modules: set[str]) -> set[str]:
-    return {name.rpartition(".")[2] for name in modules if name.startswith("canhaptic.sim.effects.")}
+    return {name.rpartition(".")[2] for name in modules if name.startswith("canhaptic.sim.plant.effects.")}
 
 
 def test_a_scene_imports_only_the_modules_of_its_effects():
@@ -88,7 +88,7 @@ def test_a_scene_imports_only_the_modules_of_its_effects():
 
 
 def test_an_import_that_leaks_is_caught():
-    assert effect_modules(imported([], leak="import canhaptic.sim.effects.cogging")) == {"cogging"}
+    assert effect_modules(imported([], leak="import canhaptic.sim.plant.effects.cogging")) == {"cogging"}
 
 
 def executed(plant: Plant, holds: int = 4) -> Counter[tuple[str, str]]:
@@ -116,7 +116,7 @@ def executed(plant: Plant, holds: int = 4) -> Counter[tuple[str, str]]:
 def test_a_bare_scene_executes_the_same_bytecodes_when_every_effect_is_gone(monkeypatch):
     with_package = executed(make_plant())
     monkeypatch.setattr(effects_package, "EFFECTS", {})
-    for name in [name for name in sys.modules if name.startswith("canhaptic.sim.effects.")]:
+    for name in [name for name in sys.modules if name.startswith("canhaptic.sim.plant.effects.")]:
         monkeypatch.delitem(sys.modules, name)
     without = executed(make_plant())
     assert with_package == without
@@ -167,7 +167,7 @@ def test_registering_another_effect_changes_no_bit(effect, monkeypatch):
     chosen = [effect] if effect else []
     torques = [2.0 * (k % 7 - 3) for k in range(200)]
     before = run(make_plant(*chosen), torques)
-    monkeypatch.setitem(effects_package.EFFECTS, "new_effect", "canhaptic.sim.effects.cogging:Cogging")
+    monkeypatch.setitem(effects_package.EFFECTS, "new_effect", "canhaptic.sim.plant.effects.cogging:Cogging")
     after = run(make_plant(*chosen), torques)
     assert before.tobytes() == after.tobytes()
 

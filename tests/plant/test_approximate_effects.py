@@ -9,8 +9,8 @@ import pytest
 from plant_scenes import DAMPING, MASS, hand, largest_flow, make_plant, residual, run
 from scipy.integrate import solve_ivp
 
-from canhaptic.sim.effects import read_effect
-from canhaptic.sim.splitting import fixed_point
+from canhaptic.sim.plant.effects import read_effect
+from canhaptic.sim.plant.splitting import fixed_point
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 TORQUES = [1.5 + 0.5 * math.sin(0.1 * k) for k in range(40)]

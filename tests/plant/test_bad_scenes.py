@@ -3,7 +3,7 @@ from plant_scenes import make_plant
 
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import axis_motion
-from canhaptic.sim.effects import EFFECTS, read_effect
+from canhaptic.sim.plant.effects import EFFECTS, read_effect
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.tables import load
 

@@ -8,7 +8,7 @@ import pytest
 from plant_scenes import MS, make_plant, run
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 
 STOP = {"type": "hard_stop", "position": 0.01, "stiffness": 1e6}
 DAMPED_STOP = {**STOP, "damping": 30}
@@ -79,13 +79,13 @@ def test_compiled_holds_agree_with_interpreted_ones():
 
 
 def test_numba_is_imported_only_when_it_is_asked_for():
-    code = "import sys; import canhaptic.sim.plant, canhaptic.sim.effects.hard_stop; print('numba' in sys.modules)"
+    code = "import canhaptic.sim.plant.plant, sys, canhaptic.sim.plant.effects.hard_stop; print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "False"
 
 
 def test_compiled_without_numba_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.delitem(sys.modules, "canhaptic.sim.compiled", raising=False)
+    monkeypatch.delitem(sys.modules, "canhaptic.sim.plant.njit_stepper", raising=False)
     with pytest.raises(ParameterError, match=r"canhaptic\[fast\]"):
         Plant(PlantParameters(mass=0.25), None, [], MS, compiled=True)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.direct_rig import DirectRig
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.direct_rig import DirectRig
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 MS = 1_000_000

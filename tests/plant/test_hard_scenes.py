@@ -11,8 +11,8 @@ from plant_scenes import ReferenceMode, Way, hand, largest_flow, reference, resi
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.direct_rig import DirectRig
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.plant.direct_rig import DirectRig
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.study.scenes import loop_case
 
 FOLDER = Path(__file__).resolve().parents[2] / "configs" / "hard"

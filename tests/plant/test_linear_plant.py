@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 MS = 1_000_000

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from plant_scenes import USER_S, largest_flow, make_plant, residual
 
-from canhaptic.sim.effects import EFFECTS
+from canhaptic.sim.plant.effects import EFFECTS
 
 DRY = {"kinetic": 0.3, "static": 0.5}
 SHAFT: dict[str, Any] = {"type": "shaft_compliance", "stiffness": 2e4, "damping": 2.0, "load_mass": 0.1}

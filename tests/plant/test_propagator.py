@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from canhaptic.sim.propagator import LEVELS, dyadic_flows
+from canhaptic.sim.plant.propagator import LEVELS, dyadic_flows
 
 
 def servo_and_hand(stiffness: float, damping: float, mass: float, frequency: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plant_scenes import make_plant, residual
 
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 

@@ -9,7 +9,7 @@ from canhaptic.cycle import run
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
-from canhaptic.sim.direct_rig import DirectRig
+from canhaptic.sim.plant.direct_rig import DirectRig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 EFFECTS = {

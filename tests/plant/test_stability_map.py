@@ -5,9 +5,9 @@ import pytest
 from plant_scenes import MS
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant import Plant, PlantParameters
-from canhaptic.sim.stability_map import Loops, decay_per_hold, loop_matrices
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import UserParameters
+from canhaptic.study.map.stability_map import Loops, decay_per_hold, loop_matrices
 
 
 @pytest.mark.parametrize("delay", [0, 1])

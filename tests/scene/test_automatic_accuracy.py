@@ -23,8 +23,8 @@ from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.scene.parts import build_plant
 from canhaptic.scene.plant_price import estimated_error, plant_prices
-from canhaptic.sim.textbook.located import reference
-from canhaptic.sim.textbook.motion import difference
+from canhaptic.sim.textbook.event_location import reference
+from canhaptic.sim.textbook.reference_motion import difference
 
 COGGING = "simulation.effects=[{type: cogging, amplitude: 0.2, pitch: 5 mm}]"
 FRICTION = "simulation.effects=[{type: coulomb_friction, kinetic: 0.3, static: 0.5}]"

@@ -17,7 +17,7 @@ from canhaptic.replay.replay import replay
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene
-from canhaptic.sim.state_machine import DriveState
+from canhaptic.sim.drive.state_machine import DriveState
 from canhaptic.view.rederive import rederive
 
 TWO_BUSES = REPOSITORY / "configs" / "two_buses.yaml"

@@ -215,7 +215,9 @@ def test_a_scene_of_axes_alone_imports_no_mechanism_and_no_network() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
     names = set(done.stdout.split())
     assert not names & {
-        "canhaptic.sim.mechanism.five_bar", "canhaptic.sim.mechanism.xy_stage", "canhaptic.sim.mechanism.linkage",
+        "canhaptic.sim.plant.mechanism.five_bar_linkage",
+        "canhaptic.sim.plant.mechanism.xy_stage",
+        "canhaptic.sim.plant.mechanism.linkage",
         "canhaptic.control.port_hamiltonian.newton", "canhaptic.control.port_hamiltonian.network",
         "canhaptic.control.mechanisms.five_bar",
     }  # fmt: skip

@@ -93,6 +93,6 @@ def test_a_compiled_scene_without_numba_is_refused_with_its_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.delitem(sys.modules, "canhaptic.sim.compiled", raising=False)
+    monkeypatch.delitem(sys.modules, "canhaptic.sim.plant.njit_stepper", raising=False)
     [line] = faults(tmp_path, ("simulation:\n", "simulation:\n  compiled: true\n"))
     assert re.search(r"scene.yaml:17:\d+: simulation.compiled: compiled: needs numba", line)

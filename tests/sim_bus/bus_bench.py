@@ -7,9 +7,9 @@ from typing import Any
 import can
 
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.sim.bus_effects import BusEffects
-from canhaptic.sim.faulty_bus import FaultyBus
-from canhaptic.sim.timers import NEVER
+from canhaptic.sim.bus.bus_effects import BusEffects
+from canhaptic.sim.bus.faulty_bus import FaultyBus
+from canhaptic.sim.drive.timers import NEVER
 
 _channels = itertools.count()
 US, MS = 1_000, 1_000_000  # [ns]

@@ -8,9 +8,9 @@ import pytest
 from bus_bench import MS, US, Bench, frame, numbered, numbers, virtual_bus
 
 from canhaptic.drive.clock import WallClock
-from canhaptic.sim.bus_effects import BusEffects
-from canhaptic.sim.bus_line import worst_case_bits
-from canhaptic.sim.faulty_bus import FaultyBus
+from canhaptic.sim.bus.bus_effects import BusEffects
+from canhaptic.sim.bus.bus_segment import worst_case_bits
+from canhaptic.sim.bus.faulty_bus import FaultyBus
 
 
 def test_frames_take_the_bits_of_the_literature() -> None:

@@ -13,8 +13,8 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.scene.schema import scene_schema
-from canhaptic.sim.bus_effects import BusEffects, Schedule, Window
-from canhaptic.sim.virtual_bus import LeanVirtualBus
+from canhaptic.sim.bus.bus_effects import BusEffects, Schedule, Window
+from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 MODULES = ["bus_effects", "bus_line", "faulty_bus", "frame_effects"]

@@ -10,7 +10,7 @@ from can.interfaces.virtual import VirtualBus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.sim.virtual_bus import LeanVirtualBus
+from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 
 CHANNELS = count()
 FIELDS = [name for name in can.Message.__slots__ if name not in ("__weakref__", "channel", "is_rx")]

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import pytest
 from drive_on_bus import PERIOD, Rig
 
-from canhaptic.sim.direct_rig import DirectRig
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.direct_rig import DirectRig
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 
 QUANTUM = 0.01  # [N] of 10 N rated
 CYCLES = 200

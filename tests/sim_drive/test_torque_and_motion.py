@@ -6,8 +6,8 @@ import pytest
 from drive_on_bus import PERIOD, Mass, Rig
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters, parse_place
-from canhaptic.sim.state_machine import DriveState
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
+from canhaptic.sim.drive.state_machine import DriveState
 
 
 def torque(per_mille: int) -> str:

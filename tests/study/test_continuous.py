@@ -15,8 +15,8 @@ from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import InputError
-from canhaptic.sim.effects.coulomb_friction import CoulombFriction
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.continuous import continuous_effect
 from canhaptic.study.continuous_ode import integrate

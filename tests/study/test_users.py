@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.loop import Recorder, render
 from canhaptic.study.standard import standard_case

@@ -21,7 +21,7 @@ import can
 from canhaptic.drive.clock import Clock
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.virtual_bus import LeanVirtualBus
+from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 from tools.bench.demo import CONFIG, COUNT, PERIOD, drive_of, require_rendered
 from tools.bench.peers import (
     ENABLE,

@@ -15,14 +15,14 @@ import numpy as np
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
-from canhaptic.sim.plant import PlantParameters
-from canhaptic.sim.stability_map import Loops, decay_per_hold
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch import METRICS
 from canhaptic.study.batch.cases import loop_in_arrays
 from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.batch.scalar import run_case
+from canhaptic.study.map.stability_map import Loops, decay_per_hold
 from canhaptic.study.standard import PLANT, USER_S, standard_case
 from tools.bench.plants.peers import mujoco_rollout
 from tools.bench.plants.scenes import easy

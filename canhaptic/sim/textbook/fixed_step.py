@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from canhaptic.sim.propagator import Array
-from canhaptic.sim.textbook.elements import Floats
-from canhaptic.sim.textbook.located import settled
-from canhaptic.sim.textbook.model import Model, Modes
-from canhaptic.sim.textbook.motion import Motion, motion_of
+from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.textbook.event_location import settled
+from canhaptic.sim.textbook.reference_elements import Floats
+from canhaptic.sim.textbook.reference_model import Model, Modes
+from canhaptic.sim.textbook.reference_motion import Motion, motion_of
 
 Step = Callable[[Model, float, Floats, float, Modes, float], Floats]
 _LARGEST: Final = 1e6  # [m or rad] beyond which a motion counts as diverged

@@ -13,10 +13,10 @@ from typing import Final
 from canhaptic.scene.accuracy_choice import ladder, observed, textbook_model
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.plant import AccuracyParameters, Plant
+from canhaptic.sim.plant.plant import AccuracyParameters, Plant
+from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
-from canhaptic.sim.textbook.located import located
-from canhaptic.sim.textbook.motion import Motion
+from canhaptic.sim.textbook.reference_motion import Motion
 from canhaptic.study.accuracy.mujoco_plant import MujocoPlant, inexpressible
 
 OURS: Final = "canhaptic"

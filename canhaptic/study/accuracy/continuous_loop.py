@@ -14,10 +14,10 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.scene.accuracy_choice import simulation_of, textbook_model
 from canhaptic.scene.models import AxisScene
-from canhaptic.sim.propagator import Array
-from canhaptic.sim.textbook.elements import POSITION, VELOCITY, Floats, Way
-from canhaptic.sim.textbook.located import located_states
-from canhaptic.sim.textbook.model import Model
+from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.textbook.event_location import located_states
+from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats, Way
+from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.study.continuous_ode import surfaces
 from canhaptic.study.scenes import environment_of
 

@@ -19,7 +19,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.parameters import effort_unit
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.sim.plant import AccuracyParameters
+from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.study.accuracy.continuous_loop import ContinuousLoop
 from canhaptic.study.algorithms import able_under
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.propagator import Array
-from canhaptic.sim.textbook.motion import Motion
+from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.textbook.reference_motion import Motion
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.scenes import viscous_friction
 

@@ -10,9 +10,9 @@ from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.accuracy_choice import ladder, simulation_of, textbook_model, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.plant import AccuracyParameters
-from canhaptic.sim.textbook.located import reference
-from canhaptic.sim.textbook.motion import Motion, MotionError, difference
+from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.textbook.event_location import reference
+from canhaptic.sim.textbook.reference_motion import Motion, MotionError, difference
 from canhaptic.study.accuracy.advice import fitted_order
 from canhaptic.study.accuracy.candidates import OURS, Candidate, candidates, ours
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import holds_of, require_own_axis, simulation_of
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.sim.plant import AccuracyParameters
+from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.study.accuracy.advice import FLOOR, advice, error_per_microsecond, pareto, rank_agreement
 from canhaptic.study.accuracy.candidates import LSODA, remarks
 from canhaptic.study.accuracy.continuous_loop import continuous_loop

@@ -1,7 +1,7 @@
 """One axis between its encoder and its torque, with a meter: what happens at every SYNC, for one axis and floats.
 
-The order and the rounding are those of `canhaptic.sim.direct_rig.DirectRig` and `canhaptic.study.loop.render`. The
-batch form is made from this source.
+The order and the rounding are those of `direct_rig.DirectRig` and `canhaptic.study.loop.render`. The batch
+form is made from this source.
 """
 
 from canhaptic.control.balance import EnergyBalance

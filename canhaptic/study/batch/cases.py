@@ -9,8 +9,8 @@ import numpy as np
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import Parameters
 from canhaptic.scene.models import AxisSimulation, Scene
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.plants import plant_numbers, why_not_linear

@@ -19,7 +19,7 @@ from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscous_medium import ViscousMedium
-from canhaptic.sim.propagator import flow_changes
+from canhaptic.sim.plant.propagator import flow_changes
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.figures import last_rows
 from canhaptic.study.loop import Array

@@ -1,6 +1,6 @@
 """The flow of many linear plants over one sample time, in arrays: mass, bearings and a hand that follows sinusoids.
 
-    m v' = torque - b v + K (x_u - q) + D (v_u - v) + push        (`canhaptic.sim.user`, `canhaptic.sim.plant`)
+    m v' = torque - b v + K (x_u - q) + D (v_u - v) + push        (`canhaptic.sim.user`, `canhaptic.sim.plant.plant`)
 
 The states are those of `Plant`, in its order, and so is the flow: exp(F T) by a series and doubling. The sum of a row
 is taken term by term and not by a matrix product, so that a position may differ from that of `Plant` by a few units in
@@ -14,10 +14,10 @@ import numpy as np
 
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.assembly import Scene as PlantScene
-from canhaptic.sim.effects import Effect
-from canhaptic.sim.plant import Plant
-from canhaptic.sim.propagator import flow_changes
+from canhaptic.sim.plant.assembly import Scene as PlantScene
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.propagator import flow_changes
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.batch.varied import simulation_with
 from canhaptic.study.loop import Array

@@ -6,7 +6,7 @@ import numpy as np
 
 from canhaptic.errors import ControlError
 from canhaptic.scene.models import Scene
-from canhaptic.sim.plant import Plant
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.study.batch.axis import SampledAxis
 from canhaptic.study.batch.meter import CONTINUOUS, METRICS, Meter, metrics_of, sums_of
 from canhaptic.study.figures import last_rows

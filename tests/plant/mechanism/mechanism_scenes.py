@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from canhaptic.sim.mechanism.five_bar import FiveBar
-from canhaptic.sim.mechanism.task_hand import PlaneMotion, TaskHand
-from canhaptic.sim.mechanism.xy_stage import XYStage
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBar
+from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
+from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.user import SinusoidMotion
 
 MS = 1_000_000

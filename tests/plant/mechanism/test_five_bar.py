@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from mechanism_scenes import LINKS, MS, OpenChains, five_bar, integrated, run, wavy
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.mechanism.five_bar import FiveBar
-from canhaptic.sim.mechanism.task_hand import TaskHand
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBar
+from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 
 LEFT = st.floats(1.7, 2.9)
 RIGHT = st.floats(0.2, 1.4)

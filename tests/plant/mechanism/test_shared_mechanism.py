@@ -5,7 +5,7 @@ import itertools
 import pytest
 from mechanism_scenes import MS, five_bar, stage
 
-from canhaptic.sim.mechanism.shared_mechanism import SharedMechanism
+from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
 
 
 class Held:

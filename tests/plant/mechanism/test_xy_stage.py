@@ -9,9 +9,9 @@ import pytest
 from mechanism_scenes import HAND, MS, STAGE, hand_force, integrated, run, stage, wavy
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.effects.coulomb_friction import CoulombFriction
-from canhaptic.sim.mechanism.task_hand import PlaneMotion, TaskHand
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
+from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 MASSES = np.array([STAGE["mass_x"], STAGE["mass_y"]])
@@ -67,7 +67,7 @@ def test_a_stage_has_exactly_the_states_it_names():
 
 def imported(friction: str) -> set[str]:
     script = (
-        "import sys\nfrom canhaptic.sim.mechanism.xy_stage import XYStage\n"
+        "import sys\nfrom canhaptic.sim.plant.mechanism.xy_stage import XYStage\n"
         f"m = XYStage(mass_x=1, mass_y=1{friction}).build(None, 10**6, 1)\n"
         "m.begin(0)\nm.advance_to(10**6, (1.0, 0.0))\n"
         "print(*sorted(n for n in sys.modules if n.startswith('canhaptic') or n in ('scipy', 'can', 'canopen')))"
@@ -79,8 +79,12 @@ def imported(friction: str) -> set[str]:
 @pytest.mark.parametrize("friction", ["", ", friction_x={'kinetic': 0.1, 'static': 0.2}"])
 def test_a_stage_imports_no_effect_of_an_axis_no_other_mechanism_and_nothing_of_the_other_side(friction):
     modules = imported(friction)
-    assert "canhaptic.sim.mechanism.xy_stage" in modules
-    assert not {n for n in modules if n.startswith(("canhaptic.sim.effects.", "canhaptic.sim.mechanism.five_bar"))}
+    assert "canhaptic.sim.plant.mechanism.xy_stage" in modules
+    assert not {
+        n
+        for n in modules
+        if n.startswith(("canhaptic.sim.plant.effects.", "canhaptic.sim.plant.mechanism.five_bar_linkage"))
+    }
     assert not {n for n in modules if n.startswith(("canhaptic.control", "canhaptic.drive")) or "." not in n} - {
         "canhaptic"
     }

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from canhaptic.scene.models import AxisSimulation, Typed
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.effects import read_effect
-from canhaptic.sim.plant import AccuracyParameters, PlantParameters
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.effects import read_effect
+from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 REPOSITORY = Path(__file__).resolve().parents[3]

@@ -12,9 +12,9 @@ from accuracy_scenes import FOLDER, REPOSITORY, SCENES
 from canhaptic.scene.accuracy_choice import choose, holds_of, observed, simulation_of, textbook_model, torque_history
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.plant import AccuracyParameters
-from canhaptic.sim.textbook.located import located
-from canhaptic.sim.textbook.motion import difference
+from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.textbook.event_location import located
+from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.advice import FLOOR, advice, line, meets
 from canhaptic.study.accuracy.candidates import OURS
 from canhaptic.study.accuracy.plant_side import PlantSide

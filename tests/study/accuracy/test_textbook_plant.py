@@ -8,11 +8,11 @@ from accuracy_scenes import EFFECTS, EXACT, PERIOD, PLANT, WARM, random_torques,
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import observed, textbook_model
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.effects import read_effect
+from canhaptic.sim.plant.effects import read_effect
+from canhaptic.sim.textbook.event_location import located, reference
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
-from canhaptic.sim.textbook.located import located, reference
-from canhaptic.sim.textbook.model import Model
-from canhaptic.sim.textbook.motion import difference
+from canhaptic.sim.textbook.reference_model import Model
+from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.advice import fitted_order
 
 HOLDS = 60

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.environments import ENVIRONMENTS
-from canhaptic.sim.plant import PlantParameters
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch.cases import loop_in_arrays
 from canhaptic.study.batch.meter import METRICS, metrics_of, sums_of

@@ -8,7 +8,7 @@ from loops import PLANT, in_arrays, scalar_case
 from test_scenes import demo, many
 
 from canhaptic.control.environments import ENVIRONMENTS
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
 from canhaptic.study.batch.cases import loop_in_arrays

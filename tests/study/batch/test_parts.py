@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.scene.models import AxisSimulation, Typed
-from canhaptic.sim.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.effects import read_effect
-from canhaptic.sim.plant import Plant, PlantParameters
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.effects import read_effect
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch.graph import Graph
 from canhaptic.study.batch.layout import known_values

@@ -10,7 +10,7 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, Typed
-from canhaptic.sim.effects import read_effect
+from canhaptic.sim.plant.effects import read_effect
 from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import (
     METRICS,

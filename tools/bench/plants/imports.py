@@ -8,7 +8,7 @@ from tools.bench.report import Row, interleave
 
 REPEATS = 9
 ALL = (
-    "import importlib; from canhaptic.sim.effects import EFFECTS; import canhaptic.sim.plant; "
+    "import importlib; from canhaptic.sim.plant.effects import EFFECTS; import canhaptic.sim.plant.plant; "
     "[importlib.import_module(entry.partition(':')[0]) for entry in EFFECTS.values()]"
 )
 

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant import Plant
-from canhaptic.sim.propagator import Array
+from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.propagator import Array
 
 _CHUNK: Final = 4096
 """Plants that are moved together: their states then stay in the cache."""

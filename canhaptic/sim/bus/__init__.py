@@ -1,0 +1,1 @@
+"""The simulated bus: frames, wire time and faults."""

@@ -1,0 +1,245 @@
+"""A python-can bus with faults: frames lost, late, doubled, out of order, short, wrong, refused, or kept waiting.
+
+It wraps one connection, the master's or the drives', and disturbs both directions. The same frames and the same seed
+give the same faults. In lock-step a delayed frame arrives at its own virtual instant, because the bus takes part in the
+far side's `process` and `next_due`; in real time it does so whenever its owner receives. A scene that names no effect
+on its bus never imports this module.
+"""
+
+import copy
+import errno
+from collections import Counter, deque
+from typing import Protocol
+
+import can
+
+from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
+from canhaptic.signals import FarSide
+from canhaptic.sim.bus.bus_effects import BusEffects, Direction, Schedule
+from canhaptic.sim.bus.bus_segment import Counts, Foreign, Line, Wire
+from canhaptic.sim.bus.frame_effects import Refuse
+from canhaptic.sim.drive.timers import NEVER
+
+
+class Clock(Protocol):
+    """Time as the owner of the connection sees it."""
+
+    def now(self) -> int:
+        """Returns the time [ns]."""
+
+    def wait_until(self, deadline: int) -> None:
+        """Returns when `deadline` [ns] has come."""
+
+
+class FaultyBus(can.BusABC):
+    """One connection to a bus with faults; `use` a clock before the first frame.
+
+    Args:
+        bus: The connection; shut down together with this one.
+        effects: What happens.
+        bitrate: Of the wire [bit/s].
+        seed: Of everything random.
+        side: Whose connection it is. Stalls, and frames refused, happen to the master alone.
+
+    Attributes:
+        counts: Frames struck, by (effect, direction, COB-ID).
+    """
+
+    def __init__(
+        self, bus: can.BusABC, effects: BusEffects, *, bitrate: int, seed: int = 0, side: str = "master"
+    ) -> None:
+        super().__init__(channel=0)
+        self.channel_info = f"{getattr(bus, 'channel_info', 'bus')} with faults"
+        self.counts: Counts = Counter()
+        self._bus = bus
+        self._clock: Clock | None = None
+        self._ready: deque[can.Message] = deque()
+        is_master = side == "master"
+        self._out: Direction = "to_drive" if is_master else "to_master"
+        self._in: Direction = "to_master" if is_master else "to_drive"
+        self._wire = Wire(bitrate) if effects.wire_time else None
+        self._outgoing = Line(effects, self._out, seed, self.counts, self._wire, self._send_on)
+        self._incoming = Line(effects, self._in, seed, self.counts, self._wire, self._hand_in)
+        self._refuse = Refuse(effects, seed) if effects.refuse and is_master and effects.suffers(self._out) else None
+        self._stall = Schedule(effects.stall) if effects.stall and is_master else None
+        self._bus_off = Schedule(effects.bus_off) if effects.bus_off else None
+        self._foreign = Foreign(effects, seed) if effects.foreign_rate else None
+        self._foreign_times = Schedule(effects.during) if effects.during else None
+        self._begins_at_once = effects.bring_up
+        self._is_pumped = False  # by a far side, which collects what the connection receives
+        self._epoch: int | None = None
+
+    def use(self, clock: Clock) -> None:
+        """Sets the clock by which frames are late."""
+        self._clock = clock
+
+    # --- a bus of python-can ------------------------------------------------------------------------------------------
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Sends a frame, or what becomes of it.
+
+        Raises:
+            can.CanOperationError: The bus is off, or the interface's queue is full (ENOBUFS).
+        """
+        now = self._awake()
+        epoch = self._begin(msg, now)
+        if epoch is None:
+            self._outgoing.pass_through(copy.copy(msg), now)
+        else:
+            self._require_working(msg.arbitration_id, now - epoch)
+            self._outgoing.push(copy.copy(msg), now, epoch)
+        self.advance(now)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Returns the next frame that has arrived; None when none did within `timeout` [s], None for ever."""
+        now = self._awake()
+        deadline = NEVER if timeout is None else now + round(timeout * 1e9)
+        while True:
+            if self._is_pumped:
+                self.advance(now)
+            else:
+                self.collect(now)
+            if self._ready:
+                return self._ready.popleft()
+            if now >= deadline:
+                return None
+            message = self._bus.recv(max(0, min(deadline, self.next_due(), now + 1_000_000_000) - now) * 1e-9)
+            now = self._awake()
+            if message is not None:
+                self._take(message, now)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return self.recv(timeout), False  # python-can's own way in, for its Notifier and iterator
+
+    def shutdown(self) -> None:
+        """Shuts the connection down; frames on their way are lost."""
+        super().shutdown()
+        self._bus.shutdown()
+
+    def totals(self) -> dict[str, dict[str, int]]:
+        """Returns how many frames each effect struck, by effect and direction."""
+        totals: dict[str, dict[str, int]] = {}
+        for (effect, direction, _), count in sorted(self.counts.items()):
+            of_effect = totals.setdefault(effect, {})
+            of_effect[direction] = of_effect.get(direction, 0) + count
+        return totals
+
+    # --- time ---------------------------------------------------------------------------------------------------------
+
+    def around(self, far_side: FarSide) -> FarSide:
+        """Returns a far side whose frames come and go through the faults, for the master's clock to drive."""
+        self._is_pumped = True
+        return FaultyFarSide(self, far_side)
+
+    def advance(self, now: int) -> None:
+        """Delivers what is due up to `now` [ns], each at its own time."""
+        while (due := self.next_due()) <= now:
+            if self._foreign is not None and self._foreign.due <= due:
+                self._let_in(self._foreign.take(), due)
+            self._outgoing.run(due)
+            self._incoming.run(due)
+            if self._wire is not None:
+                self._wire.run(due)
+
+    def collect(self, now: int) -> None:
+        """Takes over what the connection has received up to `now` [ns]."""
+        receive = self._bus.recv
+        while (message := receive(0)) is not None:
+            self._take(message, now)
+        self.advance(now)
+
+    def next_due(self) -> int:
+        """Returns when something happens next [ns]; `NEVER` when nothing is on its way."""
+        due = min(self._outgoing.next_due(), self._incoming.next_due())
+        if self._wire is not None:
+            due = min(due, self._wire.next_due())
+        if self._foreign is not None:
+            due = min(due, self._foreign.due)
+        return due
+
+    def _awake(self) -> int:
+        """Returns the time [ns] at which the owner is awake."""
+        clock = self._clock
+        if clock is None:
+            raise can.CanOperationError("the faulty bus has no clock; call use(clock) first")
+        now = clock.now()
+        if self._stall is not None and self._epoch is not None:
+            end = self._stall.end(now - self._epoch)
+            if end:
+                self.counts["stall", self._out, 0] += 1
+                clock.wait_until(end + self._epoch)
+                now = clock.now()
+        return now
+
+    # --- frames -------------------------------------------------------------------------------------------------------
+
+    def _begin(self, message: can.Message, now: int) -> int | None:
+        """Returns when the faults began [ns]: with the first SYNC, or the first frame; None before."""
+        is_sync = message.arbitration_id == SYNC_FRAME_COB_ID and not message.is_extended_id
+        if self._epoch is None and (self._begins_at_once or is_sync):
+            self._epoch = now
+            if self._foreign is not None:
+                self._foreign.begin(now)
+        return self._epoch
+
+    def _require_working(self, cob_id: int, time: int) -> None:
+        """Raises what a real interface raises when it cannot send at `time` [ns] after the begin."""
+        if self._bus_off is not None and self._bus_off.end(time):
+            self.counts["bus_off", self._out, cob_id] += 1
+            raise can.CanOperationError("bus-off: the controller takes no part in the bus")
+        if self._refuse is not None and self._outgoing.suffers(cob_id, time) and self._refuse.happens():
+            self.counts["refuse", self._out, cob_id] += 1
+            raise can.CanOperationError("No buffer space available", errno.ENOBUFS)
+
+    def _take(self, message: can.Message, now: int) -> None:
+        epoch = self._begin(message, now)
+        if epoch is None:
+            self._incoming.pass_through(message, now)
+        elif self._bus_off is not None and self._bus_off.end(now - epoch):
+            self.counts["bus_off", self._in, message.arbitration_id] += 1
+        else:
+            self._incoming.push(message, now, epoch)
+
+    def _send_on(self, message: can.Message, now: int) -> None:
+        self._bus.send(message)
+
+    def _hand_in(self, message: can.Message, now: int) -> None:
+        self._ready.append(message)
+
+    def _let_in(self, message: can.Message, now: int) -> None:
+        """Lets a frame of another device reach both sides."""
+
+        def deliver(frame: can.Message, now: int) -> None:
+            self.counts["foreign", "both", frame.arbitration_id] += 1
+            self._bus.send(frame)
+            self._ready.append(copy.copy(frame))
+
+        if self._foreign_times is not None and not self._foreign_times.end(now - (self._epoch or 0)):
+            return
+        if self._wire is None:
+            deliver(message, now)
+        else:
+            self._wire.request(message, deliver)
+
+
+class FaultyFarSide:
+    """Simulated drives behind a faulty bus (a `FarSide`), driven by the master's clock.
+
+    Args:
+        bus: The master's connection.
+        far_side: The drives.
+    """
+
+    def __init__(self, bus: FaultyBus, far_side: FarSide) -> None:
+        self._bus = bus
+        self._far_side = far_side
+
+    def process(self, now: int) -> None:
+        """Lets frames arrive, the drives live, and their answers set out, up to `now` [ns]."""
+        self._bus.advance(now)
+        self._far_side.process(now)
+        self._bus.collect(now)
+
+    def next_due(self) -> int:
+        """Returns when the bus or a drive is due next [ns]."""
+        return min(self._bus.next_due(), self._far_side.next_due())

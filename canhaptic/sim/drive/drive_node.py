@@ -1,0 +1,318 @@
+"""The simulated drive: a CANopen slave with the CiA 402 profile, on any python-can bus, built from any EDS or DCF.
+
+At a SYNC it samples the position and the torque held, sends the synchronous TPDOs, and THEN acts on the synchronous
+RPDOs received since the last SYNC. An event-driven RPDO acts on arrival. It shares with the master only the constants
+of the object dictionary: its SDO server, codecs, scaling and state machine are its own.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import can
+from canopen.objectdictionary import ObjectDictionary, datatypes
+
+from canhaptic.canopen.eds import read_dictionary
+from canhaptic.canopen.objects import (
+    ABORT_CONNECTION_OPTION,
+    ERROR_BEHAVIOUR,
+    HEARTBEAT_BASE,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    NmtCommand,
+    NmtState,
+)
+from canhaptic.signals import Truth
+from canhaptic.sim.drive import emergency as emcy
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive.nmt_slave import HeartbeatConsumer, HeartbeatProducer, command_for
+from canhaptic.sim.drive.object_store import ObjectStore
+from canhaptic.sim.drive.process_data import Content, Handler, ProcessData
+from canhaptic.sim.drive.sdo_server import SdoServer
+from canhaptic.sim.drive.servo import Motor, Servo
+from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.timers import Timers
+
+_COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
+_FAULT: Final = 1  # value of 0x6007; used when a dictionary has no such object
+_PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 0x1029: where a lost heartbeat leads
+_tuple: Final = tuple.__new__  # makes a truth at half the cost of calling its class
+_TRANSIENT: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.QUICK_STOP_ACTIVE))
+_FAULTY: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT))
+
+
+class SimulatedDrive:
+    """One CiA 402 servo drive with its motor, driven by the master's clock (a `FarSide`).
+
+    Args:
+        bus: Its connection to the bus.
+        node_id: 1..127.
+        dictionary: Path of its EDS or DCF, or the dictionary read from it.
+        motor: What it moves; stands still until the first SYNC that finds operation enabled.
+        parameters: What the dictionary does not tell.
+        sample_time_ns: Time between two SYNCs [ns]; a fault reaction or quick stop takes one and a half.
+
+    Attributes:
+        nmt_state: As its heartbeat tells it.
+        store: Its objects.
+        servo: Its power stage.
+        timers: What it does by itself, and when.
+        on_routes_changed: Called when it may listen to other COB-IDs than before.
+        frames_lost: Frames that the bus refused to send.
+
+    Raises:
+        DictionaryError: The dictionary cannot be read.
+        ParameterError: Rated torque unknown, or an object in `parameters.objects` that does not exist.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        node_id: int,
+        dictionary: str | Path | ObjectDictionary,
+        motor: Motor,
+        parameters: SimulatedDriveParameters,
+        sample_time_ns: int,
+    ) -> None:
+        if not isinstance(dictionary, ObjectDictionary):
+            dictionary = read_dictionary(dictionary, node_id)
+        self.node_id = node_id
+        self.frames_lost = 0
+        self.nmt_state = NmtState.BOOT_UP
+        self._bus = bus
+        self._reaction_time = sample_time_ns * 3 // 2  # so that exactly one SYNC shows it
+        self.store = store = ObjectStore(
+            dictionary, parameters.object_values(), parameters.absent_places(), parameters.refused_values()
+        )
+        self.servo = Servo(store, motor, parameters)
+        self.timers = timers = Timers()
+        self.on_routes_changed: Callable[[], None] = lambda: None
+        self._emergency = emcy.Emergency(store, node_id, self._send_emergency)
+        self._sdo = SdoServer(store, parameters.sdo_size_indicated)
+        self._producer = HeartbeatProducer(store, timers, self._send_heartbeat, self._now)
+        self._consumer = HeartbeatConsumer(
+            store, timers, self._now, self._lose_heartbeat, self._regain_heartbeat, self._change_routes
+        )
+        self._process_data = ProcessData(
+            store, self.servo, timers, self._emergency, parameters, self._send, self._lose, self._change_routes
+        )
+        self._abort_option = store.find(ABORT_CONNECTION_OPTION)
+        self._error_behaviour = store.entry(ERROR_BEHAVIOUR, datatypes.UNSIGNED8, 1)
+        self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
+        self._routes: dict[int, Handler] = {}
+        self._are_routes_stale = True
+        self._settle_timer = timers.add(self._settle)
+        timers.start(timers.add(self._power_on), 0)
+
+    # --- the far side of the master's clock -------------------------------------------------------------------------
+
+    def process(self, now: int) -> None:
+        """Handles every frame waiting on the bus and every timer due up to `now` [ns]."""
+        receive = self._bus.recv
+        self.servo.now = now
+        self.wake(now)
+        while (message := receive(0)) is not None:
+            self.take(message, now)
+        self.run_timers(now)
+
+    def wake(self, now: int) -> None:
+        """Powers the drive on if this is its first moment; that comes before any frame."""
+        if self.timers.earliest == 0:
+            self.servo.now = now
+            self.timers.fire(0)
+
+    def handler(self, cob_id: int) -> Handler | None:
+        """Returns what takes frames of this COB-ID until the routes change; None where nothing does."""
+        if self._are_routes_stale:
+            self._build_routes()
+        return self._routes.get(cob_id)
+
+    def take(self, message: can.Message, now: int) -> None:
+        """Handles one frame at `now` [ns]."""
+        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+            return
+        handler = self.handler(message.arbitration_id)
+        if handler is not None:
+            self.servo.now = now
+            handler(message.data)
+            self.follow_up()
+
+    def run_timers(self, now: int) -> None:
+        """Does what is due up to `now` [ns]."""
+        if now >= self.timers.earliest:
+            self.servo.now = now
+            self.timers.fire(now)
+            self.follow_up()
+
+    def next_due(self) -> int:
+        """Returns when the next timer is due [ns]."""
+        return self.timers.next_due()
+
+    def truth(self) -> Truth:
+        """Returns where the motor really is, and its energies, as of the last SYNC or change of torque."""
+        motor = self.servo.motor
+        return _tuple(Truth, (motor.position, motor.energy()))
+
+    def inject_fault(self, code: int = 0x5000) -> None:
+        """Lets the drive fault with an error code (0x603F), as if its hardware had failed."""
+        self._fault(code)
+        self.follow_up()
+
+    @property
+    def state(self) -> DriveState:
+        """State of the power drive system."""
+        return self.servo.state
+
+    @property
+    def torque(self) -> float:
+        """Torque in force at the axis [N*m or N]."""
+        return self.servo.torque
+
+    def _now(self) -> int:
+        return self.servo.now
+
+    def _send(self, cob_id: int, content: Content) -> None:
+        try:
+            message = self._frames[cob_id]
+        except KeyError:
+            message = self._frames[cob_id] = can.Message(arbitration_id=cob_id, is_extended_id=False)
+        message.timestamp = self.servo.now * 1e-9
+        message.data, message.dlc = content, len(content)
+        try:
+            self._bus.send(message)
+        except can.CanError:
+            self.frames_lost += 1
+
+    def _send_emergency(self, cob_id: int, content: Content) -> None:
+        if self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
+            self._send(cob_id, content)
+
+    def _send_heartbeat(self) -> None:
+        self._send(HEARTBEAT_BASE + self.node_id, bytes((self.nmt_state,)))
+
+    # --- frames -----------------------------------------------------------------------------------------------------
+
+    def _change_routes(self) -> None:
+        self._are_routes_stale = True
+        self.on_routes_changed()
+
+    def _build_routes(self) -> None:
+        self._are_routes_stale = False
+        routes = self._process_data.routes()
+        for cob_id, slot in self._consumer.watched().items():
+            routes[cob_id] = partial(self._on_heartbeat, slot)
+        routes[SDO_REQUEST_BASE + self.node_id] = self._on_sdo
+        routes[NMT_COB_ID] = self._on_nmt
+        self._routes = routes
+        self.on_routes_changed()
+
+    def _on_sdo(self, content: Content) -> None:
+        if self.nmt_state is NmtState.STOPPED:
+            return
+        answer = self._sdo.answer(bytes(content))
+        if answer is not None:
+            self._send(SDO_RESPONSE_BASE + self.node_id, answer)
+
+    def _on_heartbeat(self, slot: int, content: Content) -> None:
+        if len(content) == 1:
+            self._consumer.hear(slot)
+
+    def _on_nmt(self, content: Content) -> None:
+        command = command_for(bytes(content), self.node_id)
+        if command is NmtCommand.START:
+            self._start()
+        elif command is NmtCommand.STOP:
+            self._leave_operational(NmtState.STOPPED)
+        elif command is NmtCommand.PRE_OPERATIONAL:
+            self._leave_operational(NmtState.PRE_OPERATIONAL)
+        elif command is NmtCommand.RESET_COMMUNICATION:
+            self._leave_operational(NmtState.PRE_OPERATIONAL)
+            self.store.reset(_COMMUNICATION_OBJECTS)
+            self._emergency.show()
+            self._boot()
+        elif command is NmtCommand.RESET_NODE:
+            self._power_on(self.servo.now)
+
+    # --- NMT --------------------------------------------------------------------------------------------------------
+
+    def _power_on(self, _due: int) -> None:
+        self._process_data.stop()
+        self.store.reset()
+        self._emergency.reset()
+        self.servo.reset()
+        self.servo.settle()
+        self._boot()
+
+    def _boot(self) -> None:
+        """Starts communication: boot-up, then PRE-OPERATIONAL."""
+        self.timers.stop_all()
+        self._sdo.reset()
+        self._consumer.restart()
+        self.nmt_state = NmtState.BOOT_UP
+        self._send_heartbeat()
+        self.nmt_state = NmtState.PRE_OPERATIONAL
+        self._producer.restart()
+        if self.servo.state in _TRANSIENT:
+            self.timers.start(self._settle_timer, self.servo.now + self._reaction_time)
+        self._build_routes()
+
+    def _start(self) -> None:
+        if self.nmt_state is not NmtState.OPERATIONAL:
+            self.nmt_state = NmtState.OPERATIONAL
+            if self.servo.state not in _FAULTY:
+                self._emergency.withdraw(emcy.COMMUNICATION)
+            self._process_data.start()
+
+    def _leave_operational(self, state: NmtState) -> None:
+        if self.nmt_state is NmtState.OPERATIONAL and self.servo.is_powered:
+            self._lose(emcy.COMMUNICATION)
+        self.nmt_state = state
+        self._process_data.stop()
+
+    # --- faults -----------------------------------------------------------------------------------------------------
+
+    def _lose(self, code: int) -> None:
+        """Reacts to a lost connection: EMCY, then what 0x6007 asks for."""
+        self._emergency.announce(code)
+        if code == emcy.SYNC_LOST:  # the drive's own interpolation fails, whatever 0x6007 says
+            self.servo.fault()
+            return
+        option = self._abort_option
+        self.servo.abort_connection(_FAULT if option is None or option.value is None else option.number)
+
+    def _lose_heartbeat(self) -> None:
+        self._lose(emcy.HEARTBEAT_LOST)
+        behaviour = self._error_behaviour.number
+        if self.nmt_state is NmtState.OPERATIONAL and behaviour in (_PRE_OPERATIONAL, _STOPPED):
+            self.nmt_state = NmtState.STOPPED if behaviour == _STOPPED else NmtState.PRE_OPERATIONAL
+            self._process_data.stop()
+
+    def _regain_heartbeat(self) -> None:
+        if self.servo.state not in _FAULTY:
+            self._emergency.withdraw(emcy.HEARTBEAT_LOST)
+
+    def _fault(self, code: int) -> None:
+        self._emergency.announce(code)
+        self.servo.fault()
+
+    def _settle(self, _due: int) -> None:
+        self.servo.settle()
+
+    def follow_up(self) -> None:
+        """Does what a change of state brings with it: faults announced, reactions timed, event-driven TPDOs."""
+        servo = self.servo
+        if servo.fault_code:
+            code, servo.fault_code = servo.fault_code, 0
+            self._fault(code)
+        if not servo.has_event:
+            return
+        servo.has_event = False
+        if servo.state in _TRANSIENT and not self.timers.is_running(self._settle_timer):
+            self.timers.start(self._settle_timer, servo.now + self._reaction_time)
+        if servo.was_reset:
+            servo.was_reset = False
+            self._emergency.withdraw()
+        if self._process_data.is_operational:
+            self._process_data.send_events()

@@ -1,0 +1,290 @@
+"""The power stage of the simulated drive: states, cyclic torque, measurement, and the motor behind it. No bus."""
+
+import math
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any, Final, Protocol
+
+from canopen.objectdictionary import datatypes
+
+from canhaptic.canopen.objects import (
+    CONTROLWORD,
+    CURRENT_ACTUAL,
+    CYCLIC_SYNC_TORQUE,
+    MODES_OF_OPERATION,
+    MODES_OF_OPERATION_DISPLAY,
+    POSITION_ACTUAL,
+    QUICK_STOP_OPTION,
+    STATUSWORD,
+    SUPPORTED_DRIVE_MODES,
+    TARGET_TORQUE,
+    TORQUE_ACTUAL,
+    TORQUE_DEMAND,
+    VELOCITY_ACTUAL,
+    SdoAbort,
+    StatusBit,
+)
+from canhaptic.signals import PlantEnergy
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive.drive_torque import TorqueStage
+from canhaptic.sim.drive.object_store import ObjectStore
+from canhaptic.sim.drive.state_machine import STATUSWORD as STATUSWORDS
+from canhaptic.sim.drive.state_machine import Command, DriveState, StateMachine, command_of
+from canhaptic.sim.drive.torque_meter import TorqueMeter
+
+_SENSOR_FAULT: Final = 0x7300  # error code of 0x603F: a position that is no number
+_COUNTS: Final = 1 << 32  # 0x6064 and 0x606C are 32 bits wide and wrap, as an encoder counter does
+_HALF: Final = _COUNTS // 2
+_ENABLE_BIT: Final = 0x08  # of the controlword
+_ENABLED: Final = DriveState.OPERATION_ENABLED
+_ENABLED_WORD: Final = STATUSWORDS[_ENABLED]
+_POWERED: Final = frozenset(
+    (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, _ENABLED, DriveState.QUICK_STOP_ACTIVE)
+)
+_FOLLOWS: Final = int(StatusBit.FOLLOWS_COMMAND)
+_LIMITED: Final = int(StatusBit.INTERNAL_LIMIT)
+
+
+class Motor(Protocol):
+    """The plant that the drive moves: motor, load and user.
+
+    One that has `encoder_position` or `motor_torque` besides is read there; one that has not, or that says
+    `has_ideal_encoder`, has an encoder, or a current loop, without effects.
+    """
+
+    @property
+    def position(self) -> float:
+        """True position [rad or m]."""
+
+    @property
+    def velocity(self) -> float:
+        """True velocity [rad/s or m/s]."""
+
+    def begin(self, now: int) -> None:
+        """Starts its clock at `now` [ns]; until then it stands still."""
+
+    def advance_to(self, now: int, torque: float) -> None:
+        """Moves to `now` [ns] under a torque [N*m or N] that was constant since the last call."""
+
+    def energy(self) -> PlantEnergy:
+        """True energies since the start."""
+
+
+class Servo:
+    """Power stage and motor.
+
+    Args:
+        store: The objects.
+        motor: Stands still until the first SYNC that finds operation enabled.
+        parameters: Scales and limits.
+
+    Attributes:
+        now: Time of what is being handled [ns]; set by the owner.
+        demand: Torque demand in force [per mille of rated torque].
+        torque: The same at the axis [N*m or N].
+        has_event: The statusword changed since the owner last cleared this.
+        was_reset: A fault was reset since the owner last cleared this.
+        fault_code: Code of a fault that the stage found itself, for the owner to announce; 0 for none.
+    """
+
+    def __init__(self, store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> None:
+        self.motor = motor
+        self.machine = StateMachine()
+        self.now = 0
+        self.is_running = False
+        self._moved_to = 0
+        self.demand, self.torque = 0, 0.0
+        self._counts_per_unit = parameters.position_sign * parameters.counts_per_unit
+        self._rounds = parameters.encoder == "round"
+        is_ideal = getattr(motor, "has_ideal_encoder", not hasattr(motor, "encoder_position"))
+        self._read_encoder: Callable[[Motor], float] | None = None if is_ideal else attrgetter("encoder_position")
+        self._controlword = store.entry(CONTROLWORD, datatypes.UNSIGNED16)
+        self._statusword = store.entry(STATUSWORD, datatypes.UNSIGNED16)
+        self._mode = store.entry(MODES_OF_OPERATION, datatypes.INTEGER8)
+        self._mode_display = store.entry(MODES_OF_OPERATION_DISPLAY, datatypes.INTEGER8)
+        self._supported_modes = store.entry(SUPPORTED_DRIVE_MODES, datatypes.UNSIGNED32)
+        self._quick_stop_option = store.entry(QUICK_STOP_OPTION, datatypes.INTEGER16)
+        self._target: Any = store.entry(TARGET_TORQUE, datatypes.INTEGER16)
+        self._torque_demand = store.entry(TORQUE_DEMAND, datatypes.INTEGER16)
+        self._torque_actual = store.entry(TORQUE_ACTUAL, datatypes.INTEGER16)
+        self._current_actual = store.entry(CURRENT_ACTUAL, datatypes.INTEGER16)
+        self._position = store.entry(POSITION_ACTUAL, datatypes.INTEGER32)
+        self.velocity_entry = store.entry(VELOCITY_ACTUAL, datatypes.INTEGER32)
+        self.measures_velocity = False
+        self._stage = TorqueStage(store, parameters, self._reload_limits)
+        self._meter = TorqueMeter(motor, parameters)
+        self._torque_sign = parameters.torque_sign
+        self._enable_delay = round(parameters.enable_delay * 1e9)
+        self._follow_delay = round(parameters.follow_delay * 1e9)
+        self._connect()
+        self.reset()
+
+    def _connect(self) -> None:
+        for commanded in (self._controlword, self._mode, self._target):
+            commanded.changed = self.obey
+        self._mode.check = self._check_mode
+        measured = (self._position, self._torque_demand, self._torque_actual, self._current_actual)
+        for entry in (*measured, self.velocity_entry):
+            entry.refresh = self.measure
+
+    def reset(self) -> None:
+        """Returns to the state after power-on: no torque; the motor moves on."""
+        self._move()
+        self.machine.reset()
+        self.demand, self.torque = 0, 0.0
+        self.was_reset = False
+        self.fault_code = 0
+        for commanded in (self._controlword, self._mode, self._target):
+            commanded.value = commanded.number
+        self._mode_display.value = self._mode.number if self._check_mode(self._mode.number) is None else 0
+        self._statusword.value = STATUSWORDS[self.machine.state]
+        self._stage.reload()
+        self._meter.reset()
+        self._enabling_word: object = None  # controlword of the last obedience that ended in OPERATION ENABLED
+        self._enabling_since = self._enabled_since = -1  # [ns]; -1: not
+        self.has_event = True
+        self.measure()
+
+    @property
+    def state(self) -> DriveState:
+        """State of the power drive system."""
+        return self.machine.state
+
+    @property
+    def is_powered(self) -> bool:
+        """Whether power is about to be on or is on, so that a lost connection concerns the drive."""
+        return self.machine.state in _POWERED
+
+    def obey(self) -> None:
+        """Acts on controlword, mode and target torque as they now stand."""
+        machine, word, mode = self.machine, self._controlword.value, self._mode.value
+        before = machine.state
+        if before is not _ENABLED or word != self._enabling_word:  # the word that enabled the operation keeps it so
+            machine.obey(self._delayed(self._controlword.number), self._quick_stop_option.number)
+            self._enabling_word = word if machine.state is _ENABLED else None
+            if before is DriveState.FAULT and machine.state is not before:
+                self.was_reset = True
+        if mode != self._mode_display.value and self._check_mode(self._mode.number) is None:
+            self._mode_display.value = mode
+        self.update(before)
+
+    def _delayed(self, controlword: int) -> int:
+        """Returns the controlword, without the command to enable until its time has come."""
+        if not self._enable_delay:
+            return controlword
+        is_asked = command_of(controlword) is Command.ENABLE_OPERATION
+        if not is_asked or self.machine.state not in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON):
+            self._enabling_since = -1
+            return controlword
+        if self._enabling_since < 0:
+            self._enabling_since = self.now
+        is_due = self.now - self._enabling_since >= self._enable_delay
+        return controlword if is_due else controlword & ~_ENABLE_BIT
+
+    def _follows(self) -> bool:
+        """Whether the torque follows its target already; only asked in OPERATION ENABLED."""
+        if self._enabled_since < 0:
+            self._enabled_since = self.now
+        return self.now - self._enabled_since >= self._follow_delay
+
+    def update(self, before: DriveState | None = None) -> None:
+        """Sets torque demand and statusword to what state, mode and target ask for.
+
+        Args:
+            before: State before a change; None when only the torque may differ.
+        """
+        state, demand = self.machine.state, 0
+        word = _ENABLED_WORD if state is _ENABLED else STATUSWORDS[state]
+        if state is not _ENABLED:
+            self._enabled_since = -1
+        elif self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
+            target: int = self._target.value  # a number since `reset`
+            demand = self._stage.limit(target)
+            word |= _FOLLOWS if demand == target else _FOLLOWS | _LIMITED
+        if demand != self.demand:
+            self._move()
+            self.demand, self.torque = demand, self._torque_sign * demand * self._stage.quantum
+        if word != self._statusword.value or (before is not None and before is not state):
+            self._statusword.value = word
+            self.has_event = True
+
+    def settle(self) -> bool:
+        """Does the transitions that need no command; returns whether there was one."""
+        has_moved = self.machine.settle(self._quick_stop_option.number)
+        self.update()
+        return has_moved
+
+    def fault(self) -> None:
+        """Begins the fault reaction: torque 0 at once."""
+        self.machine.fault()
+        self.update()
+
+    def abort_connection(self, option: int) -> None:
+        """Reacts to a lost connection as 0x6007 asks: 0 nothing, 2 disable voltage, 3 quick stop, else fault."""
+        if option == 0 or not self.is_powered:
+            return
+        if option == 2:
+            self.machine.disable_voltage()
+        elif option == 3 and self.machine.state is _ENABLED:
+            self.machine.quick_stop(self._quick_stop_option.number)
+        elif option != 3:
+            self.machine.fault()
+        self.update()
+
+    # --- measurement ------------------------------------------------------------------------------------------------
+
+    def sample(self) -> None:
+        """Measures at a SYNC; the first one that finds operation enabled starts the motor's clock."""
+        motor, now, encoder = self.motor, self.now, self._read_encoder
+        if self.is_running:
+            motor.advance_to(now, self.torque)
+        elif self.machine.state is _ENABLED:
+            motor.begin(now)
+            self.is_running = True
+        self._moved_to = now
+        self._position.value = self._counts(motor.position if encoder is None else encoder(motor))
+        if self.measures_velocity:
+            self.velocity_entry.value = self._counts(motor.velocity)
+        self.show_torque()
+
+    def show_torque(self) -> None:
+        """Lets 0x6074 show the demand in force, 0x6077 and 0x6078 what is measured; the current is as the torque."""
+        self._torque_demand.value = measured = self.demand
+        if not self._meter.is_ideal:
+            measured = self._meter.counts(self.now, self.torque, self._torque_sign * self._stage.quantum)
+        self._torque_actual.value = self._current_actual.value = measured
+
+    def measure(self) -> None:
+        """Measures now, for an SDO upload or an event-driven TPDO."""
+        self._move()
+        motor, encoder = self.motor, self._read_encoder
+        self._position.value = self._counts(motor.position if encoder is None else encoder(motor))
+        self.velocity_entry.value = self._counts(motor.velocity)
+        self.show_torque()
+
+    def _move(self) -> None:
+        if self.is_running and self.now != self._moved_to:
+            self.motor.advance_to(self.now, self.torque)
+            self._moved_to = self.now
+
+    def _counts(self, value: float) -> int:
+        try:
+            counts = round(value * self._counts_per_unit) if self._rounds else math.floor(value * self._counts_per_unit)
+        except (ValueError, OverflowError):
+            self.fault_code = _SENSOR_FAULT
+            return self._position.number
+        if -_HALF <= counts < _HALF:
+            return counts
+        return (counts + _HALF) % _COUNTS - _HALF
+
+    def _check_mode(self, mode: int) -> SdoAbort | None:
+        """Refuses what 0x6502 does not list; mode m is its bit m - 1, and 0 is no mode."""
+        if mode == 0 or (mode > 0 and self._supported_modes.number >> (mode - 1) & 1):
+            return None
+        return SdoAbort.VALUE_RANGE
+
+    def _reload_limits(self) -> None:
+        self._stage.reload()
+        self._move()
+        self.torque = self._torque_sign * self.demand * self._stage.quantum
+        self.update()

@@ -1,0 +1,1 @@
+"""Motor, effects and hand as one hybrid plant, exact between two torques."""

@@ -1,0 +1,238 @@
+"""What a scene is made of before it is compiled: states, bodies, parts, and the rows they write for one mode.
+
+The state is one vector z = [states..., torque, one]: the held torque and the constant 1 are components of it, so that
+every force, rate and guard is a row (force = row . z) and every power a quadratic form z'Sz. A scene holds only what
+its effects added; nothing is switched off at run time.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from canhaptic.errors import ParameterError
+from canhaptic.sim.plant.propagator import Array
+
+Account = Literal["motor", "user", "dissipated"]
+
+MOTOR: Final = 0  # index of the body that carries motor and encoder
+
+
+class Body(NamedTuple):
+    """A moving mass. `position` names the states that add up to its position, with their factors."""
+
+    name: str
+    mass: float  # [kg or kg*m^2]
+    velocity: str  # name of its velocity state
+    position: tuple[tuple[str, float], ...]
+
+
+class Guard(NamedTuple):
+    """Leaves a mode when row . z falls below zero."""
+
+    row: Array
+    mode: str  # of the same part
+    resets: tuple[tuple[int, Array], ...] = ()  # (state, row): the state becomes row . z
+
+
+class Part(Protocol):
+    """Something with forces and, perhaps, modes; piecewise affine."""
+
+    @property
+    def name(self) -> str:
+        """Name, unique in a scene."""
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Names of its modes; it starts in the first."""
+
+    @property
+    def has_guards(self) -> bool:
+        """False when it has one mode, or changes it by the clock only."""
+
+    def assemble(self, rows: "Rows", mode: str) -> None:
+        """Adds rates, forces, powers and stored energy of this mode."""
+
+    def constrain(self, rows: "Rows", mode: str) -> None:
+        """Called when all forces are known: may hold a body still."""
+
+    def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
+        """Returns the ways out of this mode; called last."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearPart:
+    """A part with a single mode."""
+
+    name: str
+    write: Callable[["Rows"], None]
+    modes: tuple[str, ...] = ("linear",)
+    has_guards: bool = False
+
+    def assemble(self, rows: "Rows", mode: str) -> None:
+        """Adds what the part is, in its only mode."""
+        self.write(rows)
+
+    def constrain(self, rows: "Rows", mode: str) -> None:
+        """Holds nothing."""
+
+    def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
+        """Returns none."""
+        return ()
+
+
+class HandPart(Protocol):
+    """What effects may ask of the hand."""
+
+    name: str
+
+    def follow(self, scene: "Scene", name: str, amplitude: float, omega: float, phase: float) -> None:
+        """Adds a sinusoid to what the hand follows."""
+
+    def add_grasp(self, stiffness: float, damping: float) -> str:
+        """Returns the mode of a further grasp."""
+
+
+class Command(Protocol):
+    """Changes the torque of a hold before it reaches the motor."""
+
+    state_names: tuple[str, ...]
+
+    def reset(self) -> None:
+        """Returns to the start."""
+
+    def apply(self, torque: float, duration: float) -> float:
+        """Returns the torque [N or N*m] that acts during the `duration` [s] to come."""
+
+
+class Encoder(Protocol):
+    """Changes the position that the encoder reports."""
+
+    def read(self, position: float, tick: int, seed: int) -> float:
+        """Returns the reading [m or rad] of `position` at `tick`; the same tick always reads the same."""
+
+
+class Effort(Protocol):
+    """A force on the motor's body that is not piecewise affine: held over a substep, solved together with its motion.
+
+    Attributes:
+        state_names: States it keeps itself.
+        account: Where its work is booked; None when it is stored.
+    """
+
+    state_names: tuple[str, ...]
+    account: Account | None
+
+    def reset(self) -> None:
+        """Returns to the start."""
+
+    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
+        """Returns the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
+
+    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
+        """Takes the substep as done."""
+
+    def stored(self, position: float) -> float:
+        """Returns the energy stored in it [J]."""
+
+
+@dataclass
+class Scene:
+    """Everything a plant consists of, collected from the plant, the user and the effects."""
+
+    sample_time: float  # [s]
+    states: dict[str, float] = field(default_factory=dict)  # name -> initial value
+    bodies: list[Body] = field(default_factory=list)
+    parts: list[Part] = field(default_factory=list)
+    works: dict[str, Account] = field(default_factory=dict)  # name -> account, booked as integrals of a power
+    commands: list[Command] = field(default_factory=list)
+    encoders: list[Encoder] = field(default_factory=list)
+    efforts: list[Effort] = field(default_factory=list)
+    schedule: list[tuple[float, str, str]] = field(default_factory=list)  # (time [s], part, mode)
+    deflection: dict[str, float] = field(default_factory=dict)  # name -> factor: hand's deflection minus position
+    slots: dict[str, str] = field(default_factory=dict)  # what may be there once -> the effect that is
+    hand: HandPart | None = None
+    shaft: tuple[float, float] | None = None  # stiffness and damping of the shaft
+    motor_torque: str = "torque"  # state or input that drives the motor's body
+
+    def add_state(self, name: str, initial: float = 0.0) -> None:
+        """Adds a state; names are unique in a scene."""
+        if name in self.states:
+            raise ParameterError(f"state {name!r} twice, expected once; give each effect of one type its own place")
+        self.states[name] = initial
+
+    def claim(self, slot: str, effect: str) -> None:
+        """Takes a place that only one effect may have.
+
+        Raises:
+            ParameterError: Another effect has it.
+        """
+        if slot in self.slots:
+            raise ParameterError(f"effects: got {self.slots[slot]} and {effect}, expected one {slot}; remove one")
+        self.slots[slot] = effect
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Components of the state vector, in order."""
+        extra = ("travel", "effort") if self.efforts else ()
+        return (*self.states, *extra, "torque", "one")
+
+
+class Rows:
+    """The equations of one mode, while its parts write them.
+
+    Attributes:
+        rates: F of dz/dt = F z, shape (n, n).
+        powers: One S per work, shape (works, n, n) [W].
+        storage: P with z'Pz the stored energy, shape (n, n) [J].
+        forces: Sum of the forces on each body, one row each.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.index = {name: i for i, name in enumerate(scene.names)}
+        self.size = len(self.index)
+        self._works = {name: i for i, name in enumerate(scene.works)}
+        self.rates = np.zeros((self.size, self.size))
+        self.powers = np.zeros((len(scene.works), self.size, self.size))
+        self.storage = np.zeros((self.size, self.size))
+        self.forces = [np.zeros(self.size) for _ in scene.bodies]
+
+    def row(self, **factors: float) -> Array:
+        """Returns the row with these factors, by name of the component."""
+        row = np.zeros(self.size)
+        for name, factor in factors.items():
+            row[self.index[name]] = factor
+        return row
+
+    def position(self, body: int) -> Array:
+        """Returns the row of a body's position."""
+        return self.row(**dict(self.scene.bodies[body].position))
+
+    def velocity(self, body: int) -> Array:
+        """Returns the row of a body's velocity."""
+        return self.row(**{self.scene.bodies[body].velocity: 1.0})
+
+    def set_rate(self, state: str, row: Array) -> None:
+        """Makes d(state)/dt = row . z."""
+        self.rates[self.index[state]] = row
+
+    def add_power(self, work: str, force: Array, velocity: Array) -> None:
+        """Books the power (force . z)(velocity . z) as `work`."""
+        product = np.outer(force, velocity)
+        self.powers[self._works[work]] += 0.5 * (product + product.T)
+
+    def add_storage(self, coefficient: float, row: Array) -> None:
+        """Adds the stored energy coefficient / 2 * (row . z)^2."""
+        self.storage += 0.5 * coefficient * np.outer(row, row)
+
+    def close(self) -> None:
+        """Turns the sums of forces into accelerations; called once, before `constrain`."""
+        for body, force in zip(self.scene.bodies, self.forces, strict=True):
+            self.set_rate(body.velocity, force / body.mass)
+            self.add_storage(body.mass, self.row(**{body.velocity: 1.0}))
+
+    def hold_still(self, body: int) -> None:
+        """Stops a body: no acceleration. Its velocity must have been reset to zero."""
+        self.set_rate(self.scene.bodies[body].velocity, np.zeros(self.size))

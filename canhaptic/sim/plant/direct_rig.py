@@ -1,0 +1,98 @@
+"""The same plant and any controller without a bus: for sweeps, for the accuracy study, and as a judge of the CAN path.
+
+With the same quantisation (encoder counts, torque quantum) it gives the same floats as the path over the bus:
+
+    delay 0  the torque computed from q(k) acts from SYNC k (event RPDO in lock-step)
+    delay 1  it acts from SYNC k+1 (synchronous RPDO)
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from canhaptic.errors import ParameterError
+from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.propagator import Array
+
+
+class HasTorque(Protocol):
+    """What a controller returns: anything with the torque for the next free hold."""
+
+    @property
+    def torque(self) -> float:
+        """Torque for the next free hold [N or N*m]."""
+
+
+class DirectRecord(NamedTuple):
+    """What one run gave; row k belongs to SYNC k."""
+
+    position: Array  # as the controller saw it, shape (n,) [m or rad]
+    true_position: Array  # shape (n,) [m or rad]
+    torque_command: Array  # as computed at SYNC k, shape (n,) [N or N*m]
+    torque_applied: Array  # held from SYNC k-1 to SYNC k, shape (n,) [N or N*m]
+    energy: PlantEnergy  # at the last SYNC [J]
+
+
+class DirectRig:
+    """Plant and controller in one loop of floats.
+
+    Args:
+        plant: Before `begin`; its epoch becomes SYNC 0.
+        controller_step: (position, torque applied in the hold that ended) -> object with `.torque`.
+        sample_time_ns: Time between two SYNCs [ns].
+        delay: Whole holds between computing a torque and its hold, 0 or 1.
+        counts_per_unit: Encoder counts per m or rad; None for an ideal encoder.
+        torque_quantum: Step of the command [N or N*m], on CANopen a per mille of the rated torque; None: ideal.
+
+    Raises:
+        ParameterError: A delay other than 0 or 1, a scale or quantum that is not positive.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        controller_step: Callable[[float, float], HasTorque],
+        sample_time_ns: int,
+        delay: int = 0,
+        counts_per_unit: float | None = None,
+        torque_quantum: float | None = None,
+    ) -> None:
+        if delay not in (0, 1):
+            raise ParameterError(f"delay: got {delay}, expected 0 (event RPDO) or 1 (synchronous RPDO)")
+        for name, value in (("counts_per_unit", counts_per_unit), ("torque_quantum", torque_quantum)):
+            if value is not None and not value > 0.0:
+                raise ParameterError(f"{name}: got {value}, expected > 0, or None for an ideal one")
+        self.plant = plant
+        self._step = controller_step
+        self._sample_time_ns = sample_time_ns
+        self._delay = delay
+        self._counts_per_unit = counts_per_unit
+        self._torque_quantum = torque_quantum
+
+    def run(self, cycles: int) -> DirectRecord:
+        """Runs SYNC 0 .. cycles-1 from the plant's initial state and returns what happened."""
+        rows = np.zeros((4, cycles))
+        plant, period, step = self.plant, self._sample_time_ns, self._step
+        plant.begin(0)
+        held = waiting = 0.0
+        for k in range(cycles):
+            if k:
+                plant.advance_to(k * period, held)
+            position = self._measure(plant.encoder_position)
+            command = step(position, held).torque
+            rows[:, k] = position, plant.position, command, held
+            quantised = self._quantise(command)
+            held, waiting = (waiting, quantised) if self._delay else (quantised, 0.0)
+        return DirectRecord(rows[0], rows[1], rows[2], rows[3], plant.energy())
+
+    def _measure(self, position: float) -> float:
+        if self._counts_per_unit is None:
+            return position
+        return round(position * self._counts_per_unit) * (1.0 / self._counts_per_unit)
+
+    def _quantise(self, torque: float) -> float:
+        if self._torque_quantum is None:
+            return torque
+        return round(torque / self._torque_quantum) * self._torque_quantum

@@ -1,0 +1,69 @@
+"""Dry friction with stiction: its two levels, and the part that holds a body still or slides on it.
+
+Stuck is a mode of its own instead of a steep slope, which creeps (Karnopp, ASME J. Dynamic Systems 107, 1985).
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import model_validator
+
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.plant.assembly import MOTOR, Guard, Rows
+
+
+class DryFriction(Parameters):
+    """Dry friction with stiction: one level while it slides, one at which it breaks away."""
+
+    kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Friction while it slides; of a fast slide, where it depends on the velocity."""
+    static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Force at which it breaks away; at least `kinetic`."""
+
+    @model_validator(mode="after")
+    def _static_is_not_below_kinetic(self) -> Self:
+        if self.static < self.kinetic:
+            raise ValueError(f"static {self.static} is below kinetic {self.kinetic}, expected static >= kinetic")
+        return self
+
+
+class StickSlip:
+    """The part: dry friction on a body, the motor's by default, with a level for sliding and one for breaking away.
+
+    Args:
+        name: Of the part and of the work it books.
+        friction: Its levels.
+        velocity: At the start, for the first mode.
+        body: Index of the body.
+    """
+
+    has_guards = True
+
+    def __init__(self, name: str, friction: DryFriction, velocity: float, body: int = MOTOR) -> None:
+        self.name = name
+        self._body = body
+        self._kinetic, self._static = friction.kinetic, friction.static
+        first = "stuck" if velocity == 0.0 else "forward" if velocity > 0.0 else "backward"
+        self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the friction of a sliding mode."""
+        if mode != "stuck":
+            friction = rows.row(one=self._kinetic if mode == "forward" else -self._kinetic)
+            rows.forces[self._body] -= friction
+            rows.add_power(self.name, friction, rows.velocity(self._body))
+
+    def constrain(self, rows: Rows, mode: str) -> None:
+        """Holds the body when it is stuck."""
+        if mode == "stuck":
+            rows.hold_still(self._body)
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Returns breakaway when stuck, sticking when the velocity reverses."""
+        velocity = rows.velocity(self._body)
+        if mode == "stuck":
+            force, static = rows.forces[self._body], rows.row(one=self._static)
+            return Guard(static - force, "forward"), Guard(static + force, "backward")
+        stop = ((rows.index[rows.scene.bodies[self._body].velocity], np.zeros(rows.size)),)
+        return (Guard(velocity if mode == "forward" else -velocity, "stuck", stop),)

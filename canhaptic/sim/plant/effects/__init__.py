@@ -1,0 +1,65 @@
+"""One simulated effect a file, and the table that names them; an effect no scene names is never imported.
+
+An effect is a frozen parameter model with `type` (its name in a scene) and `add_to(scene)`, which adds states, parts,
+commands, encoders or efforts to a `canhaptic.sim.plant.assembly.Scene`.
+"""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final, Protocol, cast
+
+from canhaptic.errors import ParameterError
+from canhaptic.sim.plant.assembly import Scene
+from canhaptic.tables import load
+
+EFFECTS: Final[dict[str, str]] = {
+    "backlash": "canhaptic.sim.plant.effects.backlash:Backlash",
+    "cogging": "canhaptic.sim.plant.effects.cogging:Cogging",
+    "coulomb_friction": "canhaptic.sim.plant.effects.coulomb_friction:CoulombFriction",
+    "current_loop": "canhaptic.sim.plant.effects.current_loop:CurrentLoop",
+    "encoder_noise": "canhaptic.sim.plant.effects.encoder_noise:EncoderNoise",
+    "encoder_quantisation": "canhaptic.sim.plant.effects.encoder_quantisation:EncoderQuantisation",
+    "grasp_change": "canhaptic.sim.plant.effects.grasp_change:GraspChange",
+    "hard_stop": "canhaptic.sim.plant.effects.hard_stop:HardStop",
+    "lugre_friction": "canhaptic.sim.plant.effects.lugre_friction:LuGreFriction",
+    "shaft_compliance": "canhaptic.sim.plant.effects.shaft_compliance:ShaftCompliance",
+    "stribeck_friction": "canhaptic.sim.plant.effects.stribeck_friction:StribeckFriction",
+    "thermal_derating": "canhaptic.sim.plant.effects.thermal_derating:ThermalDerating",
+    "torque_quantisation": "canhaptic.sim.plant.effects.torque_quantisation:TorqueQuantisation",
+    "torque_ripple": "canhaptic.sim.plant.effects.torque_ripple:TorqueRipple",
+    "torque_saturation": "canhaptic.sim.plant.effects.torque_saturation:TorqueSaturation",
+    "tremor": "canhaptic.sim.plant.effects.tremor:Tremor",
+    "viscous_friction": "canhaptic.sim.plant.effects.viscous_friction:ViscousFriction",
+}
+"""Name in a scene -> "module:Class" of its frozen parameters."""
+
+
+class Effect(Protocol):
+    """What every entry of `EFFECTS` is."""
+
+    @property
+    def type(self) -> str:
+        """Its name in a scene."""
+
+    order: ClassVar[int | None]
+    """Order of the error in the substep; None when the effect is exact."""
+    rank: ClassVar[int]
+    """Effects are added in this order, then in the order of the scene."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds what the effect consists of.
+
+        Raises:
+            ParameterError: It needs another effect that is not there, or excludes one that is.
+        """
+
+
+def read_effect(values: Mapping[str, Any]) -> Effect:
+    """Returns the effect that a mapping with `type` describes; call it inside `axis_motion` for an axis' units.
+
+    Raises:
+        ParameterError: The type is missing or unknown (the nearest name is offered), or a value is out of range.
+    """
+    name = values.get("type")
+    if not isinstance(name, str):
+        raise ParameterError(f"effect.type: got {name!r}, expected one of: {', '.join(sorted(EFFECTS))}")
+    return cast(Effect, load(EFFECTS, name, "effect")(**values))

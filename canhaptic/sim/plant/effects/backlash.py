@@ -1,0 +1,43 @@
+"""Backlash: a gap in the shaft; its two flanks have the shaft's stiffness and damping, in the middle there is no force.
+
+Needs `shaft_compliance`. States added: forward_flank_depth, backward_flank_depth. Exact. Energy: as `contact.py`.
+Typical: 0.1..10 mrad. Source: Nordin and Gutman, "Controlling mechanical systems with backlash - a survey", Automatica
+38(10), 2002; the creeping-back of a flank is their physical model of a damped shaft in a gap.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.errors import ParameterError
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.plant.assembly import MOTOR, Scene
+from canhaptic.sim.plant.effects.contact import Contact
+from canhaptic.sim.plant.effects.shaft_compliance import LOAD
+
+
+class Backlash(Parameters):
+    """Play between motor and load."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+
+    type: Literal["backlash"] = "backlash"
+    gap: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
+    """Whole play, from flank to flank."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Puts two flanks in the place of the shaft's spring.
+
+        Raises:
+            ParameterError: There is no shaft.
+        """
+        if scene.shaft is None:
+            raise ParameterError(
+                "backlash: got no shaft_compliance, expected one; backlash is a gap in a shaft: add it"
+            )
+        scene.claim("backlash", self.type)
+        stiffness, damping = scene.shaft
+        scene.parts = [part for part in scene.parts if part.name != "shaft_compliance"]
+        del scene.works["shaft_compliance"]
+        for name, factor in (("forward_flank", 1.0), ("backward_flank", -1.0)):
+            sides = [(MOTOR, factor), (LOAD, -factor)]
+            Contact(name, sides, 0.5 * self.gap, stiffness, damping).add_to(scene)

@@ -1,0 +1,76 @@
+"""A one-sided contact of springy, damped faces, as a part: used by the hard stop and by each flank of backlash.
+
+Two modes. Touching: force = stiffness * depth + damping * d(depth)/dt on both sides, and only while it pushes. Apart:
+no force; the dented face creeps back, d(depth)/dt = -stiffness / damping * depth (at once without damping), and contact
+comes again where the faces meet. So it never pulls and never creates energy, which a spring-damper that is merely
+switched off does (Hunt and Crossley, ASME J. Applied Mechanics 42, 1975, discuss the fault; their cure is not affine).
+Exact. Energy: stiffness depth^2 / 2 stored; damping dissipated, in both modes.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from canhaptic.sim.plant.assembly import Guard, Rows, Scene
+from canhaptic.sim.plant.propagator import Array
+
+
+class Contact:
+    """Contact where a distance, a sum of positions, exceeds a limit.
+
+    Args:
+        name: Of the part and of the work it books.
+        sides: (body, factor): distance = sum of factor * position of body; the force acts on each body against it.
+        limit: Distance at which the faces touch [m or rad].
+        stiffness: Of the faces [N/m or N*m/rad].
+        damping: Of the faces [N*s/m or N*m*s/rad].
+    """
+
+    modes: tuple[str, ...] = ("apart", "touching")
+    has_guards = True
+
+    def __init__(
+        self, name: str, sides: Sequence[tuple[int, float]], limit: float, stiffness: float, damping: float
+    ) -> None:
+        self.name = name
+        self.depth = f"{name}_depth"
+        self._sides, self._limit = tuple(sides), limit
+        self._stiffness, self._damping = stiffness, damping
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the part, its depth and its work."""
+        scene.add_state(self.depth)
+        scene.works[self.name] = "dissipated"
+        scene.parts.append(self)
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the force when touching, the creeping back when apart."""
+        depth = rows.row(**{self.depth: 1.0})
+        rows.add_storage(self._stiffness, depth)
+        if mode == "touching":
+            rate, force = self._approach(rows), self._force(rows)
+            rows.set_rate(self.depth, rate)
+            for body, factor in self._sides:
+                rows.forces[body] -= factor * force
+            rows.add_power(self.name, self._damping * rate, rate)
+        elif self._damping > 0.0:
+            rows.set_rate(self.depth, -self._stiffness / self._damping * depth)
+            rows.add_power(self.name, self._stiffness**2 / self._damping * depth, depth)
+
+    def constrain(self, rows: Rows, mode: str) -> None:
+        """Holds nothing."""
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Returns parting when the force would pull, touching when the faces meet."""
+        index = rows.index[self.depth]
+        beyond = sum((factor * rows.position(body) for body, factor in self._sides), -rows.row(one=self._limit))
+        if mode == "touching":
+            resets = () if self._damping > 0.0 else ((index, np.zeros(rows.size)),)
+            return (Guard(self._force(rows), "apart", resets),)
+        return (Guard(rows.row(**{self.depth: 1.0}) - beyond, "touching", ((index, beyond),)),)
+
+    def _approach(self, rows: Rows) -> Array:
+        return sum((factor * rows.velocity(body) for body, factor in self._sides), np.zeros(rows.size))
+
+    def _force(self, rows: Rows) -> Array:
+        return self._stiffness * rows.row(**{self.depth: 1.0}) + self._damping * self._approach(rows)

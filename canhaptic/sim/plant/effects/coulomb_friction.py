@@ -1,0 +1,28 @@
+"""Coulomb friction with stiction on the motor's body: three modes, stuck, forward and backward.
+
+Sliding: F = -kinetic * sign(v). At rest the body is held, exactly, until the other forces exceed `static`.
+States added: none. Exact: breakaway and sticking are bracketed to one tick. Energy: kinetic friction times path is
+dissipated, and so is the kinetic energy left when the body sticks. Typical: 0.01..2 N.
+Source: Karnopp, ASME J. Dynamic Systems 107, 1985; see `canhaptic.sim.plant.dry_friction`.
+"""
+
+from typing import ClassVar, Literal
+
+from canhaptic.sim.plant.assembly import MOTOR, Scene
+from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
+
+
+class CoulombFriction(DryFriction):
+    """Dry friction with stiction."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+
+    type: Literal["coulomb_friction"] = "coulomb_friction"
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the part with its three modes."""
+        scene.claim("friction model", self.type)
+        scene.works[self.type] = "dissipated"
+        velocity = scene.states[scene.bodies[MOTOR].velocity]
+        scene.parts.append(StickSlip(self.type, self, velocity))

@@ -1,0 +1,53 @@
+"""Encoder noise: white Gaussian error of each reading, of an analogue (sine-cosine) encoder before it is counted.
+
+States added: none; the error is a function of seed and tick: a reading does not depend on how often it is taken.
+Exact. Energy: none. Typical: 0.1..1 count. Source: Box and Muller, Ann. Math. Stat. 29, 1958; the generator is
+splitmix64 (Steele, Lea, Flood, OOPSLA 2014).
+"""
+
+import math
+from typing import Annotated, ClassVar, Final, Literal
+
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.plant.assembly import Scene
+
+_MASK: Final = (1 << 64) - 1
+_GAMMA: Final = 0x9E3779B97F4A7C15  # golden ratio, splitmix64
+
+
+class EncoderNoise(Parameters):
+    """Noise on the position that is read."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+
+    type: Literal["encoder_noise"] = "encoder_noise"
+    deviation: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
+    """Standard deviation."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the error of the reading."""
+        scene.claim("encoder noise", self.type)
+        scene.encoders.append(Noise(self.deviation))
+
+
+class Noise:
+    """Gaussian noise, by seed and tick."""
+
+    def __init__(self, deviation: float) -> None:
+        self._deviation = deviation
+
+    def read(self, position: float, tick: int, seed: int) -> float:
+        """Returns the reading with its error [m or rad]."""
+        base = mix(seed * _GAMMA + tick)
+        radius = math.sqrt(-2.0 * math.log((mix(base + _GAMMA) + 1) / (_MASK + 2)))
+        angle = 2.0 * math.pi * (mix(base + 2 * _GAMMA) / (_MASK + 1))
+        return position + self._deviation * radius * math.cos(angle)
+
+
+def mix(value: int) -> int:
+    """Returns 64 well-mixed bits of an integer (the finaliser of splitmix64)."""
+    value &= _MASK
+    value = ((value ^ (value >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
+    value = ((value ^ (value >> 27)) * 0x94D049BB133111EB) & _MASK
+    return value ^ (value >> 31)

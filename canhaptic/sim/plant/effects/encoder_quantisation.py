@@ -1,0 +1,36 @@
+"""Encoder quantisation: the reading is the nearest multiple of `count`, beside the drive's own counts.
+
+States added: none. Exact. Energy: none. Typical: 1e-7..1e-4 m. Source: any incremental encoder.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.plant.assembly import Scene
+
+
+class EncoderQuantisation(Parameters):
+    """A coarse encoder."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 2
+
+    type: Literal["encoder_quantisation"] = "encoder_quantisation"
+    count: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
+    """Displacement of one count."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the rounding of the reading."""
+        scene.claim("encoder quantisation", self.type)
+        scene.encoders.append(Steps(self.count))
+
+
+class Steps:
+    """The rounding of a reading."""
+
+    def __init__(self, count: float) -> None:
+        self._count = count
+
+    def read(self, position: float, tick: int, seed: int) -> float:
+        """Returns the nearest count [m or rad]."""
+        return round(position / self._count) * self._count

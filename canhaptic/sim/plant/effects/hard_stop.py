@@ -1,0 +1,36 @@
+"""Hard stop: a stiff, damped, one-sided end of travel on the handle's side (the load, where there is a shaft).
+
+States added: <side>_stop_depth. Exact; contact and parting are bracketed to one tick. Energy: as `contact.py`.
+Typical: 1e5..1e7 N/m for metal on rubber to metal on metal. Source: Goldsmith, "Impact", 1960; see `contact.py`.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.effects.contact import Contact
+
+
+class HardStop(Parameters):
+    """One end of travel; name it twice for two ends."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+
+    type: Literal["hard_stop"] = "hard_stop"
+    position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)]
+    """Where the handle meets the stop."""
+    side: Literal["upper", "lower"] = "upper"
+    """upper: stops motion towards +q; lower: towards -q."""
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)]
+    """Of the stop."""
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """Of the stop."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the contact of the handle with the stop."""
+        scene.claim(f"{self.side} hard stop", self.type)
+        factor = 1.0 if self.side == "upper" else -1.0
+        handle = len(scene.bodies) - 1
+        name = f"{self.side}_stop"
+        Contact(name, [(handle, factor)], factor * self.position, self.stiffness, self.damping).add_to(scene)

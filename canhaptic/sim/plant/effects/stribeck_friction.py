@@ -1,0 +1,61 @@
+"""Stribeck friction: dry friction that falls from `static` to `kinetic` as the body begins to slide.
+
+F = -[kinetic + (static - kinetic) exp(-(v / stribeck_velocity)^2)] sign(v); stuck up to `static`. The constant part
+and stiction are modes of the exact core; the falling part is an effort of the mean velocity of a substep.
+States added: none (travel and effort of the splitting). Order 2 while it slides, 1 in a substep with an event.
+Energy: friction times path is dissipated. Typical stribeck velocity: 1..50 mm/s.
+Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
+"""
+
+import math
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.parameters import quantity
+from canhaptic.sim.plant.assembly import MOTOR, Account, Scene
+from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
+
+
+class StribeckFriction(DryFriction):
+    """Dry friction with a falling characteristic; the cause of stick-slip."""
+
+    order: ClassVar[int | None] = 2
+    rank: ClassVar[int] = 1
+
+    type: Literal["stribeck_friction"] = "stribeck_friction"
+    stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
+    """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the modes of dry friction and the effort of the falling part."""
+        scene.claim("friction model", self.type)
+        scene.works[self.type] = "dissipated"
+        velocity = scene.states[scene.bodies[MOTOR].velocity]
+        scene.parts.append(StickSlip(self.type, self, velocity))
+        scene.efforts.append(FallingFriction(self.static - self.kinetic, self.stribeck_velocity))
+
+
+class FallingFriction:
+    """The part of the friction that is gone once the body slides fast."""
+
+    state_names: tuple[str, ...] = ()
+    account: Account | None = "dissipated"
+
+    def __init__(self, excess: float, stribeck_velocity: float) -> None:
+        self._excess, self._stribeck_velocity = excess, stribeck_velocity
+
+    def reset(self) -> None:
+        """Keeps nothing."""
+
+    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
+        """Returns the friction [N or N*m] at the mean velocity."""
+        if travel == 0.0:
+            return 0.0
+        ratio = travel / (duration * self._stribeck_velocity)
+        return -math.copysign(self._excess * math.exp(-ratio * ratio), travel)
+
+    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
+        """Keeps nothing."""
+
+    def stored(self, position: float) -> float:
+        """Returns 0."""
+        return 0.0

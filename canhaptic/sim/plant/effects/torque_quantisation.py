@@ -1,0 +1,42 @@
+"""Torque quantisation: the current controller resolves the torque in steps of `quantum`.
+
+States added: none. Exact. Energy: motor work is that of the rounded torque. Typical: rated torque / 1000 .. / 10 000.
+Source: CiA 402-2, 0x6071 in per mille of 0x6076; current sensors of 10..12 bits.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.plant.assembly import Scene
+
+
+class TorqueQuantisation(Parameters):
+    """A smallest step of torque."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 2
+
+    type: Literal["torque_quantisation"] = "torque_quantisation"
+    quantum: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Smallest step of the torque."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the rounding."""
+        scene.claim("torque quantisation", self.type)
+        scene.commands.append(Rounding(self.quantum))
+
+
+class Rounding:
+    """The rounding of a held torque."""
+
+    state_names: tuple[str, ...] = ()
+
+    def __init__(self, quantum: float) -> None:
+        self._quantum = quantum
+
+    def reset(self) -> None:
+        """Keeps nothing."""
+
+    def apply(self, torque: float, duration: float) -> float:
+        """Returns the nearest multiple of the quantum [N or N*m]."""
+        return round(torque / self._quantum) * self._quantum

@@ -1,0 +1,42 @@
+"""Torque saturation: the drive cannot give more than `limit`. The held torque is clipped before it reaches the motor.
+
+States added: none. Exact. Energy: motor work is that of the clipped torque. Typical: 2..4 times the rated torque.
+Source: CiA 402-2, object 0x6072; any drive's peak current.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.plant.assembly import Scene
+
+
+class TorqueSaturation(Parameters):
+    """A largest torque, the same in both directions."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+
+    type: Literal["torque_saturation"] = "torque_saturation"
+    limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """Largest torque of the motor."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the clip."""
+        scene.claim("torque saturation", self.type)
+        scene.commands.append(Clip(self.limit))
+
+
+class Clip:
+    """The clip of a held torque."""
+
+    state_names: tuple[str, ...] = ()
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit
+
+    def reset(self) -> None:
+        """Keeps nothing."""
+
+    def apply(self, torque: float, duration: float) -> float:
+        """Returns the torque within the limit [N or N*m]."""
+        return min(max(torque, -self._limit), self._limit)

@@ -1,0 +1,32 @@
+"""Viscous friction of bearings and grease: F = -damping * v on the motor's body.
+
+States added: none. Exact. Energy: damping * v^2 is dissipated. Typical: 0.01..5 N*s/m for haptic devices.
+Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.sim.plant.assembly import MOTOR, LinearPart, Rows, Scene
+
+
+class ViscousFriction(Parameters):
+    """Force against the velocity, in proportion to it."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 1
+
+    type: Literal["viscous_friction"] = "viscous_friction"
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)]
+    """Force per velocity."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the force on the motor's body."""
+        scene.claim("viscous friction", self.type)
+        scene.works[self.type] = "dissipated"
+        scene.parts.append(LinearPart(self.type, self._write))
+
+    def _write(self, rows: Rows) -> None:
+        velocity = rows.velocity(MOTOR)
+        rows.forces[MOTOR] -= self.damping * velocity
+        rows.add_power(self.type, self.damping * velocity, velocity)

@@ -1,0 +1,284 @@
+"""State, mode and energies of one scene, moved by the functions of `stepper.py`.
+
+Modes are compiled when they are first entered; a scene that never slides backward never pays for that mode.
+"""
+
+import math
+from collections.abc import Callable
+from operator import add
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from canhaptic.sim.plant import stepper
+from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.mode_matrices import Exit, Mode, compile_mode, first_key, initial_state
+from canhaptic.sim.plant.propagator import TICKS, Array
+from canhaptic.sim.plant.stepper import CAPPED, COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, PRODUCTS, Settings, Tables
+
+
+class Snapshot(NamedTuple):
+    """Everything that a hold changes."""
+
+    state: Array
+    mode: int
+    totals: Array
+    events: int
+    capped: int
+
+
+class Machine:
+    """State, mode and energies of one scene.
+
+    Attributes:
+        state: z, shape (n,); the torque is the last but one component.
+        tick_time: T / 2^24 [s].
+    """
+
+    def __init__(self, scene: Scene, max_events: int, event_bits: int) -> None:
+        self.scene = scene
+        self.tick_time = scene.sample_time / TICKS
+        self._settings = Settings(max_events, event_bits, self.tick_time)
+        self._modes: list[Mode] = []
+        self._stored: list[Callable[[Array], float]] = []  # by mode
+        self._index: dict[tuple[str, ...], int] = {}
+        self._tables = Tables(*([] for _ in Tables._fields))
+        self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
+        names = scene.names
+        sines = [name for name in names if name.endswith("_sine")]
+        self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
+        self._books: list[Any] = self._new_books()
+        self._counts: Any = self._new_counts()
+        self._values: Any = [None, None]
+        self._first = self._mode_of(first_key(scene))
+        first = self._modes[self._first]
+        self._whole = np.concatenate([matrix_of(first.flows[0]), matrix_of(first.works[0])]).dot
+        self.reset()
+
+    def _new_books(self) -> list[Any]:
+        return list(stepper.two_books(len(self.scene.names), len(self.scene.works)))
+
+    def _new_counts(self) -> Any:
+        return [0] * COUNTS
+
+    def reset(self) -> None:
+        """Returns to the initial state and mode, with no energy booked."""
+        self.state = initial_state(self.scene)
+        self._moved = self.state.copy()
+        self.totals.fill(0.0)
+        self._sums, self._carries = self.totals.tolist(), self.totals.tolist()
+        counts = self._counts
+        counts[MODE], counts[MISSING], counts[LIMIT] = self._first, NONE, 0
+        self.run(0)  # a body that starts beyond a stop starts with the stop's energy
+        self.totals.fill(0.0)
+        counts[EVENTS] = counts[CAPPED] = counts[PRODUCTS] = 0
+
+    @property
+    def mode(self) -> Mode:
+        """The mode it is in."""
+        return self._modes[int(self._counts[MODE])]
+
+    @property
+    def first_mode(self) -> Mode:
+        """The mode the scene starts in."""
+        return self._modes[self._first]
+
+    @property
+    def events(self) -> int:
+        """Mode changes since the start."""
+        return int(self._counts[EVENTS])
+
+    @property
+    def capped(self) -> int:
+        """Holds in which the cap on events was reached."""
+        return int(self._counts[CAPPED])
+
+    @property
+    def products(self) -> int:
+        """Steps of flows tried since the start, a machine-independent price."""
+        return int(self._counts[PRODUCTS])
+
+    def save(self) -> Snapshot:
+        """Returns a copy of everything that a hold changes."""
+        counts = self._counts
+        return Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS], counts[CAPPED])
+
+    def restore(self, saved: Snapshot) -> None:
+        """Goes back to a copy."""
+        np.copyto(self.state, saved.state)
+        np.copyto(self.totals, saved.totals)
+        counts = self._counts
+        counts[MODE], counts[EVENTS], counts[CAPPED] = saved.mode, saved.events, saved.capped
+
+    @property
+    def totals(self) -> Array:
+        """Work booked since the last `tidy`, in the order of `scene.works` [J]; a view."""
+        totals: Array = self._books[0].totals
+        return totals
+
+    def works(self) -> list[float]:
+        """Returns the work booked since the start, in the order of `scene.works` [J]."""
+        totals = self._books[0].totals.tolist()  # floats: an operation on so short an array costs ten on them
+        sums, carries = self._sums, self._carries
+        if len(totals) == 3:  # motor, hand and bearings: written out, for it is asked at every SYNC
+            a, b, c = totals
+            return [sums[0] + (carries[0] + a), sums[1] + (carries[1] + b), sums[2] + (carries[2] + c)]
+        return list(map(add, sums, map(add, carries, totals)))
+
+    def tidy(self) -> None:
+        """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.
+
+        Folds the totals into compensated sums and brings the hand's oscillators back to unit amplitude.
+        """
+        before, totals = np.array(self._sums), self.totals
+        sums = before + totals
+        part = sums - before
+        carries = np.array(self._carries) + ((before - (sums - part)) + (totals - part))
+        self._sums, self._carries = sums.tolist(), carries.tolist()
+        self.totals.fill(0.0)
+        for sine, cosine in self._oscillators:
+            norm = math.hypot(self.state[sine], self.state[cosine])
+            self.state[sine] /= norm
+            self.state[cosine] /= norm
+
+    def stored(self) -> float:
+        """Returns the kinetic and elastic energy [J]."""
+        stored: Callable[[Array], float] = self._stored[self._counts[MODE]]
+        return stored(self.state)
+
+    def set_part_mode(self, part: str, mode: str) -> None:
+        """Puts one part into another mode, at a time that the scene fixed beforehand."""
+        self._counts[MODE] = self._mode_of(self._key_with(self.mode, self._part_index[part], mode))
+
+    def period(self, torque: float) -> float:
+        """Takes one whole sample time in one step, for scenes without guards; returns the position after it.
+
+        The same as `run_free`, written flat and with motion and work in one product: this is the whole plant of most
+        scenes, at every SYNC.
+        """
+        state, books = self.state, self._books
+        this, move = books[0], self._whole
+        moved, contract = this.moved, this.contract
+        if state is moved:
+            state = state.copy()
+        state[-2] = torque
+        move(state, this.both)
+        contract(this.vector, this.totals_after)
+        books[0], books[1] = books[1], this
+        self.state, self._moved = moved, state
+        self._counts[PRODUCTS] += 1
+        position: float = moved.item(0)
+        return position
+
+    def run_free(self, ticks: int) -> None:
+        """Moves by `ticks` ignoring guards."""
+        self.state, self._moved = stepper.run_free(
+            self._tables, self.state, self._moved, self._books, self._counts, ticks
+        )
+
+    def run(self, ticks: int) -> None:
+        """Moves by `ticks` under constant inputs, through every event on the way."""
+        self._counts[LIMIT] = self._counts[EVENTS] + self._settings.max_events
+        self._run_on(ticks)
+
+    def run_holds(self, torques: Array, positions: Array) -> None:
+        """Takes one sample time under each torque and writes the position after it.
+
+        Args:
+            torques: Shape (n_holds,) [N or N*m].
+            positions: Written, shape (n_holds,) [m or rad].
+        """
+        done = 0
+        while done < len(torques):
+            self.state, self._moved, begun, left = self._step_holds(torques[done:], positions[done:])
+            done += begun
+            if self._counts[MISSING] != NONE:
+                self._enter_missing()
+                self._run_on(left)
+                positions[done - 1] = self.state[0]
+
+    def _run_on(self, ticks: int) -> None:
+        while True:
+            self.state, self._moved, ticks = self._step(ticks)
+            if self._counts[MISSING] == NONE:
+                return
+            self._enter_missing()
+
+    def _step(self, ticks: int) -> tuple[Array, Array, int]:
+        return stepper.run(
+            self._tables, self._settings, self.state, self._moved, self._books, self._counts, self._values, ticks
+        )
+
+    def _step_holds(self, torques: Array, positions: Array) -> tuple[Array, Array, int, int]:
+        return stepper.run_holds(
+            self._tables, self._settings, self.state, self._moved, self._books, self._counts, self._values,
+            torques, positions,
+        )  # fmt: skip
+
+    def _enter_missing(self) -> None:
+        """Compiles the mode behind the guard that the stepper stands at; it then goes through by itself."""
+        mode, guard = self._counts[MODE], self._counts[MISSING]
+        through = self._modes[mode].exits[guard]
+        target = self._mode_of(self._key_with(self._modes[mode], through.part, through.mode))
+        self._counts[MISSING] = NONE
+        self._connect(mode, guard, target)
+
+    def _connect(self, mode: int, guard: int, target: int) -> None:
+        self._tables.targets[mode][guard] = target
+
+    def _key_with(self, mode: Mode, part: int, part_mode: str) -> tuple[str, ...]:
+        return (*mode.key[:part], part_mode, *mode.key[part + 1 :])
+
+    def _mode_of(self, key: tuple[str, ...]) -> int:
+        if key not in self._index:
+            self._index[key] = len(self._modes)
+            self._add(compile_mode(self.scene, key))
+        return self._index[key]
+
+    def _add(self, mode: Mode) -> None:
+        """Puts a mode at the end of the tables."""
+        self._modes.append(mode)
+        self._stored.append(stored_by(mode.storage))
+        resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
+        row = Tables(
+            mode.flows, mode.works, mode.base, mode.guards, len(mode.exits), [NONE] * len(mode.exits),
+            [bool(leaving.resets) for leaving in mode.exits], resets, [leaving.work for leaving in mode.exits],
+            mode.storage,
+        )  # fmt: skip
+        for table, entry in zip(self._tables, row, strict=True):
+            table.append(entry)
+
+
+def stored_by(storage: Array) -> Callable[[Array], float]:
+    """Returns what gives the kinetic and elastic energy [J] of a state.
+
+    A single body stores in one number, its speed; the product says the same bit for bit, at twenty times the price.
+
+    Args:
+        storage: P with z'Pz the stored energy, shape (n, n).
+    """
+    rows, columns = storage.nonzero()
+    if len(rows) == 1 and rows[0] == columns[0]:
+        place, factor = int(rows[0]), float(storage[rows[0], rows[0]])
+
+        def of_one(state: Array) -> float:
+            value = state.item(place)
+            return factor * value * value
+
+        return of_one
+    product = storage.dot
+    return lambda state: float(product(state).dot(state))
+
+
+def matrix_of(product: Any) -> Array:
+    """Returns the matrix of a bound product."""
+    matrix: Array = product.__self__
+    return matrix
+
+
+def reset_matrix(leaving: Exit, size: int) -> Array:
+    """Returns the matrix of the jump that belongs to a way out of a mode."""
+    matrix = np.eye(size)
+    for state, row in leaving.resets:
+        matrix[state] = row
+    return matrix

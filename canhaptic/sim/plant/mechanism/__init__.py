@@ -1,0 +1,77 @@
+"""Mechanisms that several drives move together, one a file, and the table that names them.
+
+A mechanism is a frozen parameter model with `build(hand, sample_time_ns, substeps)`; what a scene does not name is
+never imported. Its hand holds the handle in task space, in metres, whatever the motors move in.
+"""
+
+from typing import ClassVar, Final, Protocol
+
+from canhaptic.parameters import Motion
+from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+
+MECHANISMS: Final[dict[str, str]] = {
+    "five_bar": "canhaptic.sim.plant.mechanism.five_bar_linkage:FiveBar",
+    "xy_stage": "canhaptic.sim.plant.mechanism.xy_stage:XYStage",
+}
+"""Name in a scene -> "module:Class" of its frozen parameters."""
+
+
+class Mechanism(Protocol):
+    """A mechanism in motion: motors, links and hand, moved by torques that are constant from call to call."""
+
+    @property
+    def positions(self) -> tuple[float, ...]:
+        """True positions of the motor axes [m or rad]."""
+
+    @property
+    def velocities(self) -> tuple[float, ...]:
+        """True velocities of the motor axes [m/s or rad/s]."""
+
+    @property
+    def handle(self) -> tuple[float, float]:
+        """Where the handle is in task space [m]."""
+
+    @property
+    def order(self) -> int | None:
+        """Order of the error in the substep; None when it is exact between its events."""
+
+    def begin(self, now: int) -> None:
+        """Starts its clock at `now` [ns]; until then it stands still."""
+
+    def advance_to(self, now: int, torques: tuple[float, ...]) -> None:
+        """Moves to `now` [ns] under torques [N*m or N] that were constant since the last call; still before `begin`.
+
+        Raises:
+            ParameterError: `now` lies before the last call, or the mechanism cannot move as it is pushed.
+        """
+
+    def energy(self, axis: int) -> PlantEnergy:
+        """Returns the true energies since the start that went through one motor axis [J].
+
+        The sum over the axes is that of the mechanism. `motor` is the sum of torque times displacement of that motor,
+        so that minus it is the true sum of its h_i.
+        """
+
+
+class MechanismParameters(Protocol):
+    """What every entry of `MECHANISMS` is."""
+
+    motion: ClassVar[Motion]
+    """In what its motor axes move."""
+    axes: ClassVar[int]
+    """How many motors it has."""
+    order: ClassVar[int | None]
+    """Of the error in the substep; None when it is exact between its events."""
+
+    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> Mechanism:
+        """Returns it at rest where its parameters say, before `begin`.
+
+        Args:
+            hand: What holds the handle; None when nobody does.
+            sample_time_ns: T [ns].
+            substeps: In one sample time, for a mechanism that is not exact.
+
+        Raises:
+            ParameterError: It cannot stand there.
+        """

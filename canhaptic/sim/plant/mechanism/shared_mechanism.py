@@ -1,0 +1,78 @@
+"""One mechanism behind several drives: each drive has its motor, and every motor moves with all the others.
+
+A drive moves its motor by (time, its torque); what the other motors push with in that time, they are asked. That is
+right because a drive moves its motor BEFORE it changes its torque.
+"""
+
+from collections.abc import Callable
+
+from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.mechanism import Mechanism
+
+
+class SharedMechanism:
+    """A mechanism and its motors.
+
+    Args:
+        mechanism: Before `begin`; it stands still until the last of its drives is enabled.
+        axes: How many motors it has.
+
+    Attributes:
+        mechanism: As given.
+        motors: One per axis, each for one drive; connect every one before the first SYNC.
+    """
+
+    def __init__(self, mechanism: Mechanism, axes: int) -> None:
+        self.mechanism = mechanism
+        self.motors = tuple(MechanismMotor(self, axis) for axis in range(axes))
+        self._waiting = set(range(axes))
+        self._moved_to: int | None = None
+
+    def begin(self, axis: int, now: int) -> None:
+        """Takes that the drive of one axis is enabled; the last one starts the clock."""
+        self._waiting.discard(axis)
+        if not self._waiting and self._moved_to is None:
+            self.mechanism.begin(now)
+            self._moved_to = now
+
+    def advance_to(self, now: int) -> None:
+        """Moves everything to `now` [ns] under the torques that the drives hold."""
+        if now != self._moved_to and self._moved_to is not None:
+            self.mechanism.advance_to(now, tuple(motor.torque() for motor in self.motors))
+            self._moved_to = now
+
+
+class MechanismMotor:
+    """One motor of a mechanism, as its drive sees it (a `canhaptic.sim.drive.servo.Motor`)."""
+
+    def __init__(self, shared: SharedMechanism, axis: int) -> None:
+        self.shared = shared
+        self.axis = axis
+        self.torque: Callable[[], float] = lambda: 0.0
+        """Tells the torque that the drive holds [N*m or N]; set by `connect`."""
+
+    def connect(self, torque: Callable[[], float]) -> None:
+        """Takes where to ask for the torque that the drive of this motor holds."""
+        self.torque = torque
+
+    @property
+    def position(self) -> float:
+        """True position [m or rad]."""
+        return self.shared.mechanism.positions[self.axis]
+
+    @property
+    def velocity(self) -> float:
+        """True velocity [m/s or rad/s]."""
+        return self.shared.mechanism.velocities[self.axis]
+
+    def begin(self, now: int) -> None:
+        """Starts the clock at `now` [ns], when this is the last motor of the mechanism to begin."""
+        self.shared.begin(self.axis, now)
+
+    def advance_to(self, now: int, torque: float) -> None:
+        """Moves the whole mechanism to `now` [ns]; the torque of this motor is the one its drive tells."""
+        self.shared.advance_to(now)
+
+    def energy(self) -> PlantEnergy:
+        """Returns the true energies that went through this motor since the start [J]."""
+        return self.shared.mechanism.energy(self.axis)

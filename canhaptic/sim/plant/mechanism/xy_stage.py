@@ -1,0 +1,215 @@
+"""An X-Y stage: a carriage on a bridge, each moved by its own motor, the handle on the carriage.
+
+The motor axes are the task axes. The masses are decoupled (what moves in x need not be what moves in y); an elliptic
+hand couples them. Piecewise affine, so it is the same exact machine as a plant of one axis: with dry friction,
+breakaway and sticking are bracketed to T / 2^24. The held forces are states that do not change.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Any, ClassVar, Final
+
+from canhaptic.parameters import Motion, Parameters, quantity
+from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.assembly import Body, LinearPart, Rows, Scene
+from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
+from canhaptic.sim.plant.hybrid_automaton import Machine
+from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
+from canhaptic.sim.plant.mechanism.task_hand import Length, TaskHand
+from canhaptic.sim.plant.propagator import LEVELS, TICKS
+
+_NAMES: Final = ("x", "y")
+_TIDY: Final = TICKS << 10
+_MAX_EVENTS: Final = 1000  # in one hold
+
+
+class XYStage(Parameters):
+    """Masses and guides of the stage."""
+
+    motion: ClassVar[Motion] = "m"
+    axes: ClassVar[int] = 2
+    order: ClassVar[int | None] = None
+
+    mass_x: Annotated[float, quantity("kg", gt=0.0, le=1e6)]
+    """What moves in x: bridge, carriage and handle."""
+    mass_y: Annotated[float, quantity("kg", gt=0.0, le=1e6)]
+    """What moves in y: carriage and handle."""
+    damping_x: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
+    """Viscous friction of the guide in x."""
+    damping_y: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
+    """Viscous friction of the guide in y."""
+    friction_x: DryFriction | None = None
+    """Dry friction of the guide in x; None: none."""
+    friction_y: DryFriction | None = None
+    """Dry friction of the guide in y; None: none."""
+    initial_position: tuple[Length, Length] = (0.0, 0.0)
+    """Where the stage is before the start."""
+
+    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "XYMotion":
+        """Returns the stage at rest; it needs no substeps."""
+        return XYMotion(self, hand, sample_time_ns)
+
+
+class XYMotion:
+    """The stage in motion.
+
+    Args:
+        stage: Masses and guides.
+        hand: At the handle; None when nobody holds it.
+        sample_time_ns: T [ns].
+
+    Attributes:
+        order: None: exact between events.
+        state_names: Every state, and nothing else.
+    """
+
+    order: int | None = None
+
+    def __init__(self, stage: XYStage, hand: TaskHand | None, sample_time_ns: int) -> None:
+        self._clock = SampleClock(sample_time_ns)
+        self._scene = scene = _scene(stage, hand, sample_time_ns * 1e-9)
+        self._machine = machine = Machine(scene, _MAX_EVENTS, LEVELS)
+        self._run = machine.run if any(part.has_guards for part in scene.parts) else machine.run_free
+        self.state_names = scene.names
+        index = {name: i for i, name in enumerate(scene.names)}
+        self._positions = [index[f"{name}_position"] for name in _NAMES]
+        self._velocities = [index[f"{name}_velocity"] for name in _NAMES]
+        self._forces = [index[f"{name}_force"] for name in _NAMES]
+        self._masses = (stage.mass_x, stage.mass_y)
+        self._works = [_works_of(name, scene) for name in _NAMES]
+
+    @property
+    def positions(self) -> tuple[float, ...]:
+        """True positions in x and y [m]."""
+        state = self._machine.state
+        return tuple(state.item(i) for i in self._positions)
+
+    @property
+    def velocities(self) -> tuple[float, ...]:
+        """True velocities in x and y [m/s]."""
+        state = self._machine.state
+        return tuple(state.item(i) for i in self._velocities)
+
+    @property
+    def handle(self) -> tuple[float, float]:
+        """Where the handle is [m]: on the carriage."""
+        x, y = self.positions
+        return x, y
+
+    @property
+    def events(self) -> int:
+        """Changes between sticking and sliding since the start."""
+        return self._machine.events
+
+    def begin(self, now: int) -> None:
+        """Starts the clock at `now` [ns]."""
+        self._clock.begin(now)
+
+    def advance_to(self, now: int, torques: Sequence[float]) -> None:
+        """Moves to `now` [ns] under forces [N] that were constant since the last call.
+
+        Raises:
+            ParameterError: `now` lies before the last call.
+        """
+        before = self._clock.tick
+        ticks = self._clock.pass_until(now)
+        if ticks:
+            machine = self._machine
+            for place, force in zip(self._forces, torques, strict=True):
+                machine.state[place] = force
+            self._run(ticks)
+            if before // _TIDY != self._clock.tick // _TIDY:
+                machine.tidy()
+
+    def energy(self, axis: int) -> PlantEnergy:
+        """Returns the true energies of one direction since the start [J]; its mass is its own."""
+        works = self._machine.works()
+        motor, user, dissipated = (sum(works[i] for i in places) for places in self._works[axis])
+        return PlantEnergy(motor, user, dissipated, 0.5 * self._masses[axis] * self.velocities[axis] ** 2)
+
+
+def _works_of(name: str, scene: Scene) -> tuple[list[int], list[int], list[int]]:
+    """Returns the places of one direction's works on motor, user and dissipated."""
+    places: dict[Any, list[int]] = {"motor": [], "user": [], "dissipated": []}
+    for i, (work, account) in enumerate(scene.works.items()):
+        if work.startswith(f"{name}_"):
+            places[account].append(i)
+    return places["motor"], places["user"], places["dissipated"]
+
+
+def _scene(stage: XYStage, hand: TaskHand | None, sample_time: float) -> Scene:
+    scene = Scene(sample_time)
+    masses, dampings = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
+    for body, name in enumerate(_NAMES):
+        scene.add_state(f"{name}_position", stage.initial_position[body])
+        scene.add_state(f"{name}_velocity")
+        scene.add_state(f"{name}_force")
+        scene.bodies.append(Body(name, masses[body], f"{name}_velocity", ((f"{name}_position", 1.0),)))
+        _add_motor(scene, body, name)
+        if dampings[body]:
+            _add_guide(scene, body, name, dampings[body])
+    for body, friction in enumerate((stage.friction_x, stage.friction_y)):
+        if friction is not None:
+            _add_friction(scene, body, f"{_NAMES[body]}_friction", friction)
+    if hand is not None:
+        _add_hand(scene, hand)
+    return scene
+
+
+def _add_motor(scene: Scene, body: int, name: str) -> None:
+    def write(rows: Rows) -> None:
+        velocity, force = rows.velocity(body), rows.row(**{f"{name}_force": 1.0})
+        rows.set_rate(f"{name}_position", velocity)
+        rows.forces[body] += force
+        rows.add_power(f"{name}_motor", force, velocity)
+
+    scene.works[f"{name}_motor"] = "motor"
+    scene.parts.append(LinearPart(f"{name}_motor", write))
+
+
+def _add_guide(scene: Scene, body: int, name: str, damping: float) -> None:
+    def write(rows: Rows) -> None:
+        velocity = rows.velocity(body)
+        rows.forces[body] -= damping * velocity
+        rows.add_power(f"{name}_guide", damping * velocity, velocity)
+
+    scene.works[f"{name}_guide"] = "dissipated"
+    scene.parts.append(LinearPart(f"{name}_guide", write))
+
+
+def _add_friction(scene: Scene, body: int, name: str, friction: DryFriction) -> None:
+    scene.works[name] = "dissipated"
+    scene.parts.append(StickSlip(name, friction, 0.0, body))
+
+
+def _add_hand(scene: Scene, hand: TaskHand) -> None:
+    omegas = [2.0 * math.pi * motion.frequency if motion else 0.0 for motion in hand.motions]
+    for name, motion in zip(_NAMES, hand.motions, strict=True):
+        if motion is not None:
+            scene.add_state(f"{name}_motion_sine", math.sin(motion.phase))
+            scene.add_state(f"{name}_motion_cosine", math.cos(motion.phase))
+        scene.works[f"{name}_hand"] = "user"
+    stiffness, damping = hand.stiffness_matrix, hand.damping_matrix
+
+    def write(rows: Rows) -> None:
+        stretch, rate = [], []  # x_u - x and v_u - v, as rows
+        for body, (name, motion, omega) in enumerate(zip(_NAMES, hand.motions, omegas, strict=True)):
+            offset = hand.rest[body] + (motion.offset if motion else 0.0)
+            stretch.append(rows.row(one=offset) - rows.position(body))
+            rate.append(-rows.velocity(body))
+            if motion is not None:
+                sine, cosine = f"{name}_motion_sine", f"{name}_motion_cosine"
+                rows.set_rate(sine, rows.row(**{cosine: omega}))
+                rows.set_rate(cosine, rows.row(**{sine: -omega}))
+                stretch[body] = stretch[body] + rows.row(**{sine: motion.amplitude})
+                rate[body] = rate[body] + rows.row(**{cosine: motion.amplitude * omega})
+        columns = (
+            (stiffness.xx, stiffness.xy, damping.xx, damping.xy),
+            (stiffness.xy, stiffness.yy, damping.xy, damping.yy),
+        )
+        for body, (k_x, k_y, d_x, d_y) in enumerate(columns):
+            force = k_x * stretch[0] + k_y * stretch[1] + d_x * rate[0] + d_y * rate[1] + rows.row(one=hand.push[body])
+            rows.forces[body] += force
+            rows.add_power(f"{_NAMES[body]}_hand", force, rows.velocity(body))
+
+    scene.parts.append(LinearPart("hand", write))

@@ -1,0 +1,102 @@
+"""Scene -> data of one mode: flows, work forms and guards. No scene-specific code is made or run."""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.sim.plant.assembly import Rows, Scene
+from canhaptic.sim.plant.propagator import LEVELS, Array, dyadic_flows
+
+Product = Callable[[Array, Array], object]
+
+_LARGEST_PHASE: Final = 0.8  # [rad] of the fastest oscillation in one guarded step: guards are then near parabolas
+
+
+class Exit(NamedTuple):
+    """Where a guard leads."""
+
+    part: int
+    mode: str
+    resets: tuple[tuple[int, Array], ...]
+    work: int  # index of the work that takes the energy lost in the resets, -1 when there is none
+
+
+class Mode(NamedTuple):
+    """One mode as data."""
+
+    key: tuple[str, ...]  # mode of each part
+    flows: list[Product]  # by level: z -> z after T / 2^level
+    works: list[Product]  # by level: z -> for each work [form times shifted z, unit row]; then the shifted z
+    base: int  # largest step whose guards are near parabolas, as a level
+    guards: Array  # values and rates of the guards as rows, shape (2 n_guards, n)
+    exits: list[Exit]
+    storage: Array  # P with z'Pz the stored energy
+
+
+def compile_mode(scene: Scene, key: tuple[str, ...]) -> Mode:
+    """Returns the mode in which part i is in `key[i]`."""
+    rows = Rows(scene)
+    for part, mode in zip(scene.parts, key, strict=True):
+        part.assemble(rows, mode)
+    rows.close()
+    for part, mode in zip(scene.parts, key, strict=True):
+        part.constrain(rows, mode)
+    names = list(scene.works)
+    guards, exits = [], []
+    for i, (part, mode) in enumerate(zip(scene.parts, key, strict=True)):
+        work = names.index(part.name) if part.name in names else -1
+        for guard in part.guards(rows, mode):
+            guards.append(guard.row)
+            exits.append(Exit(i, guard.mode, guard.resets, work))
+    values = np.array(guards).reshape(len(guards), rows.size)
+    flows, works = _forms(rows, scene)
+    base = _base_level(rows.rates, scene.sample_time) if exits else 0
+    return Mode(key, flows, works, base, np.concatenate([values, values @ rows.rates]), exits, rows.storage)
+
+
+def _forms(rows: Rows, scene: Scene) -> tuple[list[Product], list[Product]]:
+    """Returns the flows, and the works evaluated with the hand's deflection in the place of the position.
+
+    In q and x_u the squares of a stiff hand would cancel: 1e6 N/m at 10 mm is 50 J, against the 0.1 J that flow.
+    """
+    shift = np.eye(rows.size)
+    for name, factor in scene.deflection.items():
+        shift[rows.index["position"], rows.index[name]] = factor
+    back = 2.0 * np.eye(rows.size) - shift
+    flows, _ = dyadic_flows(rows.rates, (), scene.sample_time)
+    powers = [back.T @ power @ back for power in rows.powers]
+    _, works = dyadic_flows(shift @ rows.rates @ back, powers, scene.sample_time)
+    return [flow.dot for flow in flows], [_stacked(forms, shift).dot for forms in works]
+
+
+def _stacked(forms: list[Array], shift: Array) -> Array:
+    """Returns the matrix of `Mode.works` for one level; see `stepper.Books` for its use."""
+    count, size = len(forms), len(shift)
+    blocks = []
+    for i, form in enumerate(forms):
+        kept = np.zeros((count, size))
+        kept[i, -1] = 1.0  # times the component one: picks total i
+        blocks += [form @ shift, kept]
+    return np.concatenate([*blocks, shift])
+
+
+def _base_level(rates: Array, sample_time: float) -> int:
+    fastest = float(np.abs(np.linalg.eigvals(rates).imag).max())
+    level = 0
+    while fastest * sample_time * 0.5**level > _LARGEST_PHASE and level < LEVELS:
+        level += 1
+    return level
+
+
+def initial_state(scene: Scene) -> Array:
+    """Returns the state at the start, with torque 0."""
+    state = np.zeros(len(scene.names))
+    state[: len(scene.states)] = list(scene.states.values())
+    state[-1] = 1.0
+    return state
+
+
+def first_key(scene: Scene) -> tuple[str, ...]:
+    """Returns the mode in which every part starts."""
+    return tuple(part.modes[0] for part in scene.parts)

@@ -1,0 +1,190 @@
+"""The functions of `stepper.py` compiled by numba, and the machine that runs them; needs the extra `fast`.
+
+The logic is the same source: each function of the stepper is compiled as it stands. Only the five that touch numbers in
+bulk are written again here, as loops over arrays (for a dozen states a call into BLAS costs more than the product).
+Matrices are stored by columns, so that the inner loop runs over rows and needs no sum to be reordered.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from types import FunctionType
+from typing import Any, Final, NamedTuple
+
+import numba
+import numpy as np
+
+from canhaptic.sim.plant import stepper
+from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.hybrid_automaton import Machine, matrix_of, reset_matrix
+from canhaptic.sim.plant.mode_matrices import Mode
+from canhaptic.sim.plant.propagator import LEVELS, Array
+from canhaptic.sim.plant.stepper import COUNTS, NONE, Tables
+
+_LOGIC: Final = ("first_broken", "dips", "leave", "settle", "judge", "run_free", "run", "free_holds", "run_holds")
+"""Functions of the stepper, each after those that it calls."""
+
+
+class FlatBooks(NamedTuple):
+    """Totals and the room for one product."""
+
+    totals: Array  # shape (works,) [J]
+    rows: Array  # [y, Q y for each work], shape (n * (1 + works),)
+
+
+def move(columns: Array, state: Array, moved: Array) -> None:
+    """Writes the product with the state; `columns` has shape (n, n_rows)."""
+    moved[:] = 0.0
+    for column in range(columns.shape[0]):
+        factor = state[column]
+        for row in range(columns.shape[1]):
+            moved[row] += columns[column, row] * factor
+
+
+def evaluate(guards: Array, state: Array, values: Array) -> Array:
+    """Writes and returns the values and rates of the guards, rows of the table."""
+    for row in range(guards.shape[0]):
+        total = 0.0
+        for column in range(guards.shape[1]):
+            total += guards[row, column] * state[column]
+        values[row] = total
+    return values
+
+
+def largest_term(guards: Array, guard: int, state: Array) -> float:
+    """Returns the largest term in the sum that is the value of a guard."""
+    largest = 0.0
+    for column in range(guards.shape[1]):
+        largest = max(largest, abs(guards[guard, column] * state[column]))
+    return largest
+
+
+def stored(storage: Array, state: Array) -> float:
+    """Returns the kinetic and elastic energy [J]."""
+    total = 0.0
+    for row in range(storage.shape[0]):
+        for column in range(storage.shape[1]):
+            total += state[row] * storage[row, column] * state[column]
+    return total
+
+
+def book(columns: Array, state: Array, books: Any) -> None:
+    """Adds the work of a step that begins at `state` to the totals; `columns` has shape (n, n * (1 + works))."""
+    [only] = books
+    move(columns, state, only.rows)
+    size = len(state)
+    for work in range(len(only.totals)):
+        total = 0.0
+        first = size * (1 + work)
+        for i in range(size):
+            total += only.rows[first + i] * only.rows[i]
+        only.totals[work] += total
+
+
+_BULK: Final = (move, evaluate, largest_term, stored, book)
+
+
+@cache
+def compiled_stepper() -> dict[str, Callable[..., Any]]:
+    """Returns the functions of the stepper by name, compiled at their first call."""
+    names = dict(vars(stepper))
+    for function in _BULK:
+        names[function.__name__] = numba.njit(_rebound(function, names), fastmath={"contract"})
+    for name in _LOGIC:
+        names[name] = numba.njit(_rebound(getattr(stepper, name), names))
+    return names
+
+
+def _rebound(function: Any, names: dict[str, Any]) -> FunctionType:
+    """Returns the same code with other global names."""
+    return FunctionType(function.__code__, names, function.__name__, function.__defaults__)
+
+
+class CompiledMachine(Machine):
+    """A machine whose holds, and whose whole runs, are compiled."""
+
+    def __init__(self, scene: Scene, max_events: int, event_bits: int) -> None:
+        functions = compiled_stepper()
+        self._run, self._free, self._holds = functions["run"], functions["run_free"], functions["run_holds"]
+        self._flat: Tables | None = None
+        super().__init__(scene, max_events, event_bits)
+
+    def _new_books(self) -> list[Any]:
+        size, works = len(self.scene.names), len(self.scene.works)
+        return [FlatBooks(np.zeros(works), np.zeros(size * (1 + works)))]
+
+    def _new_counts(self) -> Any:
+        return np.zeros(COUNTS, dtype=np.int64)
+
+    def period(self, torque: float) -> float:
+        """Takes one whole sample time in one step, for scenes without guards; returns the position after it."""
+        self.state[-2] = torque
+        self.run_free(1 << LEVELS)
+        return self.state.item(0)
+
+    def run_free(self, ticks: int) -> None:
+        """Moves by `ticks` ignoring guards."""
+        self.state, self._moved = self._free(
+            self._arrays(), self.state, self._moved, tuple(self._books), self._counts, ticks
+        )
+
+    def _step(self, ticks: int) -> tuple[Array, Array, int]:
+        tables = self._arrays()
+        result: tuple[Array, Array, int] = self._run(
+            tables, self._settings, self.state, self._moved, tuple(self._books), self._counts, self._values, ticks
+        )
+        return result
+
+    def _step_holds(self, torques: Array, positions: Array) -> tuple[Array, Array, int, int]:
+        tables = self._arrays()
+        result: tuple[Array, Array, int, int] = self._holds(
+            tables, self._settings, self.state, self._moved, tuple(self._books), self._counts, self._values,
+            torques, positions,
+        )  # fmt: skip
+        return result
+
+    def _connect(self, mode: int, guard: int, target: int) -> None:
+        super()._connect(mode, guard, target)
+        self._flat = None
+
+    def _add(self, mode: Mode) -> None:
+        super()._add(mode)
+        self._flat = None
+
+    def _arrays(self) -> Tables:
+        """Returns the tables as arrays, every table of one shape for all modes."""
+        if self._flat is None:
+            self._flat = flat_tables(self._modes, self._tables.targets, len(self.scene.works))
+            width = self._flat.guards.shape[1]
+            self._values = (np.zeros(width), np.zeros(width))
+        return self._flat
+
+
+def flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> Tables:
+    """Returns the tables of the modes as arrays; guards that a mode does not have are zero.
+
+    Args:
+        modes: As compiled.
+        targets: By mode and guard, the mode it leads to.
+        works: Number of works.
+    """
+    size, count = len(modes[0].storage), max(len(mode.exits) for mode in modes)
+    guards = np.zeros((len(modes), 2 * count, size))
+    target, loss = np.full((len(modes), count), NONE), np.zeros((len(modes), count), dtype=np.int64)
+    jumps, resets = np.zeros((len(modes), count), dtype=bool), np.zeros((len(modes), count, size, size))
+    for i, mode in enumerate(modes):
+        guards[i, : 2 * len(mode.exits)] = mode.guards
+        for j, leaving in enumerate(mode.exits):
+            target[i, j], loss[i, j], jumps[i, j] = targets[i][j], leaving.work, bool(leaving.resets)
+            resets[i, j] = reset_matrix(leaving, size).T
+    flows = np.array([[matrix_of(flow).T for flow in mode.flows] for mode in modes])
+    forms = np.array([[_columns(matrix_of(work), size, works) for work in mode.works] for mode in modes])
+    return Tables(
+        flows, forms, np.array([mode.base for mode in modes]), guards, np.array([len(mode.exits) for mode in modes]),
+        target, jumps, resets, loss, np.array([mode.storage for mode in modes]),
+    )  # fmt: skip
+
+
+def _columns(stacked: Array, size: int, works: int) -> Array:
+    """Returns [y, Q y for each work] by columns, out of the matrix of `Mode.works` for one level."""
+    forms = stacked[: works * (size + works)].reshape(works, size + works, size)[:, :size]
+    return np.concatenate([stacked[works * (size + works) :], *forms]).T

@@ -1,0 +1,391 @@
+"""Motor and user behind one drive: exact between two torques, with the energies each part truly took or gave.
+
+Between two SYNCs the torque is constant and the plant piecewise affine, so a hold is a few matrix-vector products and
+every energy a quadratic form of the state (`machine.py`, `compiler.py`); what is not piecewise affine is held over
+substeps around that core (`splitting.py`). A plant contains only what its parameters name. Time is an integer number of
+ticks of T / 2^24 since the plant's epoch, so that k whole sample times are exactly k steps.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Final
+
+import numpy as np
+from pydantic import model_validator
+
+from canhaptic.errors import ParameterError
+from canhaptic.parameters import Parameters, quantity
+from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, Rows, Scene
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.hybrid_automaton import Machine, matrix_of
+from canhaptic.sim.plant.mode_matrices import Mode, initial_state
+from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
+from canhaptic.sim.plant.splitting import Splitting
+from canhaptic.sim.plant.timetable import Timetable
+from canhaptic.sim.user import UserParameters
+
+_ACCOUNTS: Final = ("motor", "user", "dissipated")
+_tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
+_TIDY: Final = TICKS << 10
+"""Ticks between two tidyings of rounding: every 1024 sample times, whoever reads in between."""
+
+
+class PlantParameters(Parameters):
+    """The moving mass of one axis, as seen by the encoder."""
+
+    mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
+    """Mass (linear axis) or inertia (rotary axis) that moves with the encoder."""
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """Viscous friction of the bearings."""
+    initial_position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
+    """Where it is before the start."""
+    initial_velocity: Annotated[float, quantity("m/s", "rad/s", ge=-1e3, le=1e3)] = 0.0
+    """With which the plant starts."""
+
+    def add_to(self, scene: Scene) -> None:
+        """Adds the motor's body and its bearings."""
+        scene.add_state("position", self.initial_position)
+        scene.add_state("velocity", self.initial_velocity)
+        scene.bodies.append(Body("motor", self.mass, "velocity", (("position", 1.0),)))
+        scene.works["motor"] = "motor"
+        if self.damping:
+            scene.works["bearings"] = "dissipated"
+        scene.parts.append(LinearPart("motor", self._write))
+
+    def _write(self, rows: Rows) -> None:
+        velocity, torque = rows.velocity(MOTOR), rows.row(**{rows.scene.motor_torque: 1.0})
+        rows.set_rate("position", velocity)
+        rows.forces[MOTOR] += torque - self.damping * velocity
+        rows.add_power("motor", torque, velocity)
+        if self.damping:
+            rows.add_power("bearings", self.damping * velocity, velocity)
+        if rows.scene.efforts:
+            rows.set_rate("travel", velocity)
+            rows.forces[MOTOR] += rows.row(effort=1.0)
+
+
+class AccuracyParameters(Parameters):
+    """What the plant spends on events and on effects that are not exact."""
+
+    event_bits: Annotated[int, quantity("bit", ge=1, le=LEVELS)] = LEVELS
+    """Events are bracketed to T / 2^event_bits."""
+    substeps: Annotated[int, quantity("count", ge=1, le=1024)] = 1
+    """Substeps in one sample time for effects that are not exact; a power of two."""
+    max_events: Annotated[int, quantity("count", ge=1, le=1_000_000)] = 1000
+    """Events in one hold; beyond it the rest of the hold runs without guards, counted in `Plant.capped_holds`."""
+
+    @model_validator(mode="after")
+    def _substeps_divide_the_ticks(self) -> "AccuracyParameters":
+        if self.substeps & (self.substeps - 1):
+            raise ValueError(f"substeps {self.substeps} is no power of two, expected 1, 2, 4, ... 1024")
+        return self
+
+
+class Plant:
+    """One simulated axis, moved by a torque that is constant from call to call.
+
+    The plant stands still until `begin(now)`; from then on its clock never stops.
+
+    Args:
+        parameters: Mass and bearings.
+        user: The hand; None when nobody holds the handle.
+        effects: Effects of `canhaptic.sim.plant.effects`, in the order of the scene.
+        sample_time_ns: T [ns]; a whole sample time is cheapest.
+        seed: Of every random effect.
+        accuracy: Events and substeps; the defaults when None.
+        compiled: Whether holds run compiled by numba (the extra `fast`). Worth its seconds of compiling for whole runs
+            (`run`) and for stiff scenes; a light hold called from Python costs more than interpreted.
+
+    Attributes:
+        position: True position of the motor [m or rad].
+        encoder_position: The same after the effects of the encoder; what a drive reads.
+        has_ideal_encoder: True when there are none, and both are the same.
+        stored_at_start: Kinetic and elastic energy at the start [J].
+        state_names: Every state of the scene, and nothing else.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        user: UserParameters | None,
+        effects: Sequence[Effect],
+        sample_time_ns: int,
+        seed: int = 0,
+        accuracy: AccuracyParameters | None = None,
+        compiled: bool = False,
+    ) -> None:
+        if sample_time_ns < 1:
+            raise ParameterError(f"sample time: got {sample_time_ns} ns, expected at least 1 ns; lower the rate")
+        self.parameters = parameters
+        self.user = user
+        self.effects = tuple(effects)
+        self.accuracy = accuracy or AccuracyParameters()
+        self.sample_time_ns = sample_time_ns
+        self.seed = seed
+        self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
+        self.has_ideal_encoder = not self.scene.encoders
+        machine_type = _compiled_machine() if compiled else Machine
+        self._machine = machine_type(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
+        self._splitting = Splitting(self._machine, self.accuracy.substeps) if self.scene.efforts else None
+        self._timetable: Timetable | None = None
+        self._hold = self._chosen_hold()
+        self._is_linear = self._hold == self._linear_hold
+        accounts = list(self.scene.works.values())
+        self._accounts = np.array([[a == account for a in accounts] for account in _ACCOUNTS], dtype=float)
+        self._pairs = _pairs(accounts)
+        kept = [name for command in self.scene.commands for name in command.state_names]
+        kept += [name for effort in self.scene.efforts for name in effort.state_names]
+        self.state_names = (*self.scene.names, *kept)
+        self.reset()
+
+    def _chosen_hold(self) -> Callable[[int, float], None]:
+        """Returns what moves this scene by a hold; what the scene does not name has no place in it."""
+        scene, machine = self.scene, self._machine
+        has_guards = any(part.has_guards for part in scene.parts)
+        if not (has_guards or scene.efforts or scene.schedule or scene.commands):
+            return self._linear_hold
+        run = self._splitting.run if self._splitting else machine.run if has_guards else machine.run_free
+        if scene.schedule:
+            self._timetable = Timetable(machine, run)
+            run = self._timetable.run
+        self._run = run
+        return self._general_hold
+
+    def reset(self) -> None:
+        """Returns to the initial state, before `begin`, with all energies zero."""
+        self._machine.reset()
+        for keeper in (*self.scene.commands, self._splitting, self._timetable):
+            if keeper:
+                keeper.reset()
+        self.stored_at_start = self._stored()
+        self._epoch: int | None = None
+        self._tick = 0
+        self._next_period = -1  # [ns] end of the sample time that begins at _tick; -1 inside a sample time
+        self.position = self._machine.state.item(0)
+
+    @property
+    def velocity(self) -> float:
+        """True velocity of the motor [m/s or rad/s]."""
+        return self._machine.state.item(1)
+
+    @property
+    def motor_torque(self) -> float | None:
+        """Torque of the motor behind its current loop [N*m or N]; None without one, when it is the torque held."""
+        names = self.scene.names
+        return self._machine.state.item(names.index("motor_torque")) if "motor_torque" in names else None
+
+    @property
+    def encoder_position(self) -> float:
+        """Position that the encoder reports [m or rad]; the same however often it is read at one instant."""
+        position = self.position
+        for encoder in self.scene.encoders:
+            position = encoder.read(position, self._tick, self.seed)
+        return position
+
+    @property
+    def begun(self) -> bool:
+        """True once the clock of the plant runs."""
+        return self._epoch is not None
+
+    @property
+    def events(self) -> int:
+        """Mode changes (sticking, contact, ...) since the start."""
+        return self._machine.events
+
+    @property
+    def capped_holds(self) -> int:
+        """Holds that had more events than the cap."""
+        return self._machine.capped
+
+    @property
+    def products(self) -> int:
+        """Steps of the core tried since the start: the price, independent of the machine it runs on."""
+        return self._machine.products
+
+    @property
+    def first_mode(self) -> Mode:
+        """The mode the scene starts in, as data."""
+        return self._machine.first_mode
+
+    @property
+    def is_linear(self) -> bool:
+        """True when nothing but a held torque acts on it: no guards, efforts, schedule or commands."""
+        return self._is_linear
+
+    def whole_flow(self) -> Array:
+        """Returns the flow of the first mode over one sample time, shape (n, n)."""
+        return matrix_of(self._machine.first_mode.flows[0]).copy()
+
+    def initial_state(self) -> Array:
+        """Returns the state at the start, shape (n,)."""
+        return initial_state(self.scene)
+
+    @property
+    def is_exact(self) -> bool:
+        """True when every effect is solved exactly between its events."""
+        return self._splitting is None
+
+    def begin(self, now: int) -> None:
+        """Starts the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""
+        if self._epoch is None:
+            self._epoch = now
+            self._next_period = now + self.sample_time_ns
+
+    def advance_to(self, now: int, torque: float) -> None:
+        """Moves the plant to `now` under a torque that was constant since the last call; still before `begin`.
+
+        Args:
+            now: Time [ns] on the clock that `begin` was given; rounded to a tick of T / 2^24.
+            torque: Held by the actuator since the last call [N or N*m].
+
+        Raises:
+            ParameterError: `now` lies before the last call.
+        """
+        if now == self._next_period:
+            self._tick += TICKS
+            self._next_period = now + self.sample_time_ns
+            if self._is_linear:
+                self.position = self._machine.period(torque)
+            else:
+                self._hold(TICKS, torque)
+            if not self._tick & (_TIDY - 1):
+                self._machine.tidy()
+        elif self._epoch is not None:
+            ticks = self._ticks_until(now, self._epoch)
+            if ticks:
+                self._hold(ticks, torque)
+                if (self._tick - ticks) // _TIDY != self._tick // _TIDY:
+                    self._machine.tidy()
+
+    def run(self, torques: Array) -> Array:
+        """Moves by one sample time under each torque and returns the positions after them; begins at 0 if need be.
+
+        The same as `advance_to` called for each; compiled, the whole run is one call where nothing but guards acts.
+
+        Args:
+            torques: Shape (n_holds,) [N or N*m].
+
+        Raises:
+            ParameterError: The plant is inside a sample time.
+        """
+        self.begin(0)
+        if self._next_period < 0:
+            raise ParameterError(f"run: got a plant {self._tick % TICKS} ticks inside a sample time, expected 0")
+        positions = np.empty(len(torques))
+        if self._splitting or self._timetable:
+            for k, torque in enumerate(torques.tolist()):
+                self.advance_to(self._next_period, torque)
+                positions[k] = self.position
+            return positions
+        held = self._after_commands(torques)
+        done = 0
+        while done < len(held):
+            count = min(len(held) - done, ((_TIDY - self._tick % _TIDY) // TICKS))
+            self._machine.run_holds(held[done : done + count], positions[done : done + count])
+            self._tick += count * TICKS
+            self._next_period += count * self.sample_time_ns
+            if self._tick % _TIDY == 0:
+                self._machine.tidy()
+            done += count
+        self.position = self._machine.state.item(0)
+        return positions
+
+    def _after_commands(self, torques: Array) -> Array:
+        """Returns what reaches the motor of a run of torques."""
+        held = torques.astype(float)
+        for command in self.scene.commands:
+            held = np.array([command.apply(torque, self.scene.sample_time) for torque in held.tolist()])
+        return held
+
+    def energy(self) -> PlantEnergy:
+        """Returns the true energies since the start [J]."""
+        works = self._machine.works()
+        if self._pairs is not None:
+            works.append(0.0)
+            a, b, c, d, e, f = self._pairs
+            motor, user, dissipated = works[a] + works[b], works[c] + works[d], works[e] + works[f]
+        else:
+            motor, user, dissipated = self._accounts.dot(works).tolist()
+        if self._splitting:
+            work = self._splitting.work
+            motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
+        return _tuple(PlantEnergy, (motor, user, dissipated, self._stored() - self.stored_at_start))
+
+    def _stored(self) -> float:
+        stored = self._machine.stored()
+        return stored + self._splitting.stored(self._machine.state.item(0)) if self._splitting else stored
+
+    def _linear_hold(self, ticks: int, torque: float) -> None:
+        if ticks == TICKS:
+            self.position = self._machine.period(torque)
+        else:
+            self._machine.state[-2] = torque
+            self._machine.run_free(ticks)
+            self.position = self._machine.state.item(0)
+
+    def _general_hold(self, ticks: int, torque: float) -> None:
+        machine = self._machine
+        for command in self.scene.commands:
+            torque = command.apply(torque, ticks * machine.tick_time)
+        machine.state[-2] = torque
+        self._run(ticks)
+        self.position = machine.state.item(0)
+
+    def _ticks_until(self, now: int, epoch: int) -> int:
+        """Returns the ticks from the last call to `now`, and takes the time as passed."""
+        period = self.sample_time_ns
+        tick = ((now - epoch) * TICKS + period // 2) // period
+        ticks = tick - self._tick
+        if ticks < 0:
+            raise ParameterError(f"time went back: got {now} ns, {-ticks} ticks before the last call")
+        self._tick = tick
+        whole, inside = divmod(tick, TICKS)
+        self._next_period = -1 if inside else epoch + (whole + 1) * period
+        return ticks
+
+
+def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
+    """Returns two places of works for each account, with those of a zero behind the last work where it has fewer.
+
+    None where one has more than two works: only a sum of two is the same in whichever order it is taken.
+    """
+    zero = len(accounts)
+    places = [[place for place, a in enumerate(accounts) if a == account] for account in _ACCOUNTS]
+    if any(len(of) > 2 for of in places):
+        return None
+    return tuple(place for of in places for place in (*of, zero, zero)[:2])
+
+
+def _compiled_machine() -> type[Machine]:
+    """Returns the machine whose holds are compiled.
+
+    Raises:
+        ParameterError: numba is not installed.
+    """
+    try:
+        from canhaptic.sim.plant.njit_stepper import CompiledMachine
+    except ImportError as error:
+        raise ParameterError(
+            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
+        ) from error
+    return CompiledMachine
+
+
+def collect(
+    parameters: PlantParameters, user: UserParameters | None, effects: Sequence[Effect], sample_time: float
+) -> Scene:
+    """Returns the scene of a plant: body, shaft and motor first, then the hand, then the other effects.
+
+    Raises:
+        ParameterError: An effect needs another that is not there, or two exclude each other.
+    """
+    scene = Scene(sample_time)
+    parameters.add_to(scene)
+    ranked = sorted(effects, key=lambda effect: effect.rank)
+    for effect in (effect for effect in ranked if effect.rank == 0):
+        effect.add_to(scene)
+    if user:
+        user.add_to(scene)
+    for effect in (effect for effect in ranked if effect.rank > 0):
+        effect.add_to(scene)
+    return scene

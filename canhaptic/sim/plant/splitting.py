@@ -1,0 +1,135 @@
+"""What is not piecewise affine, around the exact core: one force held over each substep and solved with its motion.
+
+All such forces act on the motor's body. Over a substep their sum F is constant for the core, which stays exact; F is
+the mean of each force along the travel that it causes itself (a discrete gradient where the force has a potential),
+found by a bracketed secant. Order 2 in the substep, order 1 in a substep with an event. The work booked is
+F times travel, so that the balance of energies closes whatever the step (Gonzalez, J. Nonlinear Science 6, 1996).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from canhaptic.sim.plant.assembly import Account, Effort
+from canhaptic.sim.plant.hybrid_automaton import Machine
+from canhaptic.sim.plant.propagator import TICKS
+
+_CLOSE: Final = 1e-13  # of the largest force seen in the substep
+_SECANT_STEPS: Final = 12  # then bisection
+_LARGEST_COUNT: Final = 90
+_SETTLED: Final = 1e-12  # of a step of the torque: what is left then says no more how fast it went
+_FLATTEST: Final = -0.05  # a residual flatter than that is taken as this steep
+
+
+class Splitting:
+    """The core with its efforts.
+
+    Attributes:
+        work: Work of the efforts by account since the start [J].
+    """
+
+    def __init__(self, machine: Machine, substeps: int) -> None:
+        self._machine = machine
+        self._efforts: list[Effort] = machine.scene.efforts
+        self._substep_ticks = TICKS // substeps
+        self._tick_time = machine.tick_time
+        names = machine.scene.names
+        self._travel, self._effort = names.index("travel"), names.index("effort")
+        self._torque = names.index(machine.scene.motor_torque)
+        self.reset()
+
+    def reset(self) -> None:
+        """Returns to the start."""
+        for effort in self._efforts:
+            effort.reset()
+        self.work: dict[Account, float] = {"motor": 0.0, "user": 0.0, "dissipated": 0.0}
+        self._force = 0.0
+        self._slope = -1.0
+        self._start = 0.0
+        self._duration = 0.0
+        self._held = 0.0
+
+    def stored(self, position: float) -> float:
+        """Returns the energy stored in the efforts [J]."""
+        return sum(effort.stored(position) for effort in self._efforts)
+
+    def run(self, ticks: int) -> None:
+        """Moves by `ticks`, in substeps."""
+        while ticks:
+            piece = min(ticks, self._substep_ticks)
+            self._substep(piece)
+            ticks -= piece
+
+    def _substep(self, ticks: int) -> None:
+        state = self._machine.state
+        self._start, self._held = float(state[0]), float(state[self._torque])
+        self._duration = ticks * self._tick_time
+        force = self._solve(ticks)
+        travel = float(self._machine.state[self._travel])
+        rest = force
+        for effort in self._efforts:
+            share = effort.force(self._start, travel, self._duration, self._held)
+            rest -= share
+            before = effort.stored(self._start)
+            effort.commit(self._start, travel, self._duration, self._held)
+            stored = effort.stored(self._start + travel) - before
+            self._book(effort.account, share * travel + (stored if effort.account == "dissipated" else 0.0))
+        self._book("dissipated", rest * travel)  # what the solution of the scalar equation left over
+        self._force = force
+
+    def _book(self, account: Account | None, work: float) -> None:
+        if account is not None:
+            self.work[account] += -work if account == "dissipated" else work
+
+    def _solve(self, ticks: int) -> float:
+        """Returns F with F = sum of forces(travel(F)); the machine is left at the end of the substep with that F."""
+        saved, begin = self._machine.save(), self._held
+
+        def residual(force: float) -> float:
+            self._machine.restore(saved)
+            state = self._machine.state
+            state[self._effort], state[self._travel] = force, 0.0
+            self._machine.run(ticks)
+            travel = float(self._machine.state[self._travel])
+            self._held = mean_torque(begin, float(self._machine.state[self._torque]), float(state[-2]))
+            return sum(e.force(self._start, travel, self._duration, self._held) for e in self._efforts) - force
+
+        force, self._slope = fixed_point(residual, self._force, self._slope)
+        return force
+
+
+def mean_torque(begin: float, end: float, held: float) -> float:
+    """Returns the mean of a torque that goes from `begin` to `end` as a first-order lag behind `held` does."""
+    gap, left = begin - held, end - held
+    if left == gap or not left / gap > _SETTLED:
+        return end
+    return held + (left - gap) / math.log1p((left - gap) / gap)
+
+
+def fixed_point(residual: Callable[[float], float], start: float, slope: float) -> tuple[float, float]:
+    """Returns (root, slope near it) of a residual that falls; the root is the last argument that was evaluated.
+
+    A bracketed secant; where the residual jumps over zero (friction about to stick) the place of the jump.
+
+    Args:
+        residual: Target force minus force, as a function of the force.
+        start: First guess.
+        slope: Slope of the residual near the root, below zero; -1 when nothing is known.
+    """
+    force, error = start, residual(start)
+    largest = max(abs(force), abs(force + error))
+    low, high = -math.inf, math.inf
+    for count in range(_LARGEST_COUNT):
+        if abs(error) <= _CLOSE * largest:
+            break
+        low, high = (max(low, force), high) if error > 0.0 else (low, min(high, force))
+        candidate = force - error / slope
+        if high - low < math.inf and (count > _SECANT_STEPS or not low < candidate < high):
+            candidate = 0.5 * (low + high)
+        if candidate in (low, high):
+            break
+        change = residual(candidate) - error
+        slope = min(change / (candidate - force), _FLATTEST)
+        force, error = candidate, error + change
+        largest = max(largest, abs(force))
+    return force, slope

@@ -1,0 +1,281 @@
+"""The one stepper as pure functions on tables: interpreted as it stands, or compiled by numba (`compiled.py`).
+
+A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or may have
+dipped below it inside (its rate changed sign and the two tangents meet below zero), the step is halved, down to one
+tick; there the mode changes. No root finder and no adaptive step; at most `max_events` events a hold, the excess is
+counted, and the rest of that hold runs on without guards.
+
+The first five functions are all that touches numbers in bulk. Interpreted, a table holds bound products of NumPy
+(`flow.dot`: half the cost of `numpy.dot`); compiled, it holds arrays, and these five are replaced.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
+
+_ROUNDING: Final = 1e-14  # a guard is broken when it is below zero by more than this part of its largest term
+_CHAIN: Final = 16  # switches without time between them
+NONE: Final = -1  # every guard holds
+_DOUBTFUL: Final = -2  # a guard may have dipped below zero inside the step
+
+MODE: Final = 0  # places in `counts`: the mode the machine is in,
+EVENTS: Final = 1  # mode changes since the start,
+CAPPED: Final = 2  # holds in which the cap on events was reached,
+PRODUCTS: Final = 3  # steps tried since the start,
+LIMIT: Final = 4  # events at which this hold is capped,
+MISSING: Final = 5  # guard that leads to a mode not compiled yet, or NONE: the caller compiles it and runs on
+COUNTS: Final = 6
+
+
+class Tables(NamedTuple):
+    """All modes as data; the first index of each table is the mode. Lists when interpreted, arrays when compiled."""
+
+    flows: Any  # by level: z -> z after T / 2^level
+    works: Any  # by level: z -> what `book` needs
+    base: Any  # largest step whose guards are near parabolas, as a level
+    guards: Any  # values and then rates of the guards as rows
+    guard_counts: Any
+    targets: Any  # by guard: the mode it leads to, or NONE when that is not compiled yet
+    jumps: Any  # by guard: whether the state jumps there
+    resets: Any  # by guard: z -> z after the jump
+    losses: Any  # by guard: the work that takes the energy lost in the jump
+    storage: Any  # P with z'Pz the stored energy
+
+
+class Settings(NamedTuple):
+    """What a stepper spends."""
+
+    max_events: int
+    event_level: int
+    tick_time: float  # [s]
+
+
+@dataclass(frozen=True, slots=True)  # read at every step: half the cost of the fields of a NamedTuple
+class Books:
+    """Buffers for the work of one step; two of them take turns, so that booking is two products and no sum.
+
+    The first product writes `rows`: for each work [Q y, unit row], then y, the state with the hand's deflection. In the
+    same memory y is followed by the totals, and the second product, [Q y, unit row] . [y, totals], is y'Qy + total.
+    """
+
+    moved: Array  # state after the step when one product gives it together with the rows, shape (n,)
+    both: Array  # that state and the rows, one behind the other in memory
+    rows: Array  # all but the totals, shape (works * (n + works) + n,)
+    contract: Any  # [y, totals] -> totals after the step
+    vector: Array  # [y, totals], shape (n + works,)
+    totals: Array  # a view of the vector, shape (works,)
+    totals_after: Array  # the totals in the other buffer, shape (works,)
+
+
+def two_books(size: int, works: int) -> list[Books]:
+    """Returns the two buffers for a state of `size` and a number of works."""
+    length = works * (size + works)
+    this, other = np.zeros(length + 2 * size + works), np.zeros(length + 2 * size + works)
+
+    def books(buffer: Array, after: Array) -> Books:
+        both, vector = buffer[: length + 2 * size], buffer[size + length :]
+        contract = buffer[size : size + length].reshape(works, size + works).dot
+        return Books(both[:size], both, both[size:], contract, vector, vector[size:], after[length + 2 * size :])
+
+    return [books(this, other), books(other, this)]
+
+
+def move(product: Any, state: Array, moved: Array) -> None:
+    """Writes the product with the state."""
+    product(state, moved)
+
+
+def evaluate(guards: Any, state: Array, values: Any) -> Any:
+    """Returns the values and rates of the guards; `values` may be written to."""
+    return guards.dot(state).tolist()
+
+
+def largest_term(guards: Any, guard: int, state: Array) -> float:
+    """Returns the largest term in the sum that is the value of a guard."""
+    return float(np.abs(guards[guard] * state).max())
+
+
+def stored(storage: Any, state: Array) -> float:
+    """Returns the kinetic and elastic energy [J]."""
+    return float(storage.dot(state).dot(state))
+
+
+def book(works: Any, state: Array, books: Any) -> None:
+    """Books the work of a step that begins at `state`."""
+    this = books[0]
+    works(state, this.rows)
+    this.contract(this.vector, this.totals_after)
+    books[0], books[1] = books[1], this
+
+
+def first_broken(guards: Any, count: int, values: Any, state: Array) -> int:
+    """Returns the first guard that is broken at `state`, or NONE."""
+    for i in range(count):
+        if values[i] < 0.0 and values[i] < -_ROUNDING * largest_term(guards, i, state):
+            return i
+    return NONE
+
+
+def dips(before: Any, after: Any, guard: int, count: int, step: float) -> bool:
+    """True when the tangents at both ends of the step meet below zero: a bound for a convex guard."""
+    falling, rising = before[count + guard], after[count + guard]
+    if not falling < 0.0 < rising:
+        return False
+    meeting = (after[guard] - before[guard] - rising * step) / (falling - rising)
+    return bool(before[guard] + falling * meeting < 0.0)
+
+
+def leave(tables: Tables, state: Array, moved: Array, books: Any, counts: Any, guard: int) -> tuple[Array, Array]:
+    """Changes the mode through a guard, with the jump that belongs to it; returns the state and the spare state."""
+    mode = counts[MODE]
+    after = tables.targets[mode][guard]
+    counts[EVENTS] += 1
+    counts[MODE] = after
+    if tables.jumps[mode][guard]:
+        move(tables.resets[mode][guard], state, moved)
+        lost = stored(tables.storage[mode], state) - stored(tables.storage[after], moved)
+        books[0].totals[tables.losses[mode][guard]] += lost
+        return moved, state
+    return state, moved
+
+
+def settle(
+    tables: Tables, state: Array, moved: Array, books: Any, counts: Any, values: Any
+) -> tuple[Array, Array, Any]:
+    """Leaves every mode whose guards do not hold at this very state; returns state, spare and the guards' values."""
+    for _ in range(_CHAIN):
+        mode = counts[MODE]
+        guards = tables.guards[mode]
+        values = evaluate(guards, state, values)
+        guard = first_broken(guards, tables.guard_counts[mode], values, state)
+        if guard == NONE:
+            return state, moved, values
+        if tables.targets[mode][guard] < 0:
+            counts[MISSING] = guard
+            return state, moved, values
+        state, moved = leave(tables, state, moved, books, counts, guard)
+    values = evaluate(tables.guards[counts[MODE]], state, values)
+    return state, moved, values
+
+
+def judge(tables: Tables, mode: int, before: Any, after: Any, moved: Array, step: float) -> int:
+    """Returns the guard that a step broke, NONE, or _DOUBTFUL; a step of 0 is one that is not halved any more."""
+    count = tables.guard_counts[mode]
+    broken = first_broken(tables.guards[mode], count, after, moved)
+    if broken == NONE and step > 0.0:
+        for i in range(count):
+            if dips(before, after, i, count, step):
+                return _DOUBTFUL
+    return broken
+
+
+def run_free(tables: Tables, state: Array, moved: Array, books: Any, counts: Any, ticks: int) -> tuple[Array, Array]:
+    """Moves by `ticks` ignoring guards: whole sample times, then one step per bit; returns state and spare."""
+    mode = counts[MODE]
+    flows, works = tables.flows[mode], tables.works[mode]
+    for _ in range(ticks >> LEVELS):
+        move(flows[0], state, moved)
+        book(works[0], state, books)
+        state, moved = moved, state
+        counts[PRODUCTS] += 1
+    rest, level = ticks & (TICKS - 1), 0
+    while rest:
+        level += 1
+        if rest & (TICKS >> level):
+            rest -= TICKS >> level
+            move(flows[level], state, moved)
+            book(works[level], state, books)
+            state, moved = moved, state
+            counts[PRODUCTS] += 1
+    return state, moved
+
+
+def run(
+    tables: Tables, settings: Settings, state: Array, moved: Array, books: Any, counts: Any, values: Any, ticks: int
+) -> tuple[Array, Array, int]:
+    """Moves by `ticks` under constant inputs, through every event on the way.
+
+    Returns:
+        State, spare state, and the ticks left: above zero only with counts[MISSING] set.
+    """
+    before, after = values[0], values[1]
+    state, moved, before = settle(tables, state, moved, books, counts, before)
+    mode = counts[MODE]
+    flows, guards, count, base = tables.flows[mode], tables.guards[mode], tables.guard_counts[mode], tables.base[mode]
+    level, window, event_level, tried = base, -1, settings.event_level, 0
+    while ticks and counts[MISSING] == NONE:
+        while TICKS >> level > ticks:
+            level += 1
+        tried += 1
+        move(flows[level], state, moved)
+        after = evaluate(guards, moved, after)
+        broken = NONE
+        for i in range(count):
+            if after[i] < 0.0 or before[count + i] < 0.0 < after[count + i]:
+                step = settings.tick_time * (TICKS >> level) if level < event_level else 0.0
+                broken = judge(tables, mode, before, after, moved, step)
+                break
+        if broken != NONE and level < event_level:
+            window, level = ticks - (TICKS >> level), level + 1
+            continue
+        book(tables.works[mode][level], state, books)
+        state, moved = moved, state
+        ticks -= TICKS >> level
+        before, after = after, before
+        if broken != NONE:
+            if counts[EVENTS] >= counts[LIMIT]:
+                counts[CAPPED] += 1
+                state, moved = run_free(tables, state, moved, books, counts, ticks)
+                ticks = 0
+                break
+            state, moved, before = settle(tables, state, moved, books, counts, before)
+            mode = counts[MODE]
+            flows, guards, count = tables.flows[mode], tables.guards[mode], tables.guard_counts[mode]
+            base = level = tables.base[mode]
+            window = -1
+        elif ticks <= window:
+            level, window = base, -1
+    counts[PRODUCTS] += tried
+    return state, moved, ticks
+
+
+def run_holds(
+    tables: Tables, settings: Settings, state: Array, moved: Array, books: Any, counts: Any, values: Any,
+    torques: Array, positions: Array,
+) -> tuple[Array, Array, int, int]:  # fmt: skip
+    """Takes one sample time under each torque and writes the position after it.
+
+    Returns:
+        State, spare state, sample times begun, and the ticks left of the last one: above zero, or zero with
+        counts[MISSING] set, when a mode has to be compiled first.
+    """
+    if not tables.guard_counts[counts[MODE]]:
+        state, moved = free_holds(tables, state, moved, books, counts, torques, positions)
+        return state, moved, len(torques), 0
+    for k in range(len(torques)):
+        state[-2] = torques[k]
+        counts[LIMIT] = counts[EVENTS] + settings.max_events
+        state, moved, left = run(tables, settings, state, moved, books, counts, values, TICKS)
+        if counts[MISSING] != NONE:
+            return state, moved, k + 1, left
+        positions[k] = state[0]
+    return state, moved, len(torques), 0
+
+
+def free_holds(
+    tables: Tables, state: Array, moved: Array, books: Any, counts: Any, torques: Array, positions: Array
+) -> tuple[Array, Array]:
+    """The same in a mode without guards, which nothing can leave; returns state and spare."""
+    mode = counts[MODE]
+    flow, work = tables.flows[mode][0], tables.works[mode][0]
+    for k in range(len(torques)):
+        state[-2] = torques[k]
+        move(flow, state, moved)
+        book(work, state, books)
+        state, moved = moved, state
+        positions[k] = state[0]
+    counts[PRODUCTS] += len(torques)
+    return state, moved

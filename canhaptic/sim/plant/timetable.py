@@ -1,0 +1,37 @@
+"""Mode changes that come by the clock and not by a guard: at fixed ticks, between two steps."""
+
+from collections.abc import Callable
+
+from canhaptic.sim.plant.hybrid_automaton import Machine
+
+
+class Timetable:
+    """The scheduled mode changes of a scene around whatever moves it.
+
+    Args:
+        machine: Whose parts change mode.
+        run: Moves the machine by some ticks without scheduled changes.
+    """
+
+    def __init__(self, machine: Machine, run: Callable[[int], None]) -> None:
+        self._machine, self._run = machine, run
+        entries = [(round(time / machine.tick_time), part, mode) for time, part, mode in machine.scene.schedule]
+        self._entries = sorted(entries, key=lambda entry: entry[0])
+        self.reset()
+
+    def reset(self) -> None:
+        """Returns to tick 0."""
+        self._tick = self._done = 0
+
+    def run(self, ticks: int) -> None:
+        """Moves by `ticks`, changing modes on the way."""
+        end = self._tick + ticks
+        while self._done < len(self._entries) and self._entries[self._done][0] < end:
+            tick, part, mode = self._entries[self._done]
+            if tick > self._tick:
+                self._run(tick - self._tick)
+                self._tick = tick
+            self._machine.set_part_mode(part, mode)
+            self._done += 1
+        self._run(end - self._tick)
+        self._tick = end

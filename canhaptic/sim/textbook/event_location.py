@@ -1,0 +1,137 @@
+"""The textbook plant by scipy's adaptive solvers, every change of mode located; needs the extra `study`.
+
+DOP853 at 1e-12 is the reference of the accuracy study, LSODA at 1e-9 its witness.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+from typing import Any, Final
+
+from canhaptic.errors import InputError
+from canhaptic.sim.textbook.reference_elements import Floats, Way
+from canhaptic.sim.textbook.reference_model import Model, Modes
+from canhaptic.sim.textbook.reference_motion import Motion, motion_of
+
+_MISSING: Final = "the reference of an accuracy study needs scipy; install it with: pip install 'canhaptic[study]'"
+_LONGEST_STEP: Final = 2.5e-4
+"""[s] where modes may change: their guards are looked at at the ends of steps."""
+_MOST_CHANGES: Final = 10_000
+"""Changes of mode in one hold."""
+_CHAIN: Final = 16
+"""Changes of mode without time between them."""
+
+
+def reference(
+    model: Model, torques: Sequence[float], sample_time_ns: int, stop: Callable[[], bool] | None = None
+) -> Motion:
+    """Returns the motion under the torques by DOP853 with relative tolerance 1e-12.
+
+    Args:
+        model: The plant.
+        torques: Of each hold [N or N*m].
+        sample_time_ns: Of a hold [ns].
+        stop: Asked now and then whether to give up.
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    return located(model, torques, sample_time_ns, "DOP853", 1e-12, 1e-15, stop)
+
+
+def located(
+    model: Model,
+    torques: Sequence[float],
+    sample_time_ns: int,
+    method: str,
+    rtol: float,
+    atol: float,
+    stop: Callable[[], bool] | None = None,
+) -> Motion:
+    """Returns the motion under the torques; arguments and errors as for `located_states`."""
+    return motion_of(located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
+
+
+def located_states(
+    model: Model,
+    torques: Sequence[float],
+    sample_time_ns: int,
+    method: str,
+    rtol: float,
+    atol: float,
+    stop: Callable[[], bool] | None = None,
+) -> list[Floats]:
+    """Returns every state at the end of each hold, by a solver of `scipy.integrate.solve_ivp`.
+
+    Args:
+        model: The plant.
+        torques: Of each hold [N or N*m].
+        sample_time_ns: Of a hold [ns].
+        method: Name of the solver.
+        rtol: Relative tolerance.
+        atol: Absolute tolerance, of each state in its own unit.
+        stop: Asked now and then whether to give up.
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    try:
+        from scipy.integrate import solve_ivp
+    except ImportError as error:
+        raise InputError(_MISSING) from error
+    period = sample_time_ns * 1e-9
+    longest = min(0.25 * period, _LONGEST_STEP) if model.switches else math.inf
+    solve = partial(solve_ivp, method=method, rtol=rtol, atol=atol, max_step=longest)
+    state, modes, states = list(model.start), model.first, []
+    for k, torque in enumerate(torques):
+        if stop is not None and k % 16 == 0 and stop():
+            raise InputError("stopped before the reference was there; nothing can be compared without it")
+        begin, end = k * period, (k + 1) * period
+        cuts = [begin, *(t for t in sorted(model.breaks) if begin < t < end), end]
+        for start, finish in pairwise(cuts):
+            state, modes = _hold(model, solve, state, modes, torque, (start, finish))
+        states.append(list(state))
+    return states
+
+
+def _hold(
+    model: Model, solve: Callable[..., Any], state: list[float], modes: Modes, torque: float, span: tuple[float, float]
+) -> tuple[list[float], Modes]:
+    """Returns state and modes after one stretch of time under one torque."""
+    now, end = span
+    for _ in range(_MOST_CHANGES):
+        state, modes = settled(model, now, state, torque, modes)
+        ways = model.ways(modes)
+        result = solve(
+            model.rates, (now, end), state, events=[_event(way) for way in ways] or None, args=(torque, modes)
+        )
+        if result.status < 0:
+            raise InputError(f"the reference failed at {now:g} s ({result.message}); shorten the study or the scene")
+        state, now = result.y[:, -1].tolist(), float(result.t[-1])
+        if result.status == 0:
+            return state, modes
+        fired = next(way for way, times in zip(ways, result.t_events, strict=True) if len(times))
+        state, modes = model.through(fired, state, modes)
+    raise InputError(f"the reference changed its mode {_MOST_CHANGES} times in one hold at {now:g} s; damp the contact")
+
+
+def settled(model: Model, time: float, state: list[float], torque: float, modes: Modes) -> tuple[list[float], Modes]:
+    """Returns state and modes after every way was taken whose value is below zero here."""
+    for _ in range(_CHAIN):
+        ways = model.ways(modes)
+        broken = next((way for way in ways if way.value(time, state, torque) < -way.rounding), None)
+        if broken is None:
+            break
+        state, modes = model.through(broken, state, modes)
+    return state, modes
+
+
+def _event(way: Way) -> Any:
+    """Returns what falls through zero a hair beyond the guard: a guard that stays at zero is no event."""
+
+    def event(time: float, state: Any, torque: float, _modes: Modes) -> float:
+        return way.value(time, state, torque) + way.rounding
+
+    event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]
+    return event

@@ -1,0 +1,252 @@
+"""Forces of the textbook plant, one element each: what acts on the bodies, and how an element leaves its mode.
+
+An element adds to `forces` (one per body, motor first) and to `rates`. Signs, units and sources are those of the effect
+of the same name in `canhaptic.sim.plant.effects`.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, Protocol
+
+Floats = list[float]
+Value = Callable[[float, Any, float], float]
+
+POSITION, VELOCITY = 0, 1
+_NEGLIGIBLE: Final = 1e-12  # of a guard's scale: less than that below zero is rounding
+
+
+class Way(NamedTuple):
+    """Leaves a mode where `value` falls through zero."""
+
+    element: int
+    mode: str
+    value: Value
+    rounding: float  # in the unit of the value
+    reset: Callable[[Floats], None] | None = None
+
+
+class Place(NamedTuple):
+    """Where a body is in the state: the sum of factor times state."""
+
+    velocity: int
+    terms: tuple[tuple[int, float], ...]
+
+    def position(self, state: Any) -> float:
+        """Returns the position of the body [m or rad]."""
+        return sum(factor * float(state[index]) for index, factor in self.terms)
+
+
+class Element(Protocol):
+    """One thing that exerts a force.
+
+    Attributes:
+        modes: Its modes, the first at the start.
+    """
+
+    modes: tuple[str, ...]
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds its forces and the rates of its own states."""
+
+    def ways(self, index: int, mode: str) -> Sequence[Way]:
+        """Returns the ways out of a mode; `index` is its own place among the elements."""
+
+
+class Smooth:
+    """What elements without modes share."""
+
+    modes: tuple[str, ...] = ("only",)
+
+    def ways(self, index: int, mode: str) -> Sequence[Way]:
+        """Returns none."""
+        return ()
+
+
+class Drag(Smooth):
+    """Viscous friction on the motor: -damping v."""
+
+    def __init__(self, damping: float) -> None:
+        self._damping = damping
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds the friction."""
+        forces[0] -= self._damping * state[VELOCITY]
+
+
+class Detents(Smooth):
+    """Cogging: -amplitude sin(2 pi q / pitch + phase)."""
+
+    def __init__(self, amplitude: float, pitch: float, phase: float) -> None:
+        self._amplitude, self._wave_number, self._phase = amplitude, 2.0 * math.pi / pitch, phase
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds the detent force."""
+        forces[0] -= self._amplitude * math.sin(self._wave_number * state[POSITION] + self._phase)
+
+
+class Shaft(Smooth):
+    """Spring and damper between motor and load."""
+
+    def __init__(self, stiffness: float, damping: float, twist: int, load_velocity: int) -> None:
+        self._stiffness, self._damping, self._twist, self._load = stiffness, damping, twist, load_velocity
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds the torque of the shaft to both sides."""
+        force = self._stiffness * state[self._twist] + self._damping * (state[VELOCITY] - state[self._load])
+        forces[0] -= force
+        forces[1] += force
+
+
+class Hand(Smooth):
+    """K (x_u - q) + D (v_u - v) + push on the last body; its work goes to the last state.
+
+    Args:
+        place: Of the body that is held.
+        grasps: (from time, stiffness, damping), ascending.
+        push: Constant force.
+        rest: Where the spring is at rest.
+        sines: (amplitude, angular frequency, phase) of what the hand follows.
+    """
+
+    def __init__(
+        self,
+        place: Place,
+        grasps: Sequence[tuple[float, float, float]],
+        push: float,
+        rest: float,
+        sines: Sequence[tuple[float, float, float]],
+    ) -> None:
+        self._place, self._grasps = place, tuple(grasps)
+        self._push, self._rest, self._sines = push, rest, tuple(sines)
+
+    @property
+    def changes(self) -> list[float]:
+        """Times at which the grasp changes [s]."""
+        return [time for time, _, _ in self._grasps[1:]]
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds the force of the hand and its power."""
+        _, stiffness, damping = next(g for g in reversed(self._grasps) if g[0] <= time or g is self._grasps[0])
+        place, speed = self._rest, 0.0
+        for amplitude, omega, phase in self._sines:
+            angle = omega * time + phase
+            place += amplitude * math.sin(angle)
+            speed += amplitude * omega * math.cos(angle)
+        velocity = state[self._place.velocity]
+        force = stiffness * (place - self._place.position(state)) + damping * (speed - velocity) + self._push
+        forces[-1] += force
+        rates[-1] = force * velocity
+
+
+class LuGre(Smooth):
+    """Bristles that bend and slip; the deflection is a state."""
+
+    def __init__(self, friction: Any, deflection: int) -> None:
+        self._friction, self._deflection = friction, deflection
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds the friction and the rate of the deflection."""
+        p, velocity, bend = self._friction, state[VELOCITY], state[self._deflection]
+        ratio = velocity / p.stribeck_velocity
+        level = p.kinetic + (p.static - p.kinetic) * math.exp(-ratio * ratio)
+        rate = velocity - p.bristle_stiffness * abs(velocity) / level * bend
+        rates[self._deflection] = rate
+        forces[0] -= p.bristle_stiffness * bend + p.bristle_damping * rate + p.viscous * velocity
+
+
+class Contact:
+    """A one-sided damped contact whose dented face creeps back; `depth` is a state.
+
+    Args:
+        sides: (body, its place, factor); distance = sum of factor times position.
+        limit: Distance at which the faces meet.
+        stiffness: Of the faces.
+        damping: Of the faces.
+        depth: Place of the state.
+    """
+
+    modes: tuple[str, ...] = ("apart", "touching")
+
+    def __init__(
+        self, sides: Sequence[tuple[int, Place, float]], limit: float, stiffness: float, damping: float, depth: int
+    ) -> None:
+        self._sides, self._limit = tuple(sides), limit
+        self._stiffness, self._damping, self._depth = stiffness, damping, depth
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds the force while it touches, and the rate of the depth."""
+        if mode == "touching":
+            rates[self._depth] = self._approach(state)
+            force = self._force(state)
+            for body, _, factor in self._sides:
+                forces[body] -= factor * force
+        elif self._damping > 0.0:
+            rates[self._depth] = -self._stiffness / self._damping * state[self._depth]
+
+    def ways(self, index: int, mode: str) -> Sequence[Way]:
+        """Returns parting where the force would pull, touching where the faces meet."""
+
+        def meet(state: Floats) -> None:
+            state[self._depth] = self._beyond(state)
+
+        def straighten(state: Floats) -> None:
+            state[self._depth] = 0.0
+
+        if mode == "touching":
+            reset = None if self._damping > 0.0 else straighten
+            return (Way(index, "apart", lambda t, y, u: self._force(y), _NEGLIGIBLE * self._stiffness, reset),)
+        return (Way(index, "touching", lambda t, y, u: y[self._depth] - self._beyond(y), _NEGLIGIBLE, meet),)
+
+    def _beyond(self, state: Any) -> float:
+        return sum(factor * place.position(state) for _, place, factor in self._sides) - self._limit
+
+    def _approach(self, state: Any) -> float:
+        return sum(factor * float(state[place.velocity]) for _, place, factor in self._sides)
+
+    def _force(self, state: Any) -> float:
+        return self._stiffness * float(state[self._depth]) + self._damping * self._approach(state)
+
+
+class StickSlip:
+    """Dry friction on the motor: held up to `static`, then `kinetic` and, with Stribeck, an excess that falls off.
+
+    Args:
+        kinetic: While sliding.
+        static: At breakaway.
+        excess: Of the Stribeck characteristic at rest; 0 without it.
+        stribeck_velocity: Over which it falls.
+        velocity: At the start.
+        others: (time, state, torque) -> sum of the other forces on the motor.
+    """
+
+    def __init__(
+        self, kinetic: float, static: float, excess: float, stribeck_velocity: float, velocity: float, others: Value
+    ) -> None:
+        self._kinetic, self._static, self._excess = kinetic, static, excess
+        self._stribeck_velocity, self._others = stribeck_velocity, others
+        first = "stuck" if velocity == 0.0 else "forward" if velocity > 0.0 else "backward"
+        self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds the friction while sliding; stuck, it takes up every other force."""
+        if mode == "stuck":
+            forces[0] = 0.0
+            return
+        ratio = state[VELOCITY] / self._stribeck_velocity if self._excess else 0.0
+        size = self._kinetic + self._excess * math.exp(-ratio * ratio)
+        forces[0] -= size if mode == "forward" else -size
+
+    def ways(self, index: int, mode: str) -> Sequence[Way]:
+        """Returns breakaway when stuck, rest when sliding."""
+        static, others, rounding = self._static, self._others, _NEGLIGIBLE * self._static
+
+        def stop(state: Floats) -> None:
+            state[VELOCITY] = 0.0
+
+        if mode == "stuck":
+            return (
+                Way(index, "forward", lambda t, y, u: static - others(t, y, u), rounding),
+                Way(index, "backward", lambda t, y, u: static + others(t, y, u), rounding),
+            )
+        sign = 1.0 if mode == "forward" else -1.0
+        return (Way(index, "stuck", lambda t, y, u: sign * float(y[VELOCITY]), _NEGLIGIBLE, stop),)
