@@ -21,7 +21,7 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.logs.parameters import LogParameters
+from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.parameters import Parameters
 from canhaptic.scene.axes import LOOP_KEYS, SCALING_KEYS
 from canhaptic.scene.buses import BusTitle, FurtherBus

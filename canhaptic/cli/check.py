@@ -21,7 +21,7 @@ from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.starter import TO_SET, guesses_left
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.tables import plain_table
+from canhaptic.view.table_style import plain_table
 
 _COLOURS: Final = {Verdict.FIT: "green", Verdict.UNKNOWN: "yellow", Verdict.REFUSED: "red"}
 

@@ -16,7 +16,7 @@ from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, survey, unconfigured_axis
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.tables import plain_table
+from canhaptic.view.table_style import plain_table
 
 _COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", Suitability.UNFIT: "red"}
 _WORDS: Final = {

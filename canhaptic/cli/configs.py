@@ -13,7 +13,7 @@ from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
 from canhaptic.shipped import FOLDERS, shipped
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.tables import plain_table
+from canhaptic.view.table_style import plain_table
 
 _COMMENT: Final = "#"
 _SENTENCE_END: Final = re.compile(r"\.\s+(?=[A-Z])")

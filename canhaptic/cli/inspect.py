@@ -7,6 +7,10 @@ from typing import Any
 
 from rich.console import Console
 
+from canhaptic.audit.inspection import inspect
+from canhaptic.audit.log_difference import compare
+from canhaptic.audit.recompute import recompute_all, scene_of
+from canhaptic.audit.user_checks import check
 from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
@@ -14,13 +18,9 @@ from canhaptic.logs.bus_sink import CONVERTIBLE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export
 from canhaptic.logs.repair import repair
-from canhaptic.view.checks import check
-from canhaptic.view.compare import compare
 from canhaptic.view.energy_table import energy_report, make_console
 from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report
-from canhaptic.view.inspection import inspect
-from canhaptic.view.picture import draw_energy
-from canhaptic.view.recompute import recompute_all, scene_of
+from canhaptic.view.run_picture import draw_energy
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,7 +99,7 @@ def _judge(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace
     if arguments.recompute:
         result["recomputed"] = recompute_all(log, arguments.config)
     if arguments.bus_log is not None:
-        from canhaptic.view.rederive import rederive
+        from canhaptic.audit.rederive import rederive
 
         result["rederived"] = rederive(arguments.bus_log, scene_of(log, arguments.config), log)
 
@@ -135,8 +135,8 @@ def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Nam
 
 def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     """The account of a run of which only the frames are there."""
+    from canhaptic.audit.rederive import rederive
     from canhaptic.scene.load import load_scene
-    from canhaptic.view.rederive import rederive
 
     if arguments.config is None:
         raise InputError(f"{arguments.log}: is a bus log; name the scene of the run with --config")

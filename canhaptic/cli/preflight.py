@@ -9,7 +9,7 @@ from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.scene.preflight import PreflightFinding, preflight
 from canhaptic.view.energy_table import make_console
-from canhaptic.view.tables import plain_table
+from canhaptic.view.table_style import plain_table
 
 _REFUSED: Final = 1
 _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}

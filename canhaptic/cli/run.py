@@ -54,7 +54,7 @@ def execute(arguments: argparse.Namespace) -> int:
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         if error is None and arguments.png is not None and energy_log is not None:
-            from canhaptic.view.picture import draw_energy
+            from canhaptic.view.run_picture import draw_energy
 
             with EnergyLog.open(energy_log) as log:
                 draw_energy(log, arguments.png)

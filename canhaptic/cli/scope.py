@@ -9,8 +9,8 @@ from typing import Final
 from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
 from canhaptic.view.energy_table import make_console
+from canhaptic.view.html_page import require_bokeh
 from canhaptic.view.live_log import LiveLog
-from canhaptic.view.page import require_bokeh
 
 _HOST: Final = "127.0.0.1"  # nobody else may look at, or load, a machine that moves
 _PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into one chunk

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 from rich.markup import escape
 from rich.table import Table
 
-from canhaptic.view.tables import plain_table
+from canhaptic.view.table_style import plain_table
 
 
 class Verdict(Enum):

@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import ParameterError
-from canhaptic.logs.schema import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
+from canhaptic.logs.columns import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
 from canhaptic.logs.writer_process import WriterProcess
 from canhaptic.signals import CycleTiming, Sample, Truth
 

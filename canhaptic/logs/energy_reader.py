@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from canhaptic.errors import LogFormatError
+from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
 from canhaptic.logs.hdf5 import Array, Hdf5File
 from canhaptic.logs.log_file import log_file
 from canhaptic.logs.packing import whole_lengths
-from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
 
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
 

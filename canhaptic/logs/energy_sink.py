@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema
 from canhaptic.logs.hdf5 import Dataset, Hdf5File
 from canhaptic.logs.packing import repack, trim
 from canhaptic.logs.ring import SharedArea
-from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema
 
 
 class EnergySink:

@@ -37,8 +37,8 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, Sink]:
     """Returns the shared area and the sink that a job describes; imports only what it needs."""
     area = SharedArea(descriptor, [RingShape(*shape) for shape in job["shapes"]])
     if job["kind"] == "energy":
+        from canhaptic.logs.columns import LogSchema
         from canhaptic.logs.energy_sink import EnergySink
-        from canhaptic.logs.schema import LogSchema
 
         return area, EnergySink(Path(job["path"]), LogSchema.from_json(job["schema"]), area)
     if job["last_ns"]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import SceneConflictError, SceneError
-from canhaptic.logs.parameters import LogParameters
+from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.scene.axes import LOOP_KEYS, SIMULATION_PARTS, read_axis
 from canhaptic.scene.buses import BusSections, bus_of_axis, check_every_bus_has_an_axis, read_buses
 from canhaptic.scene.checks import cross_check

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Final, Literal
 
 from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.logs.columns import GROUP_AXES, Attribute, PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
-from canhaptic.logs.schema import GROUP_AXES, Attribute, PortDescription
 from canhaptic.scene.groups import task_unit
 from canhaptic.scene.models import AxisScene, Scene
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.logs.parameters import LogParameters
+from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.parameters import Parameters, quantity
 from canhaptic.scene.buses import FurtherBus, NamedBus
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters

@@ -6,7 +6,7 @@ Values that refer to each other (units of an axis, unique names) are beyond a sc
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.logs.parameters import LogParameters
+from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.scene.axes import SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.scene.buses import BUS_KEY, BusTitle, FurtherBus
 from canhaptic.scene.group_schema import group_schema, mechanism_schema

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from canhaptic.audit.extent import rows_between, rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import CycleTiming
 from canhaptic.view.decimate import decimate
-from canhaptic.view.extent import rows_between, rows_to_draw
-from canhaptic.view.page import require_bokeh, write_page
+from canhaptic.view.html_page import require_bokeh, write_page
 from canhaptic.view.series import PortSeries
 from canhaptic.view.si import si
 

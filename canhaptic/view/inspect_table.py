@@ -10,7 +10,7 @@ from rich.text import Text
 from canhaptic.parameters import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
-from canhaptic.view.tables import plain_table
+from canhaptic.view.table_style import plain_table
 
 CONTACTS_SHOWN: Final = 8
 _EVENTS_SHOWN: Final = 20

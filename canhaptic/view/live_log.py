@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import LogFormatError
+from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.schema import Event
 
 Array = NDArray[Any]
 

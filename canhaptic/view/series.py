@@ -6,10 +6,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.audit.extent import contacts
+from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.schema import Event
 from canhaptic.view.decimate import decimate
-from canhaptic.view.extent import contacts
 
 Array = NDArray[Any]
 

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from group_runs import AXES, GROUP, REPOSITORY, encoder_bound, identity, logged, run_config
 
+from canhaptic.audit.inspection import inspect
+from canhaptic.audit.recompute import recompute_all
+from canhaptic.audit.rederive import rederive
 from canhaptic.cli.main import main
 from canhaptic.control.balance import Branch
 from canhaptic.control.mechanisms.five_bar import FiveBar as MastersFiveBar
@@ -16,9 +19,6 @@ from canhaptic.replay.replay import replay
 from canhaptic.scene.build import Experiment
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
-from canhaptic.view.inspection import inspect
-from canhaptic.view.recompute import recompute_all
-from canhaptic.view.rederive import rederive
 
 NO_LOSS = "simulation.bus=null"
 CYCLES = 2000

@@ -1,8 +1,8 @@
 """Rows whose every value follows from the cycle number, so that a lost, doubled or mixed-up row shows."""
 
 from canhaptic.control.balance import EnergyBalance
+from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
-from canhaptic.logs.schema import PortDescription
 from canhaptic.signals import CycleTiming, PlantEnergy, Sample, Truth
 
 PORTS = (PortDescription("handle", "m"), PortDescription("knob", "rad"))

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from canhaptic.audit.rederive import rederive
 from canhaptic.cycle import run
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.bus_log import BusLogWriter
@@ -17,7 +18,6 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replay import replay
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.view.rederive import rederive
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
 QUICK = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])

@@ -12,10 +12,10 @@ from patience import wait_for
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
+from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of
-from canhaptic.logs.schema import PortDescription
 
 ROWS = 5000
 

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from scene_text import REPOSITORY
 
+from canhaptic.audit.rederive import rederive
 from canhaptic.cli.decode import decode_log
 from canhaptic.cycle import run
 from canhaptic.errors import LogFormatError, RigError, SceneError
@@ -18,7 +19,6 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene
 from canhaptic.sim.drive.state_machine import DriveState
-from canhaptic.view.rederive import rederive
 
 TWO_BUSES = REPOSITORY / "configs" / "two_buses.yaml"
 COUNT = 1e-6  # [m]

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.balance import Branch
+from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema, PortDescription
 from canhaptic.logs.hdf5 import Hdf5File
 from canhaptic.logs.packing import PACKED_CHUNK
-from canhaptic.logs.schema import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema, PortDescription
 
 HOUR = 3_600_000
 SPIKE = 0.7

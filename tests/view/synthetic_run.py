@@ -4,8 +4,8 @@ import math
 from pathlib import Path
 
 from canhaptic.control.balance import AT_REST, Branch
+from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
-from canhaptic.logs.schema import PortDescription
 from canhaptic.signals import CycleTiming, Sample
 
 

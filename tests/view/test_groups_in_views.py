@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canhaptic.audit.inspection import inspect
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view.html_report import write_html
-from canhaptic.view.inspection import inspect
 from canhaptic.view.live_log import LiveLog
-from canhaptic.view.picture import draw_energy
+from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import PortSeries
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "xy_box.yaml"

@@ -11,10 +11,10 @@ from chromium import chromium
 from hour_run import SPIKE, write_hour
 from synthetic_run import write_run, write_troubled_run
 
+from canhaptic.audit.extent import contacts
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view import html_report
-from canhaptic.view.extent import contacts
 from canhaptic.view.series import PortSeries
 
 ROOT = Path(__file__).parents[2]

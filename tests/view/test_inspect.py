@@ -8,12 +8,12 @@ import pytest
 import typed
 from synthetic_run import write_run, write_troubled_run
 
+from canhaptic.audit.inspection import inspect, quantiles
+from canhaptic.audit.log_difference import compare
+from canhaptic.audit.user_checks import check
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance, Ledger
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.view.checks import check
-from canhaptic.view.compare import compare
-from canhaptic.view.inspection import inspect, quantiles
 
 
 @pytest.fixture(scope="module")

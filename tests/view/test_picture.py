@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_run import write_run
 
+from canhaptic.audit.extent import contacts
 from canhaptic.errors import InputError
+from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.schema import PortDescription
 from canhaptic.view.decimate import decimate
-from canhaptic.view.extent import contacts
-from canhaptic.view.picture import draw_energy
+from canhaptic.view.run_picture import draw_energy
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=400), st.integers(1, 50))
@@ -91,5 +91,7 @@ def test_an_empty_log_is_refused_with_one_message(tmp_path: Path) -> None:
 
 
 def test_the_view_does_not_import_matplotlib_until_it_draws() -> None:
-    program = "import sys, canhaptic.view.picture, canhaptic.view.energy_table; sys.exit('matplotlib' in sys.modules)"
+    program = (
+        "import sys, canhaptic.view.run_picture, canhaptic.view.energy_table; sys.exit('matplotlib' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -4,17 +4,17 @@ from pathlib import Path
 import h5py
 import pytest
 
+from canhaptic.audit import recompute as module
+from canhaptic.audit.recompute import recompute
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.schema import PortDescription
 from canhaptic.signals import CycleTiming, Sample
-from canhaptic.view import recompute as module
-from canhaptic.view.recompute import recompute
 
 
 class WithHold:

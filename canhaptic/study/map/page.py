@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.study.map.panel import Cells, Lines, Panel, common_limits
-from canhaptic.view.page import require_bokeh, write_page
+from canhaptic.view.html_page import require_bokeh, write_page
 
 _WIDTH, _HEIGHT = 560, 380
 _DASHES: Final = {"measured": "solid", "colgate": "dashed", "abbott_okamura": "dotted"}

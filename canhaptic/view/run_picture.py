@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.audit.extent import contacts, rows_between, rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.view.decimate import decimate
-from canhaptic.view.extent import contacts, rows_between, rows_to_draw
 from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
 from canhaptic.view.picture_style import STYLE, axis_scale, matplotlib_figure, save_picture
 from canhaptic.view.series import faults_of

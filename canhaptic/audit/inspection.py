@@ -6,12 +6,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.audit.extent import contacts, rows_between
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control.balance import Branch, Certificate
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.result import part_in_group
 from canhaptic.signals import CycleTiming
-from canhaptic.view.extent import contacts, rows_between
 
 Array = NDArray[Any]
 
