@@ -27,7 +27,7 @@ from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.bus import private_channel
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.scene.nodes import describe_nodes
+from canhaptic.scene.node_names import describe_nodes
 from canhaptic.scene.parts import build_axis_controllers, build_servo_drive
 
 ROOT: Final = Path(__file__).resolve().parent.parent

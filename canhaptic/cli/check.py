@@ -16,7 +16,7 @@ from canhaptic.cli.output import write_json
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict, check_dictionary
-from canhaptic.drive.realtime import GRANTED, Realtime
+from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.starter import TO_SET, guesses_left

@@ -13,7 +13,7 @@ from canhaptic.logs.decoder import BusDecoder
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.scene.nodes import describe_nodes
+from canhaptic.scene.node_names import describe_nodes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

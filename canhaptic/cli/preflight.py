@@ -7,7 +7,7 @@ from rich.markup import escape
 
 from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.output import write_json
-from canhaptic.scene.preflight import PreflightFinding, preflight
+from canhaptic.host.socketcan_state import PreflightFinding, preflight
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table_style import plain_table
 

@@ -13,12 +13,12 @@ from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
+from canhaptic.host.socketcan_state import require_preflight
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.method import method_line
 from canhaptic.scene.plant_price import plant_prices
-from canhaptic.scene.preflight import require_preflight
 from canhaptic.scene.starter import require_no_guesses
 
 

@@ -3,7 +3,7 @@
 import argparse
 
 from canhaptic.cli.output import write_json
-from canhaptic.scene.schema import scene_schema
+from canhaptic.scene.json_schema import scene_schema
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

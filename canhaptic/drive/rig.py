@@ -22,10 +22,10 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile.bring_up import BringUp
 from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
-from canhaptic.drive.realtime import Realtime, RealtimeParameters
 from canhaptic.drive.rig_stop import Trust
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
+from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
 
 _RECORDS_KEPT: Final = 1000

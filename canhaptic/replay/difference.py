@@ -7,7 +7,7 @@ from canhaptic.logs.decoder import BusDecoder
 from canhaptic.replay.recorded_side import RecordedSide
 from canhaptic.replay.recording import Recording
 from canhaptic.scene.models import Scene
-from canhaptic.scene.nodes import describe_nodes
+from canhaptic.scene.node_names import describe_nodes
 
 _SHOWN_BEFORE: Final = 6  # frames
 

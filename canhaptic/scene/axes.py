@@ -9,14 +9,14 @@ from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.parameters import Motion, Parameters
 from canhaptic.scene.buses import BUS_KEY
+from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.eds_path import find_dictionary
-from canhaptic.scene.faults import Faults
 from canhaptic.scene.groups import GroupEntry, membership
 from canhaptic.scene.models import AxisScene, AxisSimulation, Typed
 from canhaptic.scene.profiles import PROFILE_KEY, with_profile
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type
-from canhaptic.scene.twins import lay_twin
+from canhaptic.scene.simulated_defaults import lay_twin
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.plant import PlantParameters

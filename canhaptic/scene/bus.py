@@ -8,7 +8,7 @@ import can
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
-from canhaptic.scene.interfaces import opening_error
+from canhaptic.host.interfaces import opening_error
 from canhaptic.scene.models import Scene
 from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 

@@ -7,8 +7,8 @@ from pydantic import Field
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.parameters import Parameters, quantity, shown
+from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.scene.faults import Faults
 from canhaptic.scene.section import read_mapping, read_section
 from canhaptic.tables import nearest
 

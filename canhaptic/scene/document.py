@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import yaml
 
-from canhaptic.scene.faults import Faults, Mark
+from canhaptic.scene.diagnostics import Faults, Mark
 
 MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
 _TAG: Final = "tag:yaml.org,2002:"

@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 from typing import Final
 
+from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.scene.faults import Faults
 from canhaptic.shipped import shipped
 
 SHIPPED: Final = shipped("eds")

@@ -1,8 +1,8 @@
 """Checks of groups and mechanisms: they are made once, and say what they cannot do."""
 
 from canhaptic.errors import ParameterError
+from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.scene.faults import Faults
 from canhaptic.scene.groups import GROUPS_KEY
 from canhaptic.scene.mechanisms import MECHANISMS_KEY
 from canhaptic.scene.models import AxisScene, Scene

@@ -16,8 +16,8 @@ from typing import Any, Final, NamedTuple, TypeVar
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.parameters import Motion, Parameters, shown
+from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.models import AxisScene, GroupMembership, GroupScene, Typed
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type, refuse_unknown_keys
 from canhaptic.tables import nearest

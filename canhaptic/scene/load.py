@@ -12,9 +12,9 @@ from canhaptic.errors import SceneConflictError, SceneError
 from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.scene.axes import LOOP_KEYS, SIMULATION_PARTS, read_axis
 from canhaptic.scene.buses import BusSections, bus_of_axis, check_every_bus_has_an_axis, read_buses
-from canhaptic.scene.checks import cross_check
+from canhaptic.scene.cross_checks import cross_check
+from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedList, MarkedMapping, mark_plain, parse_yaml
-from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.groups import GroupEntry, check_axis_names, group_of, read_group_entries, read_groups
 from canhaptic.scene.mechanisms import (
     MECHANISMS_KEY,

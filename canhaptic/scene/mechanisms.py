@@ -11,8 +11,8 @@ simulation:
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
+from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.scene.faults import Faults
 from canhaptic.scene.groups import read_axis_names
 from canhaptic.scene.models import AxisScene, MechanismScene, Typed
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type

@@ -11,8 +11,8 @@ from typing import Any, Final
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
 from canhaptic.parameters import shown
+from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedMapping, parse_yaml
-from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.section import read_mapping, refuse_unknown_keys
 from canhaptic.shipped import shipped
 

@@ -10,8 +10,8 @@ from pydantic_core import ErrorDetails
 
 from canhaptic.errors import ParameterError
 from canhaptic.parameters import Motion, Parameters, Unit, axis_motion, shown
+from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.scene.faults import Faults, Mark
 from canhaptic.tables import load, nearest
 
 P = TypeVar("P", bound=Parameters)

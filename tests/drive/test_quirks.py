@@ -1,6 +1,6 @@
 """Every named quirk against its twin: a whole start through the bus, and what happens to a master that knows nothing.
 
-The twin is the simulated drive as `canhaptic.scene.twins` makes it; what reaches the motor is judged by the motor.
+The twin is the simulated drive as `canhaptic.scene.simulated_defaults` makes it; what reaches the motor is judged by the motor.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Verdict, check_dictionary
 from canhaptic.drive.profile.quirks import QUIRKS
 from canhaptic.errors import CommandLostError, DictionaryError, StartError
-from canhaptic.scene.twins import TWINS, twin_of
+from canhaptic.scene.simulated_defaults import TWINS, twin_of
 
 Make = Callable[..., Bench]
 

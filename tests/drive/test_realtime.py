@@ -10,10 +10,10 @@ from drive_bench import Bench, axis, dictionary
 
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import WallClock
-from canhaptic.drive.realtime import GRANTED, Realtime, RealtimeParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import StartError
+from canhaptic.host.realtime import GRANTED, Realtime, RealtimeParameters
 
 Calls = list[tuple[object, ...]]
 ROUND_ROBIN = 2  # SCHED_RR of sched.h

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from canhaptic.scene.schema import scene_schema
+from canhaptic.scene.json_schema import scene_schema
 from tools import make_configuration, make_how_it_works, make_link_policy
 
 CONFIGURATION = make_configuration.PAGE.read_text(encoding="utf-8")

@@ -17,10 +17,10 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.build import build
 from canhaptic.scene.hints import group_hints, stability_hints
+from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.scene.parts import build_axis_controller, build_axis_groups
-from canhaptic.scene.schema import scene_schema
 
 CONFIGS = REPOSITORY / "configs"
 STAGE, LINKS, HANDLES = (CONFIGS / f"{name}.yaml" for name in ("xy_box", "five_bar_sphere", "two_handles"))

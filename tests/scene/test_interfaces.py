@@ -11,7 +11,7 @@ from scene_text import REPOSITORY, faults
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError, InputError, LinkError
-from canhaptic.scene.interfaces import REMEDIES, accepted_options, interface_faults, opening_error
+from canhaptic.host.interfaces import REMEDIES, accepted_options, interface_faults, opening_error
 from canhaptic.scene.load import load_scene
 
 EXAMPLES = sorted((REPOSITORY / "configs" / "interfaces").glob("*.yaml"))

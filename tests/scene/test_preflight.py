@@ -9,11 +9,11 @@ from scene_text import REPOSITORY
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.errors import LinkError
-from canhaptic.scene import preflight as preflight_module
+from canhaptic.host import socketcan_state as preflight_module
+from canhaptic.host.socketcan_state import PreflightFinding, least_restart, preflight, require_preflight
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.scene.preflight import PreflightFinding, least_restart, preflight, require_preflight
 
 EXAMPLE = REPOSITORY / "configs" / "interfaces" / "socketcan.yaml"
 DEMO = REPOSITORY / "configs" / "demo.yaml"

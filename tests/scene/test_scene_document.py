@@ -5,8 +5,8 @@ import math
 import pytest
 
 from canhaptic.errors import SceneError
+from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MAX_NODES, MarkedMapping, parse_yaml
-from canhaptic.scene.faults import Faults
 
 
 def read(text: str) -> object:

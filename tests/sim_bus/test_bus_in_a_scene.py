@@ -10,9 +10,9 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.build import build
+from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
-from canhaptic.scene.schema import scene_schema
 from canhaptic.sim.bus.bus_effects import BusEffects, Schedule, Window
 from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 

@@ -5,7 +5,7 @@ import pytest
 import typed
 
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.nodes import describe_nodes
+from canhaptic.scene.node_names import describe_nodes
 
 ROOT = Path(__file__).parents[2]
 

@@ -1,6 +1,6 @@
 """Named deviations of real drives from CiA 301 and 402, chosen by `quirks: [...]` in an axis or by its drive profile.
 
-Each has a twin in the simulated drive (`canhaptic.scene.twins`), with which a whole start is tested.
+Each has a twin in the simulated drive (`canhaptic.scene.simulated_defaults`), with which a whole start is tested.
 """
 
 from collections.abc import Mapping, Sequence

@@ -16,8 +16,8 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.parameters import parse_unit
+from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import parse_yaml
-from canhaptic.scene.faults import Faults
 from canhaptic.study.loop import Array
 
 MOST_VALUES: Final = 1_000_000

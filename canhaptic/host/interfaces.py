@@ -15,8 +15,8 @@ from typing import Final
 import can
 from can.interfaces import BACKENDS
 
-from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError, InputError, LinkError
+from canhaptic.host.bus_settings import BusSettings
 from canhaptic.tables import nearest
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")
@@ -107,7 +107,7 @@ def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
             yield key.value
 
 
-def interface_faults(bus: BusParameters) -> list[tuple[str, str]]:
+def interface_faults(bus: BusSettings) -> list[tuple[str, str]]:
     """Returns (key of `bus`, what is wrong) for an interface or option that python-can would not take or would drop."""
     if bus.interface not in BACKENDS:
         known = ", ".join(known_interfaces())
@@ -123,7 +123,7 @@ def interface_faults(bus: BusParameters) -> list[tuple[str, str]]:
     return faults
 
 
-def opening_error(bus: BusParameters, channel: str | int | None, error: Exception) -> CanHapticError:
+def opening_error(bus: BusSettings, channel: str | int | None, error: Exception) -> CanHapticError:
     """Returns the one error for an interface that could not be opened: what happened, and what to do.
 
     Bad input where python-can lacks the interface, its driver or library; a link fault where the device fails.

@@ -8,11 +8,11 @@ from canhaptic.drive.can.bus_budget import require_budget
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.profile.fitness import Verdict, check_dictionary
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
+from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.buses import bus_section
+from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.scene.faults import Faults, Mark
 from canhaptic.scene.group_checks import check_groups, check_mechanisms, passivity_section
-from canhaptic.scene.interfaces import interface_faults
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
 

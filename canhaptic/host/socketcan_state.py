@@ -15,9 +15,8 @@ import subprocess
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal, NamedTuple
 
-from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import LinkError
-from canhaptic.scene.models import Scene
+from canhaptic.host.bus_settings import BusSettings, RigSettings
 
 Severity = Literal["well", "note", "refused"]
 Runner = Callable[[list[str]], "subprocess.CompletedProcess[str]"]
@@ -38,7 +37,7 @@ class PreflightFinding(NamedTuple):
     text: str  # what is expected and what to do; empty when all is well
 
 
-def preflight(scene: Scene, run: Runner | None = None) -> list[PreflightFinding]:
+def preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:
     """Returns what the kernel says of every SocketCAN interface of a scene; nothing for other interfaces.
 
     Args:
@@ -53,7 +52,7 @@ def preflight(scene: Scene, run: Runner | None = None) -> list[PreflightFinding]
     return findings
 
 
-def require_preflight(scene: Scene, run: Runner | None = None) -> list[PreflightFinding]:
+def require_preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:
     """Returns the notes of a preflight in which nothing speaks against a run.
 
     Raises:
@@ -66,7 +65,7 @@ def require_preflight(scene: Scene, run: Runner | None = None) -> list[Preflight
     return [f for f in findings if f.severity == "note"]
 
 
-def inspect_interface(channel: str, bus: BusParameters, axes: int, run: Runner) -> list[PreflightFinding]:
+def inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -> list[PreflightFinding]:
     """Returns what the kernel says of one interface.
 
     Args:
@@ -92,7 +91,7 @@ def inspect_interface(channel: str, bus: BusParameters, axes: int, run: Runner) 
         return [PreflightFinding(channel, "ip", seen, "note", text)]
 
 
-def judge_link(channel: str, link: Mapping[str, Any], bus: BusParameters, axes: int) -> list[PreflightFinding]:
+def judge_link(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> list[PreflightFinding]:
     """Returns what one entry of `ip -json` says of an interface, judged."""
     judged = _Judged(channel)
     if link.get("link_type") != "can":
@@ -149,7 +148,7 @@ def _judge_queue(link: Mapping[str, Any], axes: int, judged: _Judged) -> None:
 
 
 def _judge_controller(
-    data: Mapping[str, Any], statistics: Mapping[str, Any], bus: BusParameters, judged: _Judged
+    data: Mapping[str, Any], statistics: Mapping[str, Any], bus: BusSettings, judged: _Judged
 ) -> None:
     bitrate = (data.get("bittiming") or {}).get("bitrate", data.get("bittiming_bitrate"))
     if bitrate is None:
@@ -189,12 +188,12 @@ def _judge_modes(modes: list[str], judged: _Judged) -> None:
             judged.refuse("mode", mode, text)
 
 
-def least_restart(bus: BusParameters) -> int:
+def least_restart(bus: BusSettings) -> int:
     """Returns the shortest automatic restart after a bus-off [ms] that finds the rig stopped."""
     return math.ceil(bus.stop_cycles * bus.sample_time * 1e3)
 
 
-def _judge_restart(restart: object, bus: BusParameters, judged: _Judged) -> None:
+def _judge_restart(restart: object, bus: BusSettings, judged: _Judged) -> None:
     if not isinstance(restart, int):
         judged.note("restart-ms", "not told", "cannot be checked; `restart-ms 0` is what a rig wants")
         return

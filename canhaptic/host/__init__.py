@@ -1,0 +1,1 @@
+"""This computer: SocketCAN interfaces, python-can back ends, real-time settings."""

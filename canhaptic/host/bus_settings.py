@@ -1,0 +1,64 @@
+"""What this computer must know of a scene: its buses, and how many drives are on each. Met by the scene's own models."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+
+class BusSettings(Protocol):
+    """Settings of one CAN bus."""
+
+    @property
+    def interface(self) -> str:
+        """Name of python-can's back end."""
+
+    @property
+    def channel(self) -> str | int | None:
+        """Channel of the back end, such as can0."""
+
+    @property
+    def bitrate(self) -> int:
+        """[bit/s]"""
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """Further options of the back end."""
+
+    @property
+    def sample_time(self) -> float:
+        """[s]"""
+
+    @property
+    def stop_cycles(self) -> int:
+        """Missed cycles after which the rig stops."""
+
+
+class NamedBusSettings(Protocol):
+    """A bus with the name by which axes refer to it."""
+
+    @property
+    def name(self) -> str:
+        """Empty where the rig has one bus only."""
+
+    @property
+    def parameters(self) -> BusSettings:
+        """Its settings."""
+
+
+class AxisPlace(Protocol):
+    """The bus of one axis."""
+
+    @property
+    def bus(self) -> str:
+        """Name of the bus."""
+
+
+class RigSettings(Protocol):
+    """All buses of a rig and the axes on them."""
+
+    @property
+    def buses(self) -> Sequence[NamedBusSettings]:
+        """All buses."""
+
+    @property
+    def axes(self) -> Sequence[AxisPlace]:
+        """All axes."""
