@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.scene.load import load_scene
+from canhaptic.study.accuracy.accuracy_picture import draw_accuracy
+from canhaptic.study.accuracy.accuracy_table import advice_lines, length, markdown
 from canhaptic.study.accuracy.advice import advice
-from canhaptic.study.accuracy.picture import draw_accuracy
 from canhaptic.study.accuracy.study import AccuracyStudy
-from canhaptic.study.accuracy.table import advice_lines, length, markdown
 from tools.bench.report import write_result
 
 ROOT: Final = Path(__file__).resolve().parents[1]

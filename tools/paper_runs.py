@@ -18,7 +18,7 @@ from canhaptic.control.balance import Branch, EnergyBalance, LedgerSummary
 from canhaptic.scene.models import Scene
 from canhaptic.signals import Sample, Truth
 from canhaptic.study.over_can import walk_over_can
-from canhaptic.study.reference import Reference, continuous_reference
+from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
 from canhaptic.study.scenes import environment_of, plant_parts
 
 Array = NDArray[np.float64]

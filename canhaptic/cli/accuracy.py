@@ -73,7 +73,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
-    from canhaptic.study.accuracy.table import accuracy_report, markdown
+    from canhaptic.study.accuracy.accuracy_table import accuracy_report, markdown
 
     if arguments.json:
         write_json(result)
@@ -82,12 +82,12 @@ def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
     if not result["plant"]:
         return  # stopped before anything could be drawn
     if arguments.png is not None:
-        from canhaptic.study.accuracy.picture import draw_accuracy
+        from canhaptic.study.accuracy.accuracy_picture import draw_accuracy
 
         draw_accuracy(result, arguments.png)
         note_file("picture", arguments.png)
     if arguments.html is not None:
-        from canhaptic.study.accuracy.page import write_accuracy_page
+        from canhaptic.study.accuracy.accuracy_page import write_accuracy_page
 
         write_accuracy_page(result, arguments.html)
         note_file("page", arguments.html)

@@ -13,8 +13,8 @@ from canhaptic.cli.arguments import add_json, add_scene, check_folder, scene_of,
 from canhaptic.cli.output import failure, write_failure, write_file, write_json, write_line, write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.commission.dialogue import Dialogue, Unattended
+from canhaptic.commission.findings import Report
 from canhaptic.commission.laws import CommissioningLimits
-from canhaptic.commission.report import Report
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
 from canhaptic.errors import CanHapticError, InputError

@@ -9,7 +9,7 @@ from canhaptic.cli.output import note_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.parameters import Unit
 from canhaptic.study.algorithms import chosen_algorithms
-from canhaptic.study.compare import compare
+from canhaptic.study.comparison import compare
 from canhaptic.study.scenes import cycles_of
 from canhaptic.view.energy_table import make_console
 

@@ -5,9 +5,9 @@ import argparse
 from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.cli.scene_progress import scene_progress
-from canhaptic.study.design.report import design_report, snippet
+from canhaptic.study.design.design_report import design_report, snippet
 from canhaptic.study.design.wall import MARGIN, TOLERANCE, design_wall
-from canhaptic.study.sweep.sweep import Progress
+from canhaptic.study.sweep.run_sweep import Progress
 from canhaptic.view.energy_table import make_console
 
 

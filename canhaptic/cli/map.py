@@ -9,7 +9,7 @@ from canhaptic.study.map.border import JUDGEMENTS, passing_share, usual_judgemen
 from canhaptic.study.map.field import fields_of
 from canhaptic.study.map.panel import Lines, Panel
 from canhaptic.study.map.panels import Chosen, panels_of
-from canhaptic.study.sweep.table import SweepTable
+from canhaptic.study.sweep.sweep_table import SweepTable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,12 +48,12 @@ def execute(arguments: argparse.Namespace) -> int:
     else:
         _print(columns, shares)
     if arguments.png is not None:
-        from canhaptic.study.map.picture import draw_map
+        from canhaptic.study.map.map_picture import draw_map
 
         draw_map(columns, caption, arguments.png)
         note_file("picture", arguments.png)
     if arguments.html is not None:
-        from canhaptic.study.map.page import write_map
+        from canhaptic.study.map.map_page import write_map
 
         write_map(columns, caption, arguments.html)
         note_file("page", arguments.html)

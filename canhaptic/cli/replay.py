@@ -8,7 +8,7 @@ from rich.text import Text
 
 from canhaptic.cli.arguments import add_json, add_overrides, scene_of
 from canhaptic.cli.output import write_json
-from canhaptic.replay.replay import replay
+from canhaptic.replay.replayed_run import replay
 from canhaptic.view.energy_table import energy_report, make_console
 
 

@@ -13,9 +13,9 @@ from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.errors import InputError
 from canhaptic.study.batch import CONTINUOUS
 from canhaptic.study.sweep.chunk import USUAL
+from canhaptic.study.sweep.run_sweep import Progress, sweep
 from canhaptic.study.sweep.summary import summary, summary_report
-from canhaptic.study.sweep.sweep import Progress, sweep
-from canhaptic.study.sweep.table import SweepTable
+from canhaptic.study.sweep.sweep_table import SweepTable
 from canhaptic.study.sweep.workers import Pool, dask_executor
 from canhaptic.view.energy_table import make_console
 

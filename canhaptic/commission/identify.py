@@ -5,7 +5,7 @@ from functools import partial
 from typing import Final
 
 from canhaptic.canopen import objects as od
-from canhaptic.commission.report import Verdict
+from canhaptic.commission.findings import Verdict
 from canhaptic.commission.session import Session
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.servo_drive import ServoDrive

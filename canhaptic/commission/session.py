@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from canhaptic.commission.dialogue import Dialogue
+from canhaptic.commission.findings import Finding, Report, Value, Verdict
 from canhaptic.commission.laws import NO_TORQUE, CommissioningLimits, OpenLoop
-from canhaptic.commission.report import Finding, Report, Value, Verdict
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.servo_drive import ServoDrive

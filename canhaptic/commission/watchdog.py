@@ -3,8 +3,8 @@
 from typing import Final
 
 from canhaptic.canopen import objects as od
+from canhaptic.commission.findings import Verdict
 from canhaptic.commission.laws import NO_TORQUE, OpenLoop
-from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
 from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
 from canhaptic.errors import RigError, SdoError

@@ -1,4 +1,4 @@
-"""What this computer must know of a scene: its buses, and how many drives are on each. Met by the scene's own models."""
+"""What this computer needs from a scene: its buses and how many drives are on each. The models of a scene fit."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
@@ -17,7 +17,7 @@ class BusSettings(Protocol):
 
     @property
     def bitrate(self) -> int:
-        """[bit/s]"""
+        """Bit rate [bit/s]."""
 
     @property
     def options(self) -> Mapping[str, Any]:
@@ -25,7 +25,7 @@ class BusSettings(Protocol):
 
     @property
     def sample_time(self) -> float:
-        """[s]"""
+        """Sample time [s]."""
 
     @property
     def stop_cycles(self) -> int:

@@ -11,9 +11,9 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.parameters import effort_unit
-from canhaptic.study.compare import AxisComparison, Comparison
+from canhaptic.study.comparison import AxisComparison, Comparison
 from canhaptic.study.loop import Array, LoopRun
-from canhaptic.study.reference import Reference
+from canhaptic.study.reference.continuous_reference import Reference
 from canhaptic.view.decimate import decimate
 from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
 from canhaptic.view.picture_style import STYLE, axis_scale, matplotlib_figure, save_picture

@@ -6,7 +6,7 @@ import numpy as np
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.study.loop import Array, LoopRun
-from canhaptic.study.reference import Reference
+from canhaptic.study.reference.continuous_reference import Reference
 
 LAST_PART: Final = 0.1
 """Part of a run, at its end, in which rest and limit cycles are looked at; at most `LONGEST_LAST` [s]."""

@@ -13,7 +13,7 @@ from canhaptic.sim.plant.effects.tremor import Tremor
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.loop import LoopCase
-from canhaptic.study.reference import Reference, continuous_reference
+from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
 from canhaptic.study.users import USERS, HandPlant
 from canhaptic.tables import load
 

@@ -15,7 +15,7 @@ from canhaptic.cli.main import main
 from canhaptic.control.balance import Branch
 from canhaptic.control.mechanisms.five_bar import FiveBar as MastersFiveBar
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replay import replay
+from canhaptic.replay.replayed_run import replay
 from canhaptic.scene.build import Experiment
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor

@@ -9,7 +9,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.cli.scene_progress import scene_progress
-from canhaptic.study.sweep.sweep import Progress
+from canhaptic.study.sweep.run_sweep import Progress
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DEMO = str(REPOSITORY / "configs" / "demo.yaml")

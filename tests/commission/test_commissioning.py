@@ -8,9 +8,9 @@ import can
 import pytest
 
 from canhaptic.commission.dialogue import Unattended
+from canhaptic.commission.findings import Finding, Report, Verdict
 from canhaptic.commission.identify import scan
 from canhaptic.commission.laws import CommissioningLimits
-from canhaptic.commission.report import Finding, Report, Verdict
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
 from canhaptic.drive.can.link import Link

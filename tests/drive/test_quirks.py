@@ -1,6 +1,6 @@
 """Every named quirk against its twin: a whole start through the bus, and what happens to a master that knows nothing.
 
-The twin is the simulated drive as `canhaptic.scene.simulated_defaults` makes it; what reaches the motor is judged by the motor.
+The twin is the simulated drive as `scene.simulated_defaults` makes it; what reaches the motor is judged by the motor.
 """
 
 from collections.abc import Callable

@@ -11,7 +11,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import convert
-from canhaptic.replay.replay import replay
+from canhaptic.replay.replayed_run import replay
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from tools.record import RECORDINGS

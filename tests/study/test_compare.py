@@ -16,12 +16,12 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.algorithms import with_algorithm, with_known_plant
-from canhaptic.study.compare import compare
 from canhaptic.study.compare_picture import draw_comparison
 from canhaptic.study.compare_table import comparison_report
+from canhaptic.study.comparison import compare
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopRun
-from canhaptic.study.reference import Reference
+from canhaptic.study.reference.continuous_reference import Reference
 from canhaptic.study.scenes import at_rate
 
 REPOSITORY = Path(__file__).resolve().parents[2]

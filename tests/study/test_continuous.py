@@ -18,9 +18,9 @@ from canhaptic.errors import InputError
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
-from canhaptic.study.continuous import continuous_effect
-from canhaptic.study.continuous_ode import integrate
-from canhaptic.study.reference import continuous_reference
+from canhaptic.study.reference.continuous_ode import integrate
+from canhaptic.study.reference.continuous_reference import continuous_reference
+from canhaptic.study.reference.continuous_wall import continuous_effect
 
 PLANT = PlantParameters(mass=0.25, damping=0.1)
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))

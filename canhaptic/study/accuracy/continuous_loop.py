@@ -18,7 +18,7 @@ from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import located_states
 from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats, Way
 from canhaptic.sim.textbook.reference_model import Model
-from canhaptic.study.continuous_ode import surfaces
+from canhaptic.study.reference.continuous_ode import surfaces
 from canhaptic.study.scenes import environment_of
 
 _TOLERANCE: Final = 1e-11

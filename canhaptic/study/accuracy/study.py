@@ -15,10 +15,10 @@ from canhaptic.study.accuracy.advice import FLOOR, advice, error_per_microsecond
 from canhaptic.study.accuracy.candidates import LSODA, remarks
 from canhaptic.study.accuracy.continuous_loop import continuous_loop
 from canhaptic.study.accuracy.control_thread import exchange_time
-from canhaptic.study.accuracy.loop_side import FINEST, LoopRow, bus_figures, loop_row, variants
+from canhaptic.study.accuracy.cycle_timing import WORKLOAD, WallTime, interleaved, workload
+from canhaptic.study.accuracy.loop_sensitivity import FINEST, LoopRow, bus_figures, loop_row, variants
 from canhaptic.study.accuracy.operations import executed_bytecodes
-from canhaptic.study.accuracy.plant_side import PlantSide, Row
-from canhaptic.study.accuracy.timing import WORKLOAD, WallTime, interleaved, workload
+from canhaptic.study.accuracy.plant_solvers import PlantSide, Row
 from canhaptic.study.cost import microseconds_per_step
 
 DEFAULT_BUDGET: Final = 12.0

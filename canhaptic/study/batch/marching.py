@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.study.batch.continuous import ContinuousRuns, why_not_continuous
+from canhaptic.study.batch.batch_reference import ContinuousRuns, why_not_continuous
 from canhaptic.study.batch.engine import WORTH_COMPILING, ChosenEngine, Engine, chosen_engine
 from canhaptic.study.batch.layout import known_values, widened
 from canhaptic.study.batch.meter import metrics_of, sums_of

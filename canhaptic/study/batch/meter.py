@@ -12,7 +12,7 @@ import numpy as np
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.study.loop import Array
-from canhaptic.study.reference import REST
+from canhaptic.study.reference.continuous_reference import REST
 
 _FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT = (branch.value for branch in list(Branch)[:7])
 _LEAST_EFFORT: Final = 1e-9  # [N or N*m] below which there is nothing to be rendered

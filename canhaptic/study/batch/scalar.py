@@ -11,7 +11,7 @@ from canhaptic.study.batch.axis import SampledAxis
 from canhaptic.study.batch.meter import CONTINUOUS, METRICS, Meter, metrics_of, sums_of
 from canhaptic.study.figures import last_rows
 from canhaptic.study.loop import FURTHEST, LoopCase
-from canhaptic.study.reference import Reference, continuous_reference
+from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
 from canhaptic.study.scenes import loop_case, plant_parts
 
 

@@ -17,7 +17,7 @@ from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.engine import Engine
-from canhaptic.study.compare import compare
+from canhaptic.study.comparison import compare
 from canhaptic.study.design.trial import ALGORITHM, DAMPING, DURATION, STIFFEST, STIFFNESS, Trial, Verdict
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import places_of

@@ -15,7 +15,7 @@ from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import COMPLETED
 from canhaptic.study.sweep.points import CONTROLLER
-from canhaptic.study.sweep.table import SweepTable
+from canhaptic.study.sweep.sweep_table import SweepTable
 
 Mask = NDArray[np.bool_]
 

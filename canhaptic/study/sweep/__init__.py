@@ -6,6 +6,6 @@ table    the file: fixed layout, one flag per chunk         workers  where chunk
 sweep    chunks to workers, results to the table            summary  what a file holds, in words
 """
 
-from canhaptic.study.sweep.sweep import sweep
+from canhaptic.study.sweep.run_sweep import sweep
 
 __all__ = ["sweep"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import COMPLETED
 from canhaptic.study.sweep.points import CONTROLLER
-from canhaptic.study.sweep.table import SweepTable
+from canhaptic.study.sweep.sweep_table import SweepTable
 
 _BLOCK: Final = 65_536
 """Rows looked at together."""

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from canhaptic.study.sweep.points import CONTROLLER
 from canhaptic.study.sweep.selected import Selected
-from canhaptic.study.sweep.table import SweepTable
+from canhaptic.study.sweep.sweep_table import SweepTable
 from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 

@@ -6,7 +6,7 @@ from accuracy_scenes import FOLDER
 
 from canhaptic.scene.load import load_scene
 from canhaptic.study.accuracy.continuous_loop import continuous_loop
-from canhaptic.study.reference import continuous_reference
+from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.scenes import environment_of, plant_parts
 
 ENVIRONMENTS = {

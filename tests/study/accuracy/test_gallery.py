@@ -17,7 +17,7 @@ from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.advice import FLOOR, advice, line, meets
 from canhaptic.study.accuracy.candidates import OURS
-from canhaptic.study.accuracy.plant_side import PlantSide
+from canhaptic.study.accuracy.plant_solvers import PlantSide
 
 DEAR = 10.0  # evaluations a period: such rungs are measured anew by the slow tests only
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)

@@ -11,13 +11,13 @@ from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
+from canhaptic.study.batch.batch_reference import ContinuousRuns, why_not_continuous
 from canhaptic.study.batch.cases import loop_in_arrays
-from canhaptic.study.batch.continuous import ContinuousRuns, why_not_continuous
 from canhaptic.study.batch.marching import march
-from canhaptic.study.continuous_ode import integrate
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import render
-from canhaptic.study.reference import continuous_reference
+from canhaptic.study.reference.continuous_ode import integrate
+from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.scenes import environment_of, loop_case, plant_parts
 from canhaptic.study.standard import standard_case
 from canhaptic.tables import load

@@ -9,8 +9,8 @@ import yaml
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.batch import run_scalar
-from canhaptic.study.compare import compare
-from canhaptic.study.design.report import snippet
+from canhaptic.study.comparison import compare
+from canhaptic.study.design.design_report import snippet
 from canhaptic.study.design.trial import Trial
 from canhaptic.study.design.wall import _ONE_BY_ONE, _rounded, design_wall
 

@@ -10,12 +10,12 @@ from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.map.border import Border, border_of, colgate_stiffness, passes, theory_at, usual_judgement
 from canhaptic.study.map.field import fields_of
-from canhaptic.study.map.page import write_map
+from canhaptic.study.map.map_page import write_map
+from canhaptic.study.map.map_picture import draw_map
 from canhaptic.study.map.panel import Cells, Lines, edges_of
 from canhaptic.study.map.panels import Chosen, panels_of
-from canhaptic.study.map.picture import draw_map
 from canhaptic.study.sweep import sweep
-from canhaptic.study.sweep.table import SweepTable
+from canhaptic.study.sweep.sweep_table import SweepTable
 
 DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
 SOFT_HAND = "simulation.user={stiffness: 0.01, push: -1}"

@@ -18,7 +18,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.sweep import sweep
-from canhaptic.study.sweep.table import SweepTable
+from canhaptic.study.sweep.sweep_table import SweepTable
 
 LONG = [
     "sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:6", "--vary", "simulation.seed=0:4:lin:5",
@@ -144,7 +144,7 @@ def test_a_folder_that_is_not_there_is_named(demo, tmp_path):
 def test_two_sweeps_cannot_write_one_file(demo, tmp_path):
     path = tmp_path / "a.h5"
     sweep(demo, VARY, path, **ONE)
-    code = f"from canhaptic.study.sweep.table import SweepTable; SweepTable({str(path)!r}, writable=True)"
+    code = f"from canhaptic.study.sweep.sweep_table import SweepTable; SweepTable({str(path)!r}, writable=True)"
     with SweepTable(path, writable=True):
         found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "another sweep writes it" in found.stderr

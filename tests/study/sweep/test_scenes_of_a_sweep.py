@@ -18,7 +18,7 @@ from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.chunk import MORE, SLOTS
 from canhaptic.study.sweep.selected import Selected
 from canhaptic.study.sweep.summary import summary
-from canhaptic.study.sweep.table import SweepTable
+from canhaptic.study.sweep.sweep_table import SweepTable
 
 EXACT = ("least_interaction", "margin", "torque_peak", "travel", "damping_rendered.mean")
 

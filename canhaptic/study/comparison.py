@@ -17,7 +17,7 @@ from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
 from canhaptic.study.over_can import render_over_can
-from canhaptic.study.reference import Reference, continuous_reference
+from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
 from canhaptic.study.scenes import at_rate, cycles_of, environment_of, loop_case, plant_parts
 
 _BATCH: Final = 64  # cycles between two reports of progress

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from canhaptic.commission.estimate import Dynamics, estimate
+from canhaptic.commission.findings import Verdict
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
-from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
 from canhaptic.parameters import damping_unit, effort_unit

@@ -9,8 +9,8 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import UserParameters
-from canhaptic.study.continuous import continuous_effect
 from canhaptic.study.loop import Array
+from canhaptic.study.reference.continuous_wall import continuous_effect
 
 _FINEST: Final = 200_000
 """Longest time between two readings of the reference [ns]; at least two readings a hold."""
@@ -66,7 +66,7 @@ def continuous_reference(
     times = [(k * sample_time_ns) // readings for k in range((cycles - 1) * readings + 1)]
     effect = continuous_effect(environment)
     if effect is None:
-        from canhaptic.study.continuous_ode import integrate
+        from canhaptic.study.reference.continuous_ode import integrate
 
         bare = Plant(plant, user, effects, sample_time_ns, seed)
         position, velocity = integrate(environment, bare, np.array(times) * 1e-9)

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.study.accuracy.picture import GROUPS, STYLES, price_of
-from canhaptic.study.accuracy.table import advice_lines, heading
+from canhaptic.study.accuracy.accuracy_picture import GROUPS, STYLES, price_of
+from canhaptic.study.accuracy.accuracy_table import advice_lines, heading
 from canhaptic.view.html_page import require_bokeh, write_page
 
 Row = Mapping[str, Any]

@@ -2,8 +2,8 @@
 
 from typing import Final
 
+from canhaptic.commission.findings import Verdict
 from canhaptic.commission.laws import NO_TORQUE
-from canhaptic.commission.report import Verdict
 from canhaptic.commission.session import Session
 
 STANDSTILL: Final = "standstill at zero torque"

@@ -25,7 +25,7 @@ from canhaptic.study.scenes import cycles_of
 from canhaptic.study.sweep.chunk import FIGURES, USUAL, ChunkResult, is_batch_key, run_chunk
 from canhaptic.study.sweep.points import Points, make_points
 from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe
-from canhaptic.study.sweep.table import Columnset, SweepTable, create
+from canhaptic.study.sweep.sweep_table import Columnset, SweepTable, create
 from canhaptic.study.sweep.vary import Varied, parse_vary
 from canhaptic.study.sweep.workers import Pool, SerialExecutor
 

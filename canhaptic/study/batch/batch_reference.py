@@ -1,4 +1,4 @@
-"""The continuous environment beside many sampled loops, in arrays: what `canhaptic.study.reference` is for one.
+"""The continuous environment for many sampled loops, in arrays: `reference.continuous_reference` is for one.
 
 Plant, hand and a continuous wall are linear in each of at most three modes: outside, in the lower wall, in the upper
 wall. A step is exp(F h) of the mode, h short against the fastest motion of its scene. Where a step crosses a surface or
@@ -23,7 +23,7 @@ from canhaptic.sim.plant.propagator import flow_changes
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.figures import last_rows
 from canhaptic.study.loop import Array
-from canhaptic.study.reference import readings_per_hold
+from canhaptic.study.reference.continuous_reference import readings_per_hold
 
 CLOSED_FORM: Final = (SpringDamperWall, TwoSidedWall, DamperWall, ViscousMedium, FreeSpace)
 """Environments that are linear in each of their modes."""
@@ -73,7 +73,7 @@ class ContinuousRuns:
         numbers: Of these scenes.
         count: Scenes.
         cycles: SYNCs of the whole run.
-        with_force: Whether the force is asked for: read as often as `canhaptic.study.reference` reads it.
+        with_force: Whether the force is asked for: read as often as the reference for one loop reads it.
     """
 
     def __init__(self, case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, with_force: bool) -> None:
