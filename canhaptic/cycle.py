@@ -15,8 +15,8 @@ from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
+from canhaptic.histogram import DurationHistogram
 from canhaptic.signals import CycleTiming, Sample, Truth
-from canhaptic.timing import DurationHistogram
 
 
 class CycleLog(Protocol):

@@ -4,7 +4,7 @@ import ast
 import inspect
 import re
 
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 
 def words_of(model: type[Parameters]) -> dict[str, str]:

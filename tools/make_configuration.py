@@ -22,7 +22,7 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.logs.log_parameters import LogParameters
-from canhaptic.parameters import Parameters
+from canhaptic.registry import load
 from canhaptic.scene.axes import LOOP_KEYS, SCALING_KEYS
 from canhaptic.scene.buses import BusTitle, FurtherBus
 from canhaptic.scene.models import AutoAccuracy, RunParameters, SimulationParameters
@@ -34,7 +34,7 @@ from canhaptic.sim.plant.mechanism import MECHANISMS
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
-from canhaptic.tables import load
+from canhaptic.units import Parameters
 from tools.field_words import first_sentence, words_of
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.parameters import parse_unit
+from canhaptic.units import parse_unit
 
 _EXPRESSION: Final = re.compile(
     r"\s*([\w.]+)\s*(>=|<=|==|!=|>|<)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([A-Za-z*/^0-9]*)\s*"

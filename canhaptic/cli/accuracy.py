@@ -15,8 +15,8 @@ from canhaptic.cli.arguments import (
 from canhaptic.cli.output import note_file, write_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
-from canhaptic.parameters import Unit
 from canhaptic.study.accuracy.study import DEFAULT_BUDGET, UNITS, AccuracyStudy
+from canhaptic.units import Unit
 from canhaptic.view.energy_table import make_console
 
 

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.errors import InputError
-from canhaptic.parameters import Unit
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
+from canhaptic.units import Unit
 
 PICTURES: Final = (".png", ".svg", ".pdf")
 """Suffixes of a picture."""

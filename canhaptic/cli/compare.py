@@ -7,10 +7,10 @@ from typing import Final
 from canhaptic.cli.arguments import add_json, add_scene, check_picture, names, positive_number, scene_of, seconds
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.cli.progress import run_progress
-from canhaptic.parameters import Unit
 from canhaptic.study.algorithms import chosen_algorithms
 from canhaptic.study.comparison import compare
 from canhaptic.study.scenes import cycles_of
+from canhaptic.units import Unit
 from canhaptic.view.energy_table import make_console
 
 _FASTEST: Final = 1e6  # [Hz]

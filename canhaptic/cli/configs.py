@@ -11,7 +11,7 @@ from rich.markup import escape
 from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
-from canhaptic.shipped import FOLDERS, shipped
+from canhaptic.package_data import FOLDERS, shipped
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table_style import plain_table
 

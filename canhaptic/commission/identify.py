@@ -10,7 +10,7 @@ from canhaptic.commission.session import Session
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import SdoError, StartError
-from canhaptic.parameters import effort_unit
+from canhaptic.units import effort_unit
 
 _NODES: Final = range(1, 128)
 _ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")

@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.errors import ControlError
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 NO_TORQUE: Final[tuple[float, ...]] = ()
 

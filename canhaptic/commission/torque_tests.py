@@ -10,7 +10,7 @@ from canhaptic.commission.findings import Verdict
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
-from canhaptic.parameters import damping_unit, effort_unit
+from canhaptic.units import damping_unit, effort_unit
 
 _FIRST: Final = 0.01  # of the rated torque
 _PULSE: Final = 0.04  # [s]

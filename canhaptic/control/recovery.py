@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from canhaptic.parameters import quantity
+from canhaptic.units import quantity
 
 
 def _with_unit(value: Any) -> Any:

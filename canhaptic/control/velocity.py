@@ -9,7 +9,7 @@ from math import inf
 from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class DamperVelocity(Parameters):

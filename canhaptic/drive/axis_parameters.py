@@ -9,7 +9,7 @@ from canhaptic.canopen.objects import PDO_COUNT, RPDO_COMMUNICATION, TPDO_COMMUN
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
 from canhaptic.host.realtime import RealtimeParameters
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x101, 0x57F  # free of NMT, SYNC, EMCY, SDO and heartbeat
 

@@ -17,7 +17,7 @@ from can.interfaces import BACKENDS
 
 from canhaptic.errors import CanHapticError, InputError, LinkError
 from canhaptic.host.bus_settings import BusSettings
-from canhaptic.tables import nearest
+from canhaptic.registry import nearest
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")
 """Arguments of `can.Bus` that are keys of `bus` themselves."""

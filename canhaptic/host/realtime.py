@@ -14,7 +14,7 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 _LOCK_PRESENT: Final = 1  # MCL_CURRENT of mlockall(2); later pages are not locked, lest a limit makes them fail
 GRANTED: Final = "granted"

@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
-from canhaptic.parameters import Motion, damping_unit, effort_unit
 from canhaptic.signals import CycleTiming, PlantEnergy, Sample
+from canhaptic.units import Motion, damping_unit, effort_unit
 
 FORMAT_VERSION: Final = 1
 FORMAT_NAME: Final = "canhaptic energy log"

@@ -14,7 +14,7 @@ from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, con
 from canhaptic.drive.profile.power_states import drive_state
 from canhaptic.logs.pdo_decoder import Field, PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
-from canhaptic.parameters import effort_unit
+from canhaptic.units import effort_unit
 
 _TORQUES: Final = {
     od.TARGET_TORQUE: "target torque",

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import model_validator
 
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class LogParameters(Parameters):

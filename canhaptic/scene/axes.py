@@ -7,7 +7,6 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
-from canhaptic.parameters import Motion, Parameters
 from canhaptic.scene.buses import BUS_KEY
 from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MarkedMapping
@@ -21,6 +20,7 @@ from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
+from canhaptic.units import Motion, Parameters
 
 LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""

@@ -6,11 +6,11 @@ from typing import Annotated, Any, Final, NamedTuple
 from pydantic import Field
 
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.parameters import Parameters, quantity, shown
+from canhaptic.registry import nearest
 from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.section import read_mapping, read_section
-from canhaptic.tables import nearest
+from canhaptic.units import Parameters, quantity, shown
 
 BusName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^\S+$")]
 BUS_KEY: Final = "bus"

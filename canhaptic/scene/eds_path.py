@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 from typing import Final
 
+from canhaptic.package_data import shipped
 from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.shipped import shipped
 
 SHIPPED: Final = shipped("eds")
 

@@ -15,12 +15,12 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
-from canhaptic.parameters import Motion, Parameters, shown
+from canhaptic.registry import nearest
 from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.models import AxisScene, GroupMembership, GroupScene, Typed
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type, refuse_unknown_keys
-from canhaptic.tables import nearest
+from canhaptic.units import Motion, Parameters, shown
 
 UnitT = TypeVar("UnitT", Motion, Motion | None)
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.logs.log_parameters import LogParameters
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.scene.buses import FurtherBus, NamedBus
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.user import UserParameters
+from canhaptic.units import Parameters, quantity
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus.bus_effects import BusEffects

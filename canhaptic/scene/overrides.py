@@ -7,9 +7,9 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final
 
+from canhaptic.registry import nearest
 from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
-from canhaptic.tables import nearest
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
 _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')

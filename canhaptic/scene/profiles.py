@@ -10,11 +10,11 @@ from typing import Any, Final
 
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
-from canhaptic.parameters import shown
+from canhaptic.package_data import shipped
 from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedMapping, parse_yaml
 from canhaptic.scene.section import read_mapping, refuse_unknown_keys
-from canhaptic.shipped import shipped
+from canhaptic.units import shown
 
 PROFILES: Final = shipped("configs") / "drives"
 PROFILE_KEY: Final = "drive"

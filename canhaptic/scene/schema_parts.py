@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.parameters import Parameters
+from canhaptic.registry import load
 from canhaptic.scene.axes import LOOP_KEYS
-from canhaptic.tables import load
+from canhaptic.units import Parameters
 
 Schema = dict[str, Any]
 

@@ -9,10 +9,10 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Motion, Parameters, Unit, axis_motion, shown
+from canhaptic.registry import load, nearest
 from canhaptic.scene.diagnostics import Faults, Mark
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.tables import load, nearest
+from canhaptic.units import Motion, Parameters, Unit, axis_motion, shown
 
 P = TypeVar("P", bound=Parameters)
 

@@ -11,8 +11,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import model_validator
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Guard, Rows, Scene
+from canhaptic.units import Parameters, quantity
 
 HAND: Final = "hand"
 """Name of the hand's part and of its work."""

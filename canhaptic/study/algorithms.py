@@ -6,10 +6,10 @@ from typing import Final, NamedTuple
 
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters
+from canhaptic.registry import load
 from canhaptic.scene.models import AxisScene, Scene, Typed
 from canhaptic.study.scenes import loop_case
-from canhaptic.tables import load
+from canhaptic.units import Parameters
 
 PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_damping_bound": "damping"}
 """Property of the loop -> parameter of the simulated plant that is its true value."""

@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.parameters import effort_unit
+from canhaptic.units import effort_unit
 from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 

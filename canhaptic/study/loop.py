@@ -13,9 +13,9 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.errors import ControlError
-from canhaptic.parameters import Parameters
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.sim.plant.plant import Plant
+from canhaptic.units import Parameters
 
 Array = NDArray[np.float64]
 

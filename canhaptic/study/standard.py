@@ -7,6 +7,7 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.registry import load
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.grasp_change import GraspChange
 from canhaptic.sim.plant.effects.tremor import Tremor
@@ -15,7 +16,6 @@ from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.loop import LoopCase
 from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
 from canhaptic.study.users import USERS, HandPlant
-from canhaptic.tables import load
 
 PLANT: Final = PlantParameters(mass=0.25, damping=0.1)
 USER_S: Final = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))

@@ -9,7 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.parameters import damping_unit
+from canhaptic.units import damping_unit
 from canhaptic.view.si import si
 
 PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask

@@ -7,7 +7,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.parameters import effort_unit
+from canhaptic.units import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
 from canhaptic.view.table_style import plain_table

@@ -9,7 +9,7 @@ from bokeh.models import ColumnDataSource, DataRange1d, Div, HoverTool
 from bokeh.plotting import figure
 
 from canhaptic.drive.profile.power_states import drive_state
-from canhaptic.parameters import effort_unit
+from canhaptic.units import effort_unit
 from canhaptic.view.decimate import decimate
 from canhaptic.view.live_log import LiveLog, News
 from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION

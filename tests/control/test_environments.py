@@ -13,7 +13,7 @@ from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.errors import ParameterError
-from canhaptic.tables import load
+from canhaptic.registry import load
 
 every_environment = pytest.mark.parametrize("environment", [pair[0] for pair in EXAMPLES.values()], ids=EXAMPLES)
 positions = st.floats(-0.03, 0.03)

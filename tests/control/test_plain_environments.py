@@ -11,8 +11,8 @@ from canhaptic.control.environments.plain import plain
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.parameters import Parameters, quantity
-from canhaptic.tables import load
+from canhaptic.registry import load
+from canhaptic.units import Parameters, quantity
 
 VALUES = {
     "stiffness": 321.5,

@@ -2,10 +2,10 @@ import pytest
 from plant_scenes import make_plant
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import axis_motion
+from canhaptic.registry import load
 from canhaptic.sim.plant.effects import EFFECTS, read_effect
 from canhaptic.sim.user import SinusoidMotion, UserParameters
-from canhaptic.tables import load
+from canhaptic.units import axis_motion
 
 DRY = {"kinetic": 0.3, "static": 0.5}
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from canhaptic.errors import CanHapticError, ParameterError
-from canhaptic.parameters import Parameters, axis_motion, parse_unit, quantity
+from canhaptic.units import Parameters, axis_motion, parse_unit, quantity
 
 
 class Wall(Parameters):

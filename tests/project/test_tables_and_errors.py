@@ -4,7 +4,7 @@ import pytest
 
 from canhaptic import errors
 from canhaptic.errors import CanHapticError, LinkError, ParameterError, RigError, SceneError, StartError
-from canhaptic.tables import load
+from canhaptic.registry import load
 
 
 def test_a_name_of_the_table_is_imported_on_demand() -> None:

@@ -3,7 +3,7 @@
 from typing import Annotated, ClassVar
 
 from canhaptic.control.environments.linear_spring import LinearSpring
-from canhaptic.parameters import quantity
+from canhaptic.units import quantity
 
 
 class CoulombSurface(LinearSpring):

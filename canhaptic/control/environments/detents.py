@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, ClassVar
 
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class Detents(Parameters):

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 
 class FreeSpace(Parameters):

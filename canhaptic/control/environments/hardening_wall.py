@@ -4,7 +4,7 @@ import math
 from typing import Annotated, ClassVar
 
 from canhaptic.control.environments.sides import Side, is_beyond, kept_on_side
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class HardeningWall(Parameters):

@@ -3,7 +3,7 @@
 from math import copysign, sqrt
 from typing import Annotated
 
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class LinearSpring(Parameters):

@@ -8,7 +8,7 @@ from functools import cache
 from types import FunctionType
 from typing import Any, TypeVar
 
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 _Environment = TypeVar("_Environment")
 

@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar
 
 from canhaptic.control.environments.linear_spring import LinearSpring
 from canhaptic.control.environments.sides import Side
-from canhaptic.parameters import quantity
+from canhaptic.units import quantity
 
 
 class SpringDamperWall(LinearSpring):

@@ -6,7 +6,7 @@ from pydantic import model_validator
 
 from canhaptic.control.environments.linear_spring import LinearSpring
 from canhaptic.control.environments.sides import kept_on_side
-from canhaptic.parameters import quantity
+from canhaptic.units import quantity
 
 
 class TwoSidedWall(LinearSpring):

@@ -4,7 +4,7 @@ import math
 from typing import Annotated, ClassVar
 
 from canhaptic.control.environments.linear_spring import LinearSpring
-from canhaptic.parameters import quantity
+from canhaptic.units import quantity
 
 
 class ViscoelasticMedium(LinearSpring):

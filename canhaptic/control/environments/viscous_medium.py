@@ -2,7 +2,7 @@
 
 from typing import Annotated, ClassVar
 
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class ViscousMedium(Parameters):

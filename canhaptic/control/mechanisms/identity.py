@@ -7,7 +7,7 @@ from pydantic import PrivateAttr
 
 from canhaptic.control.mechanisms.kinematics import Pose
 from canhaptic.control.mechanisms.workspace import FromPose, Rows
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class Identity(FromPose, Parameters):

@@ -8,7 +8,7 @@ from pydantic import model_validator
 
 from canhaptic.control.mechanisms.kinematics import Limit, Pose
 from canhaptic.control.mechanisms.workspace import FromPose, check_box, outside_box
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 _NOWHERE = Pose((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), Limit.SINGULAR.value)
 

@@ -7,7 +7,7 @@ from pydantic import model_validator
 
 from canhaptic.control.mechanisms.kinematics import Limit, Pose
 from canhaptic.control.mechanisms.workspace import FromPose, Rows, check_box, outside_box
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 _LEAST_RATIO = 1e-6
 

@@ -8,8 +8,8 @@ from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters
-from canhaptic.tables import load
+from canhaptic.registry import load
+from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.multi_axis"
 _SHAPES: Final = "canhaptic.control.port_hamiltonian.shapes"

@@ -19,7 +19,7 @@ from canhaptic.control.multi_axis.requested_efforts import GroupMotion, Wish
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.errors import ControlError, ParameterError
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 _CALM: Final = 0.7  # as in `passivity.guarded`, with the reasons
 _LEAD_ROOM: Final = 1.75

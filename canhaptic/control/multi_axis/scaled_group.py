@@ -21,7 +21,7 @@ from canhaptic.control.multi_axis.scaled_state import Account, ScaledState
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.errors import ControlError
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 _NO_CAP = 1e12
 

@@ -6,8 +6,8 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import plain
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters
-from canhaptic.tables import load
+from canhaptic.registry import load
+from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.passivity"
 

@@ -3,7 +3,7 @@
 from typing import Annotated, Protocol
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class LoopProperties(Parameters):

@@ -8,7 +8,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Books
 from canhaptic.control.passivity.sampled_model import SampledModel
 from canhaptic.control.velocity import DamperVelocity
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 
 class DirectParameters(DamperVelocity):

@@ -16,7 +16,7 @@ from canhaptic.control.passivity.hold_account import Books
 from canhaptic.control.passivity.sampled_model import SampledModel
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 
 class EnergyBoundingParameters(DamperVelocity):

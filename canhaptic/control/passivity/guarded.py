@@ -34,7 +34,7 @@ from canhaptic.control.port import interaction_energy
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.control.velocity import AdaptiveWindow
 from canhaptic.errors import ControlError, ParameterError
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
 _STICKY, _DEPLETED = Branch.STICKY.value, Branch.DEPLETED.value

@@ -29,7 +29,7 @@ from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.root import solve_balance, solve_balance_nonlinear
 from canhaptic.control.passivity.storage import UNTOUCHED, Account
 from canhaptic.control.passivity.stored_model import StoredModel, StoredModelParameters
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 _ROUNDING: Final = 2.5e-16  # of the stored energy: what a difference of two energies can resolve
 _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value

@@ -29,7 +29,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.storage import UNTOUCHED, Account
 from canhaptic.control.passivity.stored_model import StoredModel, StoredModelParameters
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 
 class OriginalParameters(StoredModelParameters):

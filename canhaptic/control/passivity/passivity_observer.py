@@ -17,7 +17,7 @@ from canhaptic.control.passivity.sampled_model import SampledModel
 from canhaptic.control.recovery import damping_cap
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class PassivityObserverParameters(DamperVelocity):

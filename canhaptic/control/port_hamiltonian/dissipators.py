@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from canhaptic.control.port_hamiltonian.storages import symmetric_positive
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class Damper(Parameters):

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, model_validator
 
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 Row = tuple[float, ...]
 

@@ -8,8 +8,8 @@ from functools import cache
 from typing import Annotated, Any, Final
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters, quantity
-from canhaptic.tables import nearest
+from canhaptic.registry import nearest
+from canhaptic.units import Parameters, quantity
 
 
 class Quirks(Parameters):

@@ -5,7 +5,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import model_validator
 
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 Direction = Literal["to_drive", "to_master"]
 Probability = Annotated[float, quantity("1", ge=0.0, le=1.0)]

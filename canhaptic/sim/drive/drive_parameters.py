@@ -5,7 +5,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, field_validator
 
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 _PLACE: Final = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:(?:\.|sub)(?:0x)?([0-9a-f]{1,2}))?", re.IGNORECASE)
 

@@ -9,8 +9,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import model_validator
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import MOTOR, Guard, Rows
+from canhaptic.units import Parameters, quantity
 
 
 class DryFriction(Parameters):

@@ -13,7 +13,6 @@ import numpy as np
 from pydantic import model_validator
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, Rows, Scene
 from canhaptic.sim.plant.effects import Effect
@@ -23,6 +22,7 @@ from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
 from canhaptic.sim.plant.splitting import Splitting
 from canhaptic.sim.plant.timetable import Timetable
 from canhaptic.sim.user import UserParameters
+from canhaptic.units import Parameters, quantity
 
 _ACCOUNTS: Final = ("motor", "user", "dissipated")
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class

@@ -16,7 +16,6 @@ from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import effort_unit
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant.plant import AccuracyParameters
@@ -24,6 +23,7 @@ from canhaptic.study.accuracy.continuous_loop import ContinuousLoop
 from canhaptic.study.algorithms import able_under
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
 from canhaptic.study.scenes import loop_case
+from canhaptic.units import effort_unit
 
 FINEST: Final = 4
 """Highest rate over that of the scene; the reference is read at that rate."""

@@ -7,7 +7,6 @@ from typing import Any, Final, cast
 import numpy as np
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import PlantParameters
@@ -18,6 +17,7 @@ from canhaptic.study.batch.program import BatchCase, Structure, build_program, n
 from canhaptic.study.batch.varied import scene_with, split_key
 from canhaptic.study.loop import FURTHEST, Array, LoopCase
 from canhaptic.study.scenes import loop_case
+from canhaptic.units import Parameters
 
 _RATE: Final = "bus.rate"
 _PLANT_DAMPING: Final = "simulation.plant.damping"

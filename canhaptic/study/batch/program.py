@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.parameters import Parameters
+from canhaptic.registry import load
 from canhaptic.study.batch.axis import SampledAxis
 from canhaptic.study.batch.graph import Graph
 from canhaptic.study.batch.heap import differs
@@ -20,7 +20,7 @@ from canhaptic.study.batch.lowering import Lowering
 from canhaptic.study.batch.nodes import Node, NotBatchableError
 from canhaptic.study.batch.rings import Body, below, loop_of
 from canhaptic.study.loop import Array
-from canhaptic.tables import load
+from canhaptic.units import Parameters
 
 INPUTS: Final = ("continuous_position", "continuous_torque")
 """What a cycle may be given for every scene: of the continuous run beside it."""

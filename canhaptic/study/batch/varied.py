@@ -6,8 +6,8 @@ from typing import Any, Final, TypeVar
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene, Typed
+from canhaptic.units import Parameters
 
 _P = TypeVar("_P", bound=Parameters)
 

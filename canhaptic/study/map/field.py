@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import InputError
-from canhaptic.parameters import Parameters
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.study.algorithms import with_algorithm
@@ -16,6 +15,7 @@ from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import COMPLETED
 from canhaptic.study.sweep.points import CONTROLLER
 from canhaptic.study.sweep.sweep_table import SweepTable
+from canhaptic.units import Parameters
 
 Mask = NDArray[np.bool_]
 

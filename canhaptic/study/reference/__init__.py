@@ -1,1 +1,1 @@
-"""The continuous environment rendered to the same user and plant: the ideal that sampled algorithms are compared with."""
+"""The continuous environment rendered to the same user and plant: the ideal for comparison."""

@@ -15,10 +15,10 @@ from typing import Final, Literal
 import numpy as np
 
 from canhaptic.errors import InputError
-from canhaptic.parameters import parse_unit
 from canhaptic.scene.diagnostics import Faults
 from canhaptic.scene.document import parse_yaml
 from canhaptic.study.loop import Array
+from canhaptic.units import parse_unit
 
 MOST_VALUES: Final = 1_000_000
 """Of one key."""

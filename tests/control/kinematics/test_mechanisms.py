@@ -14,7 +14,7 @@ from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.mechanisms.user_function import UserFunction
 from canhaptic.errors import ParameterError
-from canhaptic.tables import load
+from canhaptic.registry import load
 
 FIVE_BAR = FiveBar(base=0.08, proximal=(0.12, 0.14), distal=(0.2, 0.17))
 EXAMPLES = {

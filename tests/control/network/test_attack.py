@@ -22,10 +22,10 @@ from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import Anisotr
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHandles
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
-from canhaptic.parameters import Parameters
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBar
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.user import SinusoidMotion
+from canhaptic.units import Parameters
 
 LOSSES = {"lost_commands": 0.3, "lost_samples": 0.1}
 KINDS = {

@@ -31,7 +31,7 @@ from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.control.port_hamiltonian.shapes.tube import Tube
 from canhaptic.errors import ControlError, ParameterError
-from canhaptic.tables import load
+from canhaptic.registry import load
 
 SPRING = Spring(stiffness=100.0)
 MASS = Mass(mass=1.0)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch.cases import loop_in_arrays
@@ -13,7 +14,6 @@ from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.batch.scalar import axis_of
 from canhaptic.study.loop import LoopCase
 from canhaptic.study.standard import standard_case
-from canhaptic.tables import load
 
 PLANT = PlantParameters(mass=0.25, damping=0.1, initial_position=0.002)
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=4.0))

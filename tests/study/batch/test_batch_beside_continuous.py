@@ -8,6 +8,7 @@ from loops import PLANT, in_arrays, scalar_case
 from test_scenes import demo, many
 
 from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.registry import load
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
@@ -20,7 +21,6 @@ from canhaptic.study.reference.continuous_ode import integrate
 from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.scenes import environment_of, loop_case, plant_parts
 from canhaptic.study.standard import standard_case
-from canhaptic.tables import load
 
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
 BASES: dict[str, dict[str, Any]] = {

@@ -24,7 +24,7 @@ from canhaptic.control.port_hamiltonian.njit_registry import plain_constants, pl
 from canhaptic.control.port_hamiltonian.sampled_network import SampledNetwork
 from canhaptic.control.velocity import AdaptiveWindow
 from canhaptic.errors import ControlError
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 NAMES: Final = """from __future__ import annotations
 import math

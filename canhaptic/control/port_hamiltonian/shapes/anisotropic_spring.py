@@ -5,7 +5,7 @@ from pydantic import model_validator
 from canhaptic.control.port_hamiltonian.network import DampingMatrix, Network, QuadraticForm
 from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, check_length, identity_rows
 from canhaptic.control.port_hamiltonian.storages import symmetric_positive
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 
 class AnisotropicSpring(Parameters):

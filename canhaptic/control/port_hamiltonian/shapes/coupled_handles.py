@@ -5,7 +5,7 @@ from typing import Annotated
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
 from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class CoupledHandles(Parameters):

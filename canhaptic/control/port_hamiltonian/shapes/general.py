@@ -7,7 +7,7 @@ from canhaptic.control.port_hamiltonian.network import Network, check_rows
 from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, check_length, identity_rows
 from canhaptic.control.port_hamiltonian.storages import Storage
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters
+from canhaptic.units import Parameters
 
 Rows = tuple[tuple[float, ...], ...]
 

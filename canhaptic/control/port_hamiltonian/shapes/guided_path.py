@@ -10,7 +10,7 @@ from pydantic import model_validator
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
 from canhaptic.control.port_hamiltonian.shapes.geometry import Coordinates, Rendered, check_length
 from canhaptic.control.port_hamiltonian.shapes.surface import Distance
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class GuidedPath(Parameters):

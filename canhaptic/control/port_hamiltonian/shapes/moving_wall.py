@@ -5,7 +5,7 @@ from typing import Annotated
 
 from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, unit_vector
-from canhaptic.parameters import quantity
+from canhaptic.units import quantity
 
 
 class MovingWall(Surface):

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from canhaptic.control.port_hamiltonian.shapes.geometry import Coordinates, Rendered, check_length
 from canhaptic.control.port_hamiltonian.shapes.surface import Distance, Surface, radial, unit_vector
-from canhaptic.parameters import quantity
+from canhaptic.units import quantity
 
 
 class Tube(Surface):

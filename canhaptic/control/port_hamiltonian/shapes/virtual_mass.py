@@ -7,7 +7,7 @@ from pydantic import model_validator
 from canhaptic.control.port_hamiltonian.network import Damper, Mass, Network, Spring
 from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, check_length, identity_rows
 from canhaptic.control.port_hamiltonian.storages import Storage
-from canhaptic.parameters import Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 
 class VirtualMass(Parameters):

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Final, Protocol, cast
 
 from canhaptic.errors import ParameterError
+from canhaptic.registry import load
 from canhaptic.sim.plant.assembly import Scene
-from canhaptic.tables import load
 
 EFFECTS: Final[dict[str, str]] = {
     "backlash": "canhaptic.sim.plant.effects.backlash:Backlash",

@@ -8,10 +8,10 @@ Typical: 0.1..10 mrad. Source: Nordin and Gutman, "Controlling mechanical system
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import MOTOR, Scene
 from canhaptic.sim.plant.effects.contact import Contact
 from canhaptic.sim.plant.effects.shaft_compliance import LOAD
+from canhaptic.units import Parameters, quantity
 
 
 class Backlash(Parameters):

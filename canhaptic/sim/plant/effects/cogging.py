@@ -9,8 +9,8 @@ Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2nd ed., 2003, ch.
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Account, Scene
+from canhaptic.units import Parameters, quantity
 
 
 class Cogging(Parameters):

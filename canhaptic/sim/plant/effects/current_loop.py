@@ -9,8 +9,8 @@ Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003; Leonhard, "C
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import LinearPart, Rows, Scene
+from canhaptic.units import Parameters, quantity
 
 
 class CurrentLoop(Parameters):

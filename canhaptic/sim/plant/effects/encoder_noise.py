@@ -8,8 +8,8 @@ splitmix64 (Steele, Lea, Flood, OOPSLA 2014).
 import math
 from typing import Annotated, ClassVar, Final, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Scene
+from canhaptic.units import Parameters, quantity
 
 _MASK: Final = (1 << 64) - 1
 _GAMMA: Final = 0x9E3779B97F4A7C15  # golden ratio, splitmix64

@@ -5,8 +5,8 @@ States added: none. Exact. Energy: none. Typical: 1e-7..1e-4 m. Source: any incr
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Scene
+from canhaptic.units import Parameters, quantity
 
 
 class EncoderQuantisation(Parameters):

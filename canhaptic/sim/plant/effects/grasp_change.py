@@ -7,8 +7,8 @@ Typical: 50..1000 N/m within some tenths of a second. Source: Hajian and Howe, A
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Scene
+from canhaptic.units import Parameters, quantity
 
 
 class GraspChange(Parameters):

@@ -6,9 +6,9 @@ Typical: 1e5..1e7 N/m for metal on rubber to metal on metal. Source: Goldsmith, 
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Scene
 from canhaptic.sim.plant.effects.contact import Contact
+from canhaptic.units import Parameters, quantity
 
 
 class HardStop(Parameters):

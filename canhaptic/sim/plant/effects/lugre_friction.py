@@ -14,9 +14,9 @@ Source: Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Contro
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import quantity
 from canhaptic.sim.plant.assembly import Account, Scene
 from canhaptic.sim.plant.dry_friction import DryFriction
+from canhaptic.units import quantity
 
 
 class LuGreFriction(DryFriction):

@@ -7,8 +7,8 @@ Typical: 1e3..1e6 N/m. Source: Ellis, "Control System Design Guide", 2012, ch. 1
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, Rows, Scene
+from canhaptic.units import Parameters, quantity
 
 LOAD = 1
 """Index of the load among the bodies."""

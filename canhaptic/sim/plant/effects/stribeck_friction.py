@@ -10,9 +10,9 @@ Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import quantity
 from canhaptic.sim.plant.assembly import MOTOR, Account, Scene
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
+from canhaptic.units import quantity
 
 
 class StribeckFriction(DryFriction):

@@ -6,8 +6,8 @@ Source: CiA 402-2, 0x6071 in per mille of 0x6076; current sensors of 10..12 bits
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Scene
+from canhaptic.units import Parameters, quantity
 
 
 class TorqueQuantisation(Parameters):

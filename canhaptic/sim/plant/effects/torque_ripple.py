@@ -8,9 +8,9 @@ Typical: 1..5 % at the 6th electrical harmonic. Source: Hanselman, "Brushless Pe
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Account, Scene
 from canhaptic.sim.plant.effects.cogging import mean_sine
+from canhaptic.units import Parameters, quantity
 
 
 class TorqueRipple(Parameters):

@@ -6,8 +6,8 @@ Source: CiA 402-2, object 0x6072; any drive's peak current.
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Scene
+from canhaptic.units import Parameters, quantity
 
 
 class TorqueSaturation(Parameters):

@@ -8,8 +8,8 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import Scene
+from canhaptic.units import Parameters, quantity
 
 
 class Tremor(Parameters):

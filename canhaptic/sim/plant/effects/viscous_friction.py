@@ -6,8 +6,8 @@ Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.plant.assembly import MOTOR, LinearPart, Rows, Scene
+from canhaptic.units import Parameters, quantity
 
 
 class ViscousFriction(Parameters):

@@ -15,13 +15,13 @@ from typing import Annotated, ClassVar, Final
 from pydantic import model_validator
 
 from canhaptic.errors import ParameterError
-from canhaptic.parameters import Motion, Parameters, quantity
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.mechanism.hand_force import HandForce
 from canhaptic.sim.plant.mechanism.linkage import Inertia, Linkage, Pose
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.propagator import TICKS
+from canhaptic.units import Motion, Parameters, quantity
 
 _ITERATIONS: Final = 60
 _CONVERGED: Final = 1e-15  # [rad] of a correction, beside what rounding leaves of the step

@@ -10,8 +10,8 @@ from typing import Annotated, NamedTuple
 
 from pydantic import model_validator
 
-from canhaptic.parameters import Parameters, quantity
 from canhaptic.sim.user import SinusoidMotion
+from canhaptic.units import Parameters, quantity
 
 Force = Annotated[float, quantity("N", ge=-1e6, le=1e6)]
 Length = Annotated[float, quantity("m", ge=-1e3, le=1e3)]

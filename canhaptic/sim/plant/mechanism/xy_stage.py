@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Final
 
-from canhaptic.parameters import Motion, Parameters, quantity
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.assembly import Body, LinearPart, Rows, Scene
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
@@ -17,6 +16,7 @@ from canhaptic.sim.plant.hybrid_automaton import Machine
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import Length, TaskHand
 from canhaptic.sim.plant.propagator import LEVELS, TICKS
+from canhaptic.units import Motion, Parameters, quantity
 
 _NAMES: Final = ("x", "y")
 _TIDY: Final = TICKS << 10
