@@ -45,7 +45,7 @@ _ROUNDING: Final = 1e-15  # [J]
 
 def pages() -> list[Path]:
     """Returns README, CONTRIBUTING, every page of the documentation, and the one beside the effects."""
-    effects = ROOT / "canhaptic" / "sim" / "effects" / "README.md"
+    effects = ROOT / "canhaptic" / "sim" / "plant" / "effects" / "README.md"
     return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")), effects]
 
 

@@ -28,7 +28,7 @@ def test_no_line_of_a_page_begins_with_a_mark(page: Path) -> None:
 
 
 def test_the_tool_looks_at_the_pages_that_the_tests_look_at_and_at_the_costs_of_effects() -> None:
-    assert fill_numbers.pages() == [*pages(), ROOT / "canhaptic" / "sim" / "effects" / "README.md"]
+    assert fill_numbers.pages() == [*pages(), ROOT / "canhaptic" / "sim" / "plant" / "effects" / "README.md"]
 
 
 def test_a_stale_number_is_replaced_and_nothing_else() -> None:

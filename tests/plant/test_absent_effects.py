@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from plant_scenes import MS, make_plant, run
 
-from canhaptic.sim import effects as effects_package
+from canhaptic.sim.plant import effects as effects_package
 from canhaptic.sim.plant.plant import Plant
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -121,7 +121,7 @@ def test_a_bare_scene_executes_the_same_bytecodes_when_every_effect_is_gone(monk
     without = executed(make_plant())
     assert with_package == without
     assert sum(without.values()) // 4 <= 130  # per hold
-    assert {file for file, _ in without} == {"plant.py", "machine.py"}
+    assert {file for file, _ in without} == {"plant.py", "hybrid_automaton.py"}
 
 
 def test_an_effect_that_leaks_a_bytecode_is_caught(monkeypatch):
