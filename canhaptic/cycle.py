@@ -76,7 +76,7 @@ class Cycle:
         self.ledgers = [Ledger() for _ in range(axes)]
         self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
-        self.judge = TruthJudge(axes, [group.axes for group in self.groups]) if truths is not None else None
+        self.judge = EnergyAudit(axes, [group.axes for group in self.groups]) if truths is not None else None
         self.cycles = 0
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time stands still within a cycle
         self._log = log
@@ -171,7 +171,7 @@ class _FailedLog:
         """Takes nothing."""
 
 
-class TruthJudge:
+class EnergyAudit:
     """Compares the energy each ledger believes in with the energy the simulated plant really took or gave.
 
     Args:

@@ -42,7 +42,7 @@ class CycleTiming(NamedTuple):
     send: int  # limiter, RPDOs packed and handed to the bus
 
 
-class FarSide(Protocol):
+class SimulatedPeer(Protocol):
     """A simulated drive (or several) that shares a bus with the master and is driven by the master's clock."""
 
     def process(self, now: int) -> None:

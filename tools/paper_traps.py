@@ -14,7 +14,7 @@ from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller, internal_dissipation, stored_model
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Books, Hold
+from canhaptic.control.passivity.hold_account import Hold, HoldAccount
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation
 from canhaptic.control.passivity.root import solve_balance
 from canhaptic.control.passivity.storage import Account
@@ -42,7 +42,7 @@ class _PositiveState(SpringDamperWall):
         return abs(super().state_of_energy(energy, like))
 
 
-class _NewestEffort(Books):
+class _NewestEffort(HoldAccount):
     """Eq. 15 with the damper effort of the newest command, whatever the delay between command and hold."""
 
     newest = 0.0
@@ -167,7 +167,7 @@ def pairing() -> dict[str, float]:
         return run.variation / standard_reference(FIGURES_7_9, user_f(0.15), 1000.0, 4000).variation
 
     built = variation()
-    with patch.object(stored_model, "Books", _NewestEffort):
+    with patch.object(stored_model, "HoldAccount", _NewestEffort):
         return {"as_built": built, "as_printed": variation()}
 
 

@@ -10,7 +10,7 @@ from rich.table import Table
 from canhaptic.view.table_style import plain_table
 
 
-class Verdict(Enum):
+class StepVerdict(Enum):
     """Of one row."""
 
     AGREES = "agrees"  # measured, and as configured
@@ -20,14 +20,14 @@ class Verdict(Enum):
     UNKNOWN = "not verified"
 
 
-class Finding(NamedTuple):
+class StepFinding(NamedTuple):
     """One thing that was looked at."""
 
     axis: str
     item: str
     configured: str
     found: str
-    verdict: Verdict
+    verdict: StepVerdict
     text: str = ""  # what it means, or what to do
 
 
@@ -42,11 +42,11 @@ class Value(NamedTuple):
 
 
 _COLOURS: Final = {
-    Verdict.AGREES: "green",
-    Verdict.DIFFERS: "yellow",
-    Verdict.FAILED: "bold red",
-    Verdict.MEASURED: "cyan",
-    Verdict.UNKNOWN: "dim",
+    StepVerdict.AGREES: "green",
+    StepVerdict.DIFFERS: "yellow",
+    StepVerdict.FAILED: "bold red",
+    StepVerdict.MEASURED: "cyan",
+    StepVerdict.UNKNOWN: "dim",
 }
 
 
@@ -54,10 +54,10 @@ class Report:
     """Grows step by step, so that what was found before something went wrong is kept."""
 
     def __init__(self) -> None:
-        self.findings: list[Finding] = []
+        self.findings: list[StepFinding] = []
         self.values: list[Value] = []
 
-    def add(self, finding: Finding) -> None:
+    def add(self, finding: StepFinding) -> None:
         """Takes a row."""
         self.findings.append(finding)
 
@@ -68,12 +68,12 @@ class Report:
     @property
     def failed(self) -> bool:
         """Whether anything says that this rig must not be used."""
-        return any(finding.verdict is Verdict.FAILED for finding in self.findings)
+        return any(finding.verdict is StepVerdict.FAILED for finding in self.findings)
 
     @property
     def differs(self) -> bool:
         """Whether the configuration is to be corrected."""
-        return any(finding.verdict is Verdict.DIFFERS for finding in self.findings)
+        return any(finding.verdict is StepVerdict.DIFFERS for finding in self.findings)
 
     def as_json(self) -> dict[str, Any]:
         """Returns the report as plain values."""

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from canhaptic.commission.findings import Verdict
+from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.laws import NO_TORQUE
 from canhaptic.commission.session import Session
 
@@ -29,7 +29,7 @@ def stand_still(session: Session, axis: int) -> bool:
     still = drift <= _DRIFT * session.limits.travel
     text = f"{name} moves without torque: weight, a wrong offset of the drive, or somebody pushes"
     found = f"{drift:.3g} {unit}, noise {swing:.3g}"
-    session.judged(axis, STANDSTILL, "", found, good=still, text=text, otherwise=Verdict.FAILED)
+    session.judged(axis, STANDSTILL, "", found, good=still, text=text, otherwise=StepVerdict.FAILED)
     return still
 
 
@@ -66,7 +66,7 @@ def move_by_hand(session: Session, axis: int) -> None:
     counts = abs(measured) * parameters.counts_per_unit
     if told is None or not told or counts < _FEWEST_COUNTS:
         text = f"the encoder moved by {counts:.0f} counts, at least {_FEWEST_COUNTS} and a measured distance are needed"
-        session.found(axis, "encoder", "", f"{measured:.4g} {unit}", Verdict.UNKNOWN, text)
+        session.found(axis, "encoder", "", f"{measured:.4g} {unit}", StepVerdict.UNKNOWN, text)
         return
     session.encoder_ratios[axis] = abs(measured / told)
     _judge(session, axis, measured / told)

@@ -5,7 +5,7 @@ from functools import partial
 from typing import Final
 
 from canhaptic.canopen import objects as od
-from canhaptic.commission.findings import Verdict
+from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.session import Session
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.servo_drive import ServoDrive
@@ -80,7 +80,7 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
     profile = device_type & 0xFFFF
     session.judged(
         axis, "device profile", f"{od.CIA402_PROFILE:#06x}", f"{profile:#06x}", good=profile == od.CIA402_PROFILE,
-        text="no CiA 402 drive; check node_id", otherwise=Verdict.FAILED,
+        text="no CiA 402 drive; check node_id", otherwise=StepVerdict.FAILED,
     )  # fmt: skip
 
 
@@ -96,11 +96,11 @@ def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
         try:
             found = drive.sdo.read(od.IDENTITY, subindex)
         except SdoError:
-            session.found(axis, item, "", "not readable", Verdict.UNKNOWN)
+            session.found(axis, item, "", "not readable", StepVerdict.UNKNOWN)
             continue
         wanted = demanded if demanded is not None else of_dictionary
         if not wanted:
-            session.found(axis, item, "not given", f"{found:#010x}", Verdict.MEASURED)
+            session.found(axis, item, "not given", f"{found:#010x}", StepVerdict.MEASURED)
         else:
             text = "the EDS is of another drive: take the one of this drive and firmware"
             session.judged(axis, item, f"{wanted:#010x}", f"{found:#010x}", good=found == wanted, text=text)
@@ -112,12 +112,12 @@ def _modes(session: Session, axis: int, drive: ServoDrive) -> None:
     try:
         modes = drive.sdo.read(od.SUPPORTED_DRIVE_MODES)
     except SdoError:
-        session.found(axis, "modes (0x6502)", "cst", "not readable", Verdict.UNKNOWN, "is 0x6060 = 10 accepted?")
+        session.found(axis, "modes (0x6502)", "cst", "not readable", StepVerdict.UNKNOWN, "is 0x6060 = 10 accepted?")
         return
     names = ", ".join(name for bit, name in enumerate(_MODES) if name and modes >> bit & 1)
     serves = bool(modes & od.CYCLIC_SYNC_TORQUE_BIT)
     text = "no cyclic synchronous torque: other firmware, or another drive"
-    session.judged(axis, "modes (0x6502)", "cst", names, good=serves, text=text, otherwise=Verdict.FAILED)
+    session.judged(axis, "modes (0x6502)", "cst", names, good=serves, text=text, otherwise=StepVerdict.FAILED)
 
 
 def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
@@ -130,7 +130,7 @@ def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
         counts = 0
     if not counts:
         text = "the configuration alone says what 1000 per mille are; see the torque scale below"
-        session.found(axis, "rated torque (0x6076)", configured, "0 or not readable", Verdict.UNKNOWN, text)
+        session.found(axis, "rated torque (0x6076)", configured, "0 or not readable", StepVerdict.UNKNOWN, text)
         return
     of_motor = counts * drive.quirks.rated_torque_resolution
     at_axis = of_motor * parameters.transmission

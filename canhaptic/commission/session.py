@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from canhaptic.commission.dialogue import Dialogue
-from canhaptic.commission.findings import Finding, Report, Value, Verdict
+from canhaptic.commission.findings import Report, StepFinding, StepVerdict, Value
 from canhaptic.commission.laws import NO_TORQUE, CommissioningLimits, OpenLoop
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.rig import Rig
@@ -129,10 +129,10 @@ class Session:
         """Returns how many cycles a time takes."""
         return max(1, round(seconds / self.sample_time))
 
-    def found(self, axis: int, item: str, configured: str, found: str, verdict: Verdict, text: str = "") -> None:
+    def found(self, axis: int, item: str, configured: str, found: str, verdict: StepVerdict, text: str = "") -> None:
         """Adds a row to the report and says it."""
         name = self.axes[axis].parameters.name
-        self.report.add(Finding(name, item, configured, found, verdict, text))
+        self.report.add(StepFinding(name, item, configured, found, verdict, text))
         self.dialogue.tell(f"  {name}: {item}: {found} ({verdict.value})")
 
     def judged(
@@ -144,10 +144,10 @@ class Session:
         *,
         good: bool,
         text: str,
-        otherwise: Verdict = Verdict.DIFFERS,
+        otherwise: StepVerdict = StepVerdict.DIFFERS,
     ) -> None:
         """Adds a row that agrees, or has another verdict and a text on what to do."""
-        self.found(axis, item, configured, found, Verdict.AGREES if good else otherwise, "" if good else text)
+        self.found(axis, item, configured, found, StepVerdict.AGREES if good else otherwise, "" if good else text)
 
     def agreed(self, question: str, item: str, axes: Iterable[int], text: str = "") -> bool:
         """Returns whether the person agrees to try something; where not, the report says so of these axes."""
@@ -159,7 +159,7 @@ class Session:
     def not_tried(self, item: str, axes: Iterable[int], text: str = "") -> None:
         """Adds a row per axis for what was not tried."""
         for axis in axes:
-            self.found(axis, item, "", "not tried", Verdict.UNKNOWN, text)
+            self.found(axis, item, "", "not tried", StepVerdict.UNKNOWN, text)
 
     def propose(self, axis: int, key: str, value: float | int | str, unit: str = "", comment: str = "") -> None:
         """Adds a value to paste."""

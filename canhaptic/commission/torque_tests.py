@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from canhaptic.commission.estimate import Dynamics, estimate
-from canhaptic.commission.findings import Verdict
+from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
@@ -60,12 +60,12 @@ def pulse(session: Session, axis: int) -> float | None:
         torque = min(most, 2.0 * torque)
     if abs(moved) * parameters.counts_per_unit < _SEEN_COUNTS:
         text = "more friction than torque, a brake, or no current; raise --torque with care"
-        session.found(axis, "torque sign", "+", f"no motion at {torque:.3g} {unit}", Verdict.UNKNOWN, text)
+        session.found(axis, "torque sign", "+", f"no motion at {torque:.3g} {unit}", StepVerdict.UNKNOWN, text)
         return None
     right = moved > 0.0
     text = "torque and encoder disagree: every wall would pull in. Swap two motor phases, or 0x607E"
     found = f"{moved:+.3g} {parameters.unit} at {torque:+.3g} {unit}"
-    session.judged(axis, "torque sign", "+", found, good=right, text=text, otherwise=Verdict.FAILED)
+    session.judged(axis, "torque sign", "+", found, good=right, text=text, otherwise=StepVerdict.FAILED)
     return torque * (cycles * session.sample_time) ** 2 / (2.0 * moved) if right else None  # as the encoder has it
 
 
@@ -91,7 +91,7 @@ def time_the_read_back(session: Session) -> None:
     for axis, timing in enumerate(timings):
         configured = session.axes[axis].parameters.demand_reported
         if timing.reported is None:
-            session.found(axis, item, configured, "unclear", Verdict.UNKNOWN, timing.text)
+            session.found(axis, item, configured, "unclear", StepVerdict.UNKNOWN, timing.text)
             continue
         same = timing.reported == configured
         text = "every hold is booked with its neighbour's torque"
@@ -124,13 +124,13 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     torques = sweep(amplitude, lowest, highest, duration, session.sample_time)
     law = session.play(axis, torques, len(torques))
     if law.tripped:
-        session.found(axis, "moving mass", "", "broken off", Verdict.UNKNOWN, f"{law.tripped}; lower --torque")
+        session.found(axis, "moving mass", "", "broken off", StepVerdict.UNKNOWN, f"{law.tripped}; lower --torque")
         return
     positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
     found = estimate(positions, np.array(law.applied), session.sample_time, max(2, session.cycles(_HALF_BASE)))
     if found is None or found.mass <= _SURE * found.mass_error:
         text = f"too little motion to tell it from friction; raise {limit}, which limits the torque of the sweep"
-        session.found(axis, "moving mass", "", "unclear", Verdict.UNKNOWN, text)
+        session.found(axis, "moving mass", "", "unclear", StepVerdict.UNKNOWN, text)
         return
     _report(session, axis, found)
 
@@ -142,19 +142,24 @@ def _report(session: Session, axis: int, found: Dynamics) -> None:
     declared = session.axes[axis].loop.moving_mass
     text = f"+- {found.mass_error:.2g}"
     if declared is None:
-        verdict = Verdict.MEASURED
+        verdict = StepVerdict.MEASURED
     elif declared <= found.mass + _SURE * found.mass_error:
-        verdict = Verdict.AGREES
+        verdict = StepVerdict.AGREES
     else:
-        verdict, text = Verdict.FAILED, f"{text}; moving_mass must be an under-estimate: guarded would not be passive"
+        verdict, text = (
+            StepVerdict.FAILED,
+            f"{text}; moving_mass must be an under-estimate: guarded would not be passive",
+        )
     configured = "" if declared is None else f"at most {declared:.4g} {mass_unit}"
     session.found(axis, "moving mass", configured, f"{found.mass:.4g} {mass_unit}", verdict, text)
     session.propose(axis, "passivity.moving_mass", 0.9 * least, mass_unit, f"0.9 of {least:.4g}, two deviations below")
     sure_damping = max(0.0, found.damping - _SURE * found.damping_error)
     text = f"+- {found.damping_error:.2g}"
-    session.found(axis, "viscous friction", "", f"{found.damping:.3g} {damping_unit(motion)}", Verdict.MEASURED, text)
+    session.found(
+        axis, "viscous friction", "", f"{found.damping:.3g} {damping_unit(motion)}", StepVerdict.MEASURED, text
+    )
     text = f"+- {found.friction_error:.2g}; constant load {found.offset:.2g} {unit}, rest {found.residual:.2g} {unit}"
-    session.found(axis, "dry friction", "", f"{found.friction:.3g} {unit}", Verdict.MEASURED, text)
+    session.found(axis, "dry friction", "", f"{found.friction:.3g} {unit}", StepVerdict.MEASURED, text)
     if sure_damping > 0.0:
         comment = "certain to two deviations here and now; grease and temperature change it"
         session.propose(axis, "passivity.device_damping", 0.5 * sure_damping, damping_unit(motion), comment)
@@ -171,7 +176,7 @@ def _scale(session: Session, axis: int, found: Dynamics) -> None:
     known = session.dialogue.number(question, mass_unit, truth)
     if not known or known <= 0.0 or parameters.rated_torque is None:
         text = "hang a known weight or use a force gauge: rated_torque is as wrong as this is"
-        session.found(axis, "torque scale", "1", "not compared", Verdict.UNKNOWN, text)
+        session.found(axis, "torque scale", "1", "not compared", StepVerdict.UNKNOWN, text)
         return
     ratio = found.mass / known
     same = abs(ratio - 1.0) <= _SCALE_TOLERANCE

@@ -3,7 +3,7 @@
 from typing import Final
 
 from canhaptic.canopen import objects as od
-from canhaptic.commission.findings import Verdict
+from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.laws import NO_TORQUE, OpenLoop
 from canhaptic.commission.session import Session
 from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
@@ -41,13 +41,13 @@ def _judge(session: Session, axis: int) -> None:
     try:
         state = drive_state(drive.sdo.read(od.STATUSWORD))
     except SdoError as error:
-        session.found(axis, "watchdog", limit, "no answer", Verdict.FAILED, str(error))
+        session.found(axis, "watchdog", limit, "no answer", StepVerdict.FAILED, str(error))
         return
     stopped = state in TORQUE_FREE
     told = f", {drive.emergency}" if drive.emergency is not None else ""
     text = "a killed master leaves its torque on: set axes[].watchdog, 0x1016 and 0x6007, or a relay"
     found = f"{state.value}{told}"
-    session.judged(axis, "watchdog", limit, found, good=stopped, text=text, otherwise=Verdict.FAILED)
+    session.judged(axis, "watchdog", limit, found, good=stopped, text=text, otherwise=StepVerdict.FAILED)
 
 
 def _end(session: Session) -> None:
@@ -77,12 +77,14 @@ def time_the_cycle(session: Session, seconds: float) -> None:
     text = "see `canhaptic check` (bus load, host) and `canhaptic preflight`; try bus.realtime"
     session.judged(0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, good=clean, text=text)
     if session.experiment.pace == "free":
-        session.found(0, "timing", "", "lock-step", Verdict.UNKNOWN, "simulated drives without a clock of their own")
+        session.found(
+            0, "timing", "", "lock-step", StepVerdict.UNKNOWN, "simulated drives without a clock of their own"
+        )
         return
     for name, histogram in cycle.timing.items():
         p50, p99 = histogram.quantile(0.5) * 1e6, histogram.quantile(0.99) * 1e6
         found = f"p50 {p50:.0f} us, p99 {p99:.0f} us"
-        session.found(0, name.replace("_", " "), "", found, Verdict.MEASURED)
+        session.found(0, name.replace("_", " "), "", found, StepVerdict.MEASURED)
 
 
 def _words(counts: dict[str, float]) -> str:

@@ -11,7 +11,7 @@ from typing import Final, Protocol
 
 import can
 
-from canhaptic.signals import FarSide
+from canhaptic.signals import SimulatedPeer
 
 _POLL_STOP: Final = 20_000  # [ns] before a deadline from which the bus is no longer polled, so that none is overslept
 _NEVER: Final = 1 << 62  # [ns], later than any deadline
@@ -39,7 +39,7 @@ class WallClock:
         spin_margin: Time before a deadline from which it spins [s].
     """
 
-    def __init__(self, far_sides: Sequence[FarSide] = (), spin_margin: float = 200e-6) -> None:
+    def __init__(self, far_sides: Sequence[SimulatedPeer] = (), spin_margin: float = 200e-6) -> None:
         self._far_sides = tuple(far_sides)
         self._margin = round(spin_margin * 1e9)
 
@@ -90,7 +90,7 @@ class VirtualClock:
         start: The time at the beginning [ns].
     """
 
-    def __init__(self, far_sides: Sequence[FarSide] = (), start: int = 0) -> None:
+    def __init__(self, far_sides: Sequence[SimulatedPeer] = (), start: int = 0) -> None:
         self._far_sides = tuple(far_sides)
         self._now = start
 

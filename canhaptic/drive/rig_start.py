@@ -15,7 +15,7 @@ from canhaptic.canopen.objects import (
 )
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.profile.bring_up import BringUp, nmt_name
-from canhaptic.drive.profile.power_states import FAULTED, DriveState, next_controlword
+from canhaptic.drive.profile.power_states import FAULTED, PowerState, next_controlword
 from canhaptic.drive.servo_drive import ServoDrive
 
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
@@ -162,7 +162,7 @@ def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
 def _is_enabled(drive: ServoDrive) -> bool:
     """Whether a drive is enabled and, if it tells late that it follows its target, has told so."""
     follows = not drive.quirks.waits_for_following or drive.statusword & StatusBit.FOLLOWS_COMMAND
-    return drive.state is DriveState.OPERATION_ENABLED and bool(follows)
+    return drive.state is PowerState.OPERATION_ENABLED and bool(follows)
 
 
 def _enable_time(drive: ServoDrive) -> int:
@@ -172,7 +172,7 @@ def _enable_time(drive: ServoDrive) -> int:
 
 def _refuse_fault(drive: ServoDrive, bring_up: BringUp) -> None:
     if drive.state in FAULTED or drive.emergency is not None:
-        raise bring_up.refusal("enable", bring_up.fault_text(), DriveState.OPERATION_ENABLED.value)
+        raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value)
 
 
 def _state_text(drive: ServoDrive) -> str:
@@ -181,8 +181,8 @@ def _state_text(drive: ServoDrive) -> str:
 
 def _expected_after(drive: ServoDrive) -> str:
     after = {
-        Controlword.SHUTDOWN: DriveState.READY_TO_SWITCH_ON,
-        Controlword.SWITCH_ON: DriveState.SWITCHED_ON,
-        Controlword.ENABLE_OPERATION: DriveState.OPERATION_ENABLED,
+        Controlword.SHUTDOWN: PowerState.READY_TO_SWITCH_ON,
+        Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
+        Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
     }
-    return after.get(Controlword(drive.controlword), DriveState.SWITCH_ON_DISABLED).value
+    return after.get(Controlword(drive.controlword), PowerState.SWITCH_ON_DISABLED).value

@@ -14,7 +14,7 @@ from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.profile.fitness import require_fit
 from canhaptic.drive.profile.limiter import TorqueLimiter
 from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
-from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, DriveState, drive_state
+from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling
 from canhaptic.signals import Sample
@@ -29,7 +29,7 @@ _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
 _FOLLOWS: Final = int(od.StatusBit.FOLLOWS_COMMAND)
 
 
-class Emergency(NamedTuple):
+class ReceivedEmergency(NamedTuple):
     """An EMCY as it came (CiA 301, 7.2.7)."""
 
     code: int  # 0x0000 means that the error is gone
@@ -111,7 +111,7 @@ class ServoDrive:
         self.statusword = 0
         self.nmt_state: int | None = None
         self.last_heartbeat = self._clock.now()
-        self.emergency: Emergency | None = None
+        self.emergency: ReceivedEmergency | None = None
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._stage = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)
@@ -160,7 +160,7 @@ class ServoDrive:
         return self._values[2]
 
     @property
-    def state(self) -> DriveState:
+    def state(self) -> PowerState:
         """Power state of the last statusword."""
         return drive_state(self.statusword)
 
@@ -376,6 +376,6 @@ class ServoDrive:
 
     def _take_emergency(self, data: bytearray) -> None:
         padded = bytes(data).ljust(3, b"\0")  # some drives send fewer than eight bytes; canopen drops those
-        emergency = Emergency(int.from_bytes(padded[:2], "little"), padded[2], bytes(data[3:]))
+        emergency = ReceivedEmergency(int.from_bytes(padded[:2], "little"), padded[2], bytes(data[3:]))
         if emergency.code and self.emergency is None:
             self.emergency = emergency

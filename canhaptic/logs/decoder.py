@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
 from canhaptic.drive.profile.power_states import drive_state
-from canhaptic.logs.pdo_decoder import Field, PdoMaps
+from canhaptic.logs.pdo_decoder import PdoField, PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.units import effort_unit
 
@@ -139,11 +139,11 @@ class _Node:
         return f"{number} {entry.name}" + (f" / {member.name}" if member is not None else "")
 
     def _value(self, index: int, subindex: int, value: bytes) -> str:
-        words = self._meaning(Field(index, subindex, 8 * len(value), int.from_bytes(value, "little")))
+        words = self._meaning(PdoField(index, subindex, 8 * len(value), int.from_bytes(value, "little")))
         plain = f"0x{int.from_bytes(value, 'little'):0{2 * len(value)}X}"
         return f"{plain} ({words})" if words else plain
 
-    def field(self, field: Field) -> str:
+    def field(self, field: PdoField) -> str:
         """Returns one field of a PDO in words."""
         name = (
             _TORQUES.get(field.object_index)
@@ -155,7 +155,7 @@ class _Node:
         words = self._meaning(field)
         return f"{name} {field.raw}" + (f" ({words})" if words else "")
 
-    def _meaning(self, field: Field) -> str:
+    def _meaning(self, field: PdoField) -> str:
         known = self._description
         if field.object_index == od.STATUSWORD:
             return drive_state(field.raw).value

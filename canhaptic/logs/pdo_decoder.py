@@ -20,7 +20,7 @@ _SIGNED: Final = frozenset(
 )
 
 
-class Field(NamedTuple):
+class PdoField(NamedTuple):
     """One mapped object and its value in one frame."""
 
     object_index: int
@@ -76,7 +76,7 @@ class PdoMaps:
                 if first + number not in told:
                     yield base + self._node_id, _name(first + number), first + number + 0x200
 
-    def fields(self, mapping_index: int, data: bytes) -> list[Field] | str:
+    def fields(self, mapping_index: int, data: bytes) -> list[PdoField] | str:
         """Returns the fields of a frame, or words for why it cannot be taken apart."""
         entries = self._entries.get(mapping_index, {})
         count = entries.get(0, 0)
@@ -92,7 +92,7 @@ class PdoMaps:
             raw = image & ((1 << bits) - 1)
             if index in _SIGNED and raw >> (bits - 1):
                 raw -= 1 << bits
-            fields.append(Field(index, subindex, bits, raw))
+            fields.append(PdoField(index, subindex, bits, raw))
             image >>= bits
         return fields
 

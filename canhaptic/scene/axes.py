@@ -8,14 +8,14 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.scene.buses import BUS_KEY
-from canhaptic.scene.diagnostics import Faults
+from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.eds_path import find_dictionary
 from canhaptic.scene.groups import GroupEntry, membership
-from canhaptic.scene.models import AxisScene, AxisSimulation, Typed
+from canhaptic.scene.models import AxisScene, AxisSimulation, ComponentSpec
 from canhaptic.scene.profiles import PROFILE_KEY, with_profile
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type
-from canhaptic.scene.simulated_defaults import lay_twin
+from canhaptic.scene.simulated_defaults import mirror_quirks
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.plant import PlantParameters
@@ -37,7 +37,7 @@ def read_axis(
     shared: MarkedMapping,
     bus: BusParameters | None,
     seed: int,
-    faults: Faults,
+    faults: Diagnostics,
     group: GroupEntry | None = None,
     moves_mechanism: bool = False,
 ) -> AxisScene | None:
@@ -74,8 +74,8 @@ def read_axis(
 
 
 def _rendered(
-    section: MarkedMapping, shared: MarkedMapping, group: GroupEntry | None, faults: Faults, motion: Motion | None
-) -> tuple[Typed | None, Typed | None, MarkedMapping | None]:
+    section: MarkedMapping, shared: MarkedMapping, group: GroupEntry | None, faults: Diagnostics, motion: Motion | None
+) -> tuple[ComponentSpec | None, ComponentSpec | None, MarkedMapping | None]:
     """Returns environment and algorithm of an axis, and the section that describes its loop."""
     if group is not None:
         return membership(group), membership(group), _loop_in_group(section, group, faults)
@@ -84,7 +84,7 @@ def _rendered(
     return _environment(environment, faults, motion), _passivity(passivity, faults, motion), passivity
 
 
-def _loop_in_group(section: MarkedMapping, group: GroupEntry, faults: Faults) -> MarkedMapping | None:
+def _loop_in_group(section: MarkedMapping, group: GroupEntry, faults: Diagnostics) -> MarkedMapping | None:
     """Returns what a scene says of the loop of an axis in a group: its own `passivity` over that of the group."""
     if section.get("environment") is not None:
         faults.add(section.keys_at["environment"], f"group {group.name!r} renders on this axis; leave it out")
@@ -103,7 +103,7 @@ def _loop_in_group(section: MarkedMapping, group: GroupEntry, faults: Faults) ->
     return own if loop is None else own.over(loop)
 
 
-def _refuse_own_plant(shared: MarkedMapping, name: str, faults: Faults) -> None:
+def _refuse_own_plant(shared: MarkedMapping, name: str, faults: Diagnostics) -> None:
     """Notes every part of `simulation.axes.NAME` that the mechanism has instead."""
     axes = shared["simulation"].get("axes")
     own = axes.get(name) if isinstance(axes, MarkedMapping) else None
@@ -115,7 +115,7 @@ def _refuse_own_plant(shared: MarkedMapping, name: str, faults: Faults) -> None:
 
 
 def overlay(
-    shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Faults
+    shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Diagnostics
 ) -> MarkedMapping | None:
     """Returns a section of an axis: its own keys over the shared ones, unless it names another type.
 
@@ -144,16 +144,16 @@ def _motion(section: MarkedMapping) -> Motion | None:
     return unit if unit in get_args(Motion) else None
 
 
-def _environment(section: MarkedMapping | None, faults: Faults, motion: Motion | None) -> Typed | None:
+def _environment(section: MarkedMapping | None, faults: Diagnostics, motion: Motion | None) -> ComponentSpec | None:
     found = None if section is None else read_type(section, "type", "environment", ENVIRONMENTS, faults)
     if section is None or found is None:
         return None
     name, model = found
     parameters = read_section(model, section.without("type"), faults, motion, also=("type",))
-    return None if parameters is None else Typed(name, parameters)
+    return None if parameters is None else ComponentSpec(name, parameters)
 
 
-def _passivity(section: MarkedMapping | None, faults: Faults, motion: Motion | None) -> Typed | None:
+def _passivity(section: MarkedMapping | None, faults: Diagnostics, motion: Motion | None) -> ComponentSpec | None:
     found = None if section is None else read_type(section, "algorithm", "passivity algorithm", ALGORITHMS, faults)
     if section is None or found is None:
         return None
@@ -161,14 +161,14 @@ def _passivity(section: MarkedMapping | None, faults: Faults, motion: Motion | N
     model: type[Parameters] = algorithm.parameters_type
     own = section.without("algorithm", *(key for key in LOOP_KEYS if key not in model.model_fields))
     parameters = read_section(model, own, faults, motion, also=("algorithm", *LOOP_KEYS))
-    return None if parameters is None else Typed(name, parameters)
+    return None if parameters is None else ComponentSpec(name, parameters)
 
 
 def _loop(
     section: MarkedMapping,
     axis: AxisParameters | None,
     bus: BusParameters | None,
-    faults: Faults,
+    faults: Diagnostics,
     motion: Motion | None,
 ) -> LoopProperties | None:
     """Returns what the scene says of the loop around the controller; what it does not say stays unknown."""
@@ -188,7 +188,7 @@ def _loop(
     return read_section(LoopProperties, loop, faults, motion)
 
 
-def _simulation_of(shared: MarkedMapping, name: str, faults: Faults) -> MarkedMapping | None:
+def _simulation_of(shared: MarkedMapping, name: str, faults: Diagnostics) -> MarkedMapping | None:
     """Returns the parts of `simulation` for one axis, its own laid over the shared; None when nothing is simulated."""
     section = shared.get("simulation")
     if not isinstance(section, MarkedMapping):
@@ -213,7 +213,7 @@ def _parts_laid_over(own: MarkedMapping, shared: MarkedMapping) -> MarkedMapping
 
 
 def _simulation(
-    section: MarkedMapping, axis: MarkedMapping, seed: int, faults: Faults, motion: Motion | None
+    section: MarkedMapping, axis: MarkedMapping, seed: int, faults: Diagnostics, motion: Motion | None
 ) -> AxisSimulation | None:
     before = len(faults)
     drive = read_section(SimulatedDriveParameters, _drive(section, axis, faults), faults, motion)
@@ -227,24 +227,24 @@ def _simulation(
     return AxisSimulation(drive, plant, user, effects, seed)
 
 
-def _part(section: MarkedMapping, name: str, faults: Faults) -> MarkedMapping:
+def _part(section: MarkedMapping, name: str, faults: Diagnostics) -> MarkedMapping:
     absent = MarkedMapping(section.value_at(name))
     if section.get(name) is None:
         return absent
     return read_mapping(section[name], section.value_at(name), faults, "its parameters") or absent
 
 
-def _drive(section: MarkedMapping, axis: MarkedMapping, faults: Faults) -> MarkedMapping:
+def _drive(section: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Returns the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
     drive = _part(section, "drive", faults).copy()
     for key in SCALING_KEYS:
         if key not in drive and axis.get(key) is not None:
             drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
-    lay_twin(drive, axis)
+    mirror_quirks(drive, axis)
     return drive
 
 
-def _effects(section: MarkedMapping, faults: Faults, motion: Motion | None) -> tuple[Typed, ...]:
+def _effects(section: MarkedMapping, faults: Diagnostics, motion: Motion | None) -> tuple[ComponentSpec, ...]:
     value = section.get("effects")
     if value is None:
         return ()
@@ -255,5 +255,5 @@ def _effects(section: MarkedMapping, faults: Faults, motion: Motion | None) -> t
         found = None if effect is None else read_type(effect, "type", "effect", EFFECTS, faults)
         if effect is not None and found is not None:
             parameters = read_section(found[1], effect.without("type"), faults, motion, also=("type",))
-            effects += [Typed(found[0], parameters)] if parameters is not None else []
+            effects += [ComponentSpec(found[0], parameters)] if parameters is not None else []
     return tuple(effects)

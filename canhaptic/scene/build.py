@@ -32,7 +32,7 @@ from canhaptic.scene.parts import (
     build_simulated_drive,
     shared_motors,
 )
-from canhaptic.signals import FarSide, Truth
+from canhaptic.signals import SimulatedPeer, Truth
 from canhaptic.sim.drive.drive_group import DriveGroup, DriveGroups, Drives
 from canhaptic.sim.plant.plant import Plant
 
@@ -232,7 +232,7 @@ def _build_faulty_bus(scene: Scene, index: int, bus: can.BusABC, stack: ExitStac
 
 def _build_clock(scene: Scene, pace: Pace, groups: Sequence[DriveGroup], faulty: "Mapping[int, FaultyBus]") -> Clock:
     """Returns the clock, which drives the simulated drives, and the faults between them and the master if any."""
-    far_sides: list[FarSide] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
+    far_sides: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
     clock: Clock = VirtualClock(far_sides) if pace == "free" else WallClock(far_sides, scene.bus.spin_margin)
     for faulty_bus in faulty.values():
         faulty_bus.use(clock)

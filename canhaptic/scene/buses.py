@@ -7,7 +7,7 @@ from pydantic import Field
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.registry import nearest
-from canhaptic.scene.diagnostics import Faults
+from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.section import read_mapping, read_section
 from canhaptic.units import Parameters, quantity, shown
@@ -65,7 +65,7 @@ class BusSections(NamedTuple):
         return (self.name, *(bus.name for bus in self.further))
 
 
-def read_buses(sections: MarkedMapping, faults: Faults) -> BusSections | None:
+def read_buses(sections: MarkedMapping, faults: Diagnostics) -> BusSections | None:
     """Returns the buses of a scene; None when they have faults, which are all noted."""
     value = sections.get(BUS_KEY)
     if not isinstance(value, MarkedList):
@@ -88,14 +88,14 @@ def read_buses(sections: MarkedMapping, faults: Faults) -> BusSections | None:
     return buses if len(faults) == before else None
 
 
-def _read_further(entry: MarkedMapping, faults: Faults) -> FurtherBus | None:
+def _read_further(entry: MarkedMapping, faults: Diagnostics) -> FurtherBus | None:
     common = [key for key in entry if key in BusParameters.model_fields and key not in FurtherBus.model_fields]
     for key in common:
         faults.add(entry.keys_at[key], "holds for all buses of the rig; give it in the first one")
     return read_section(FurtherBus, entry.without(*common), faults)
 
 
-def _check_distinct(buses: BusSections, entries: MarkedList, faults: Faults) -> None:
+def _check_distinct(buses: BusSections, entries: MarkedList, faults: Diagnostics) -> None:
     parameters = [buses.first, *(bus.beside(buses.first) for bus in buses.further)]
     for index, entry in enumerate(entries):
         if buses.names.index(buses.names[index]) < index:
@@ -117,7 +117,7 @@ def _check_distinct(buses: BusSections, entries: MarkedList, faults: Faults) -> 
         )
 
 
-def bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Faults) -> str:
+def bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Diagnostics) -> str:
     """Returns the name of the bus that an axis is on; a fault is noted when it names none of them."""
     named = section.get(BUS_KEY)
     if named is None and len(names) == 1:
@@ -136,7 +136,7 @@ def bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Faults) 
 
 
 def check_every_bus_has_an_axis(
-    names: tuple[str, ...], used: list[str], sections: MarkedMapping, faults: Faults
+    names: tuple[str, ...], used: list[str], sections: MarkedMapping, faults: Diagnostics
 ) -> None:
     """Notes every bus that no axis is on."""
     count = Counter(used)

@@ -10,14 +10,14 @@ from canhaptic.drive.profile.fitness import Verdict, check_dictionary
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.buses import bus_section
-from canhaptic.scene.diagnostics import Faults, Mark
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.group_checks import check_groups, check_mechanisms, passivity_section
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
 
 
-def cross_check(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     """Notes what is wrong between the sections of a scene whose sections are right on their own."""
     _check_unique(scene, sections["axes"], faults)
     _check_somebody_answers(scene, sections, faults)
@@ -35,7 +35,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
             _check_budget(bus.parameters, [m for m in on_bus if m is not None], bus_section(sections, index), faults)
 
 
-def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Faults) -> None:
+def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
     """Notes names used twice in the rig, and node IDs used twice on one bus."""
     for key in ("name", "node_id"):
         values = [(getattr(a.parameters, key), a.bus if key == "node_id" else "") for a in scene.axes]
@@ -49,13 +49,13 @@ def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Faults) ->
             faults.add(at, f"got {axis.parameters.node_id}, which is the node ID of the master (bus.master_id)")
 
 
-def _check_interfaces(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+def _check_interfaces(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     for index, (_, bus) in enumerate(scene.buses):
         for key, message in interface_faults(bus):
             faults.add(bus_section(sections, index).value_at(key), message)
 
 
-def _check_somebody_answers(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+def _check_somebody_answers(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     for index, (_, bus) in enumerate(scene.buses):
         if bus.interface != "virtual" or scene.simulation is not None or bus.channel is not None:
             continue
@@ -66,7 +66,7 @@ def _check_somebody_answers(scene: Scene, sections: MarkedMapping, faults: Fault
         )
 
 
-def _check_effects(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+def _check_effects(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     names = [bus.name for bus in scene.buses]
     unknown = [name for name in (scene.bus_effects and scene.bus_effects.buses) or () if name not in names]
     if unknown:
@@ -75,7 +75,7 @@ def _check_effects(scene: Scene, sections: MarkedMapping, faults: Faults) -> Non
         faults.add(at, f"got {', '.join(map(repr, unknown))}, which names no bus of the scene; expected: {known}")
 
 
-def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults: Faults) -> None:
+def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
     """Compares what a scene claims of the loop with what its bus makes of it."""
     if axis.loop.delay < scene.bus.delay:
         faults.add(
@@ -91,7 +91,7 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
         )
 
 
-def _check_budget(bus: BusParameters, maps: list[AxisMap], section: MarkedMapping, faults: Faults) -> None:
+def _check_budget(bus: BusParameters, maps: list[AxisMap], section: MarkedMapping, faults: Diagnostics) -> None:
     try:
         require_budget(bus, maps)
     except BusBudgetError as error:
@@ -99,7 +99,7 @@ def _check_budget(bus: BusParameters, maps: list[AxisMap], section: MarkedMappin
 
 
 def _check_parts(
-    axis: AxisScene, entry: MarkedMapping, sections: MarkedMapping, scene: Scene, faults: Faults
+    axis: AxisScene, entry: MarkedMapping, sections: MarkedMapping, scene: Scene, faults: Diagnostics
 ) -> AxisMap | None:
     """Makes the parts once and lets them say what they cannot do; returns the PDO map that the dictionary permits."""
     try:
@@ -115,7 +115,7 @@ def _check_parts(
     return _check_dictionary(axis, entry, faults)
 
 
-def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, message: str) -> Mark:
+def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, message: str) -> SourceLocation:
     """Returns where the scene names what a plant refuses: the effect or key that the message begins with."""
     message = message.removeprefix("effects: got ")
     axes = simulation.get("axes")
@@ -129,7 +129,7 @@ def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, message: st
     return simulation.value_at("compiled" if message.startswith("compiled") else "plant")
 
 
-def _check_dictionary(axis: AxisScene, entry: MarkedMapping, faults: Faults) -> AxisMap | None:
+def _check_dictionary(axis: AxisScene, entry: MarkedMapping, faults: Diagnostics) -> AxisMap | None:
     """Notes every reason why the drive's dictionary does not serve; returns the PDO map when it does."""
     try:
         dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)

@@ -1,4 +1,4 @@
-"""Faults of a scene: where each one is, and the list that is raised at once."""
+"""Diagnostics of a scene: where each one is, and the list that is raised at once."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 from canhaptic.errors import SceneError
 
 
-class Mark(NamedTuple):
+class SourceLocation(NamedTuple):
     """The place a key or value came from: a line of a file, or an override of the command line."""
 
     source: str  # file name as given, or the override as typed
@@ -24,12 +24,12 @@ class Mark(NamedTuple):
         """Where a relative path that stands here starts from: the folder of the file, or the current one."""
         return Path(self.source).parent if self.line else Path()
 
-    def below(self, *parts: str) -> "Mark":
+    def below(self, *parts: str) -> "SourceLocation":
         """Returns the same place for an entry below it that the source does not hold."""
         return self._replace(path=(*self.path, *parts))
 
 
-class Faults:
+class Diagnostics:
     """Collects every fault of a scene, so that all of them are shown at once and each only once."""
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class Faults:
     def __len__(self) -> int:
         return len(self._lines)
 
-    def add(self, mark: Mark, message: str) -> None:
+    def add(self, mark: SourceLocation, message: str) -> None:
         """Notes a fault as `file:line:column: path: message`."""
         path = f"{'.'.join(mark.path)}: " if mark.path else ""
         line = "".join(

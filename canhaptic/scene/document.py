@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import yaml
 
-from canhaptic.scene.diagnostics import Faults, Mark
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 
 MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
 _TAG: Final = "tag:yaml.org,2002:"
@@ -28,19 +28,19 @@ _SCALARS: Final = (
 class MarkedMapping(dict[str, Any]):
     """A mapping of the scene; `mark` is its own place, `keys_at` and `values_at` those of its entries."""
 
-    def __init__(self, mark: Mark) -> None:
+    def __init__(self, mark: SourceLocation) -> None:
         super().__init__()
         self.mark = mark
-        self.keys_at: dict[str, Mark] = {}
-        self.values_at: dict[str, Mark] = {}
+        self.keys_at: dict[str, SourceLocation] = {}
+        self.values_at: dict[str, SourceLocation] = {}
 
-    def put(self, key: str, value: Any, key_at: Mark, value_at: Mark) -> None:
+    def put(self, key: str, value: Any, key_at: SourceLocation, value_at: SourceLocation) -> None:
         """Sets one entry with its places."""
         self[key] = value
         self.keys_at[key] = key_at
         self.values_at[key] = value_at
 
-    def value_at(self, key: str) -> Mark:
+    def value_at(self, key: str) -> SourceLocation:
         """Returns the place of an entry, or where it would be when it is missing."""
         return self.values_at.get(key) or self.mark.below(key)
 
@@ -75,17 +75,17 @@ class MarkedMapping(dict[str, Any]):
 class MarkedList(list[Any]):
     """A list of the scene; `mark` is its own place, `values_at` those of its entries."""
 
-    def __init__(self, mark: Mark) -> None:
+    def __init__(self, mark: SourceLocation) -> None:
         super().__init__()
         self.mark = mark
-        self.values_at: list[Mark] = []
+        self.values_at: list[SourceLocation] = []
 
-    def put(self, value: Any, value_at: Mark) -> None:
+    def put(self, value: Any, value_at: SourceLocation) -> None:
         """Appends one entry with its place."""
         self.append(value)
         self.values_at.append(value_at)
 
-    def items_at(self) -> Iterator[tuple[Any, Mark]]:
+    def items_at(self) -> Iterator[tuple[Any, SourceLocation]]:
         """Yields every entry with its place."""
         return zip(self, self.values_at, strict=True)
 
@@ -100,7 +100,7 @@ for _kind, _pattern, _first in _SCALARS:
     _Loader.add_implicit_resolver(_TAG + _kind, re.compile(f"^(?:{_pattern})$"), _first)
 
 
-def parse_yaml(text: str, source: str, faults: Faults, path: tuple[str, ...] = (), lined: bool = True) -> Any:
+def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...] = (), lined: bool = True) -> Any:
     """Returns the value of a YAML document, its mappings and lists marked.
 
     Args:
@@ -110,7 +110,7 @@ def parse_yaml(text: str, source: str, faults: Faults, path: tuple[str, ...] = (
         path: Where the value belongs in the scene.
         lined: False for text without lines of its own, such as an override.
     """
-    top = Mark(source, int(lined), int(lined), path)
+    top = SourceLocation(source, int(lined), int(lined), path)
     try:
         node = yaml.compose(text, _Loader)
     except RecursionError:
@@ -131,18 +131,18 @@ def parse_yaml(text: str, source: str, faults: Faults, path: tuple[str, ...] = (
 class _Builder:
     """Turns composed nodes into marked values; every fault is noted and reading goes on."""
 
-    def __init__(self, source: str, lined: bool, faults: Faults) -> None:
+    def __init__(self, source: str, lined: bool, faults: Diagnostics) -> None:
         self._source = source
         self._lined = lined
         self._faults = faults
         self._open: list[yaml.Node] = []
         self._nodes = 0
 
-    def _mark(self, node: yaml.Node, path: tuple[str, ...]) -> Mark:
+    def _mark(self, node: yaml.Node, path: tuple[str, ...]) -> SourceLocation:
         place = node.start_mark
         if not self._lined or place is None:
-            return Mark(self._source, 0, 0, path)
-        return Mark(self._source, place.line + 1, place.column + 1, path)
+            return SourceLocation(self._source, 0, 0, path)
+        return SourceLocation(self._source, place.line + 1, place.column + 1, path)
 
     def value(self, node: yaml.Node, path: tuple[str, ...]) -> Any:
         """Returns the value of a node; None, with a fault, when it is not plain data."""
@@ -165,7 +165,7 @@ class _Builder:
             return result
         return None
 
-    def _scalar(self, node: yaml.ScalarNode, mark: Mark) -> Any:
+    def _scalar(self, node: yaml.ScalarNode, mark: SourceLocation) -> Any:
         try:
             return _read_scalar(node.tag.removeprefix(_TAG), str(node.value))
         except (KeyError, ValueError):
@@ -173,14 +173,14 @@ class _Builder:
             self._faults.add(mark, f"got {shown!r}, which is not a plain value of tag {node.tag!r}")
             return None
 
-    def _list(self, node: yaml.Node, mark: Mark) -> MarkedList:
+    def _list(self, node: yaml.Node, mark: SourceLocation) -> MarkedList:
         result = MarkedList(mark)
         for index, item in enumerate(node.value):
             path = (*mark.path, str(index))
             result.put(self.value(item, path), self._mark(item, path))
         return result
 
-    def _mapping(self, node: yaml.MappingNode, mark: Mark) -> MarkedMapping:
+    def _mapping(self, node: yaml.MappingNode, mark: SourceLocation) -> MarkedMapping:
         result = MarkedMapping(mark)
         merged: list[MarkedMapping] = []
         for key_node, value_node in node.value:
@@ -203,7 +203,7 @@ class _Builder:
             return
         result.put(key, self.value(value_node, path), key_at, self._mark(value_node, path))
 
-    def _merged(self, node: yaml.Node, mark: Mark) -> list[MarkedMapping]:
+    def _merged(self, node: yaml.Node, mark: SourceLocation) -> list[MarkedMapping]:
         sources = node.value if isinstance(node, yaml.SequenceNode) else [node]
         found = [self.value(source, mark.path) for source in sources]
         if not all(isinstance(value, MarkedMapping) for value in found):
@@ -228,7 +228,7 @@ def _read_scalar(kind: str, text: str) -> Any:
 
 def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
     """Returns plain Python mappings and sequences as marked ones, for scenes that are made without a file."""
-    mark = Mark(source, 0, 0, path)
+    mark = SourceLocation(source, 0, 0, path)
     if isinstance(value, Mapping):
         result = MarkedMapping(mark)
         for key, entry in value.items():

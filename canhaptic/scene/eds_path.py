@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.package_data import shipped
-from canhaptic.scene.diagnostics import Faults
+from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedMapping
 
 SHIPPED: Final = shipped("eds")
 
 
-def find_dictionary(section: MarkedMapping, faults: Faults) -> MarkedMapping:
+def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Returns the axis's section with the path of its EDS or DCF found; a fault when there is no such file.
 
     A relative path is looked for beside the scene file (one given in an override: in the current folder), then in

@@ -1,7 +1,7 @@
 """Checks of groups and mechanisms: they are made once, and say what they cannot do."""
 
 from canhaptic.errors import ParameterError
-from canhaptic.scene.diagnostics import Faults
+from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.groups import GROUPS_KEY
 from canhaptic.scene.mechanisms import MECHANISMS_KEY
@@ -9,7 +9,7 @@ from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group, build_mechanism
 
 
-def check_groups(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+def check_groups(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     """Notes what network, kinematics and passivity of a group cannot do together, and axes apart in time."""
     for group, section in zip(scene.groups, sections.get(GROUPS_KEY) or (), strict=True):
         try:
@@ -18,7 +18,7 @@ def check_groups(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
             faults.add(section.mark, str(error))
 
 
-def check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Faults) -> None:
+def check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     """Notes what a simulated mechanism refuses, such as a singular pose to begin with."""
     if not scene.mechanisms:
         return

@@ -16,9 +16,9 @@ from typing import Any, Final, NamedTuple, TypeVar
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.registry import nearest
-from canhaptic.scene.diagnostics import Faults, Mark
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.scene.models import AxisScene, GroupMembership, GroupScene, Typed
+from canhaptic.scene.models import AxisScene, ComponentSpec, GroupMembership, GroupScene
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type, refuse_unknown_keys
 from canhaptic.units import Motion, Parameters, shown
 
@@ -38,7 +38,7 @@ class GroupEntry(NamedTuple):
     axes: tuple[str, ...]
 
 
-def read_group_entries(sections: MarkedMapping, faults: Faults) -> tuple[GroupEntry, ...]:
+def read_group_entries(sections: MarkedMapping, faults: Diagnostics) -> tuple[GroupEntry, ...]:
     """Returns the groups of a scene with the axes that belong to each; faults in these are noted."""
     if sections.get(GROUPS_KEY) is None:
         return ()
@@ -56,7 +56,7 @@ def read_group_entries(sections: MarkedMapping, faults: Faults) -> tuple[GroupEn
     return tuple(found)
 
 
-def read_axis_names(section: MarkedMapping, faults: Faults) -> tuple[str, ...]:
+def read_axis_names(section: MarkedMapping, faults: Diagnostics) -> tuple[str, ...]:
     """Returns the names under `axes` of a group or mechanism; none, with a fault, when they are no list of names."""
     names = read_list(section.get("axes"), section.value_at("axes"), faults, "names of axes")
     if names is None:
@@ -68,14 +68,14 @@ def read_axis_names(section: MarkedMapping, faults: Faults) -> tuple[str, ...]:
 
 
 def check_axis_names(
-    members: Sequence[tuple[MarkedMapping, tuple[str, ...]]], known: Sequence[str], what: str, faults: Faults
+    members: Sequence[tuple[MarkedMapping, tuple[str, ...]]], known: Sequence[str], what: str, faults: Diagnostics
 ) -> None:
     """Notes every axis that does not exist or is in two groups (or mechanisms)."""
     taken: set[str] = set()
     for section, names in members:
         value = section.get("axes")
         for index, name in enumerate(names):
-            at: Mark = value.values_at[index] if isinstance(value, MarkedList) else section.value_at("axes")
+            at: SourceLocation = value.values_at[index] if isinstance(value, MarkedList) else section.value_at("axes")
             if name not in known:
                 faults.add(at, f"got {name!r}, expected the name of an axis: {', '.join(known)}{nearest(name, known)}")
             elif name in taken:
@@ -88,9 +88,9 @@ def group_of(name: str, entries: Sequence[GroupEntry]) -> GroupEntry | None:
     return next((entry for entry in entries if name in entry.axes), None)
 
 
-def membership(entry: GroupEntry) -> Typed:
+def membership(entry: GroupEntry) -> ComponentSpec:
     """Returns what stands for environment and algorithm of its axes."""
-    return Typed("group", GroupMembership(group=entry.name))
+    return ComponentSpec("group", GroupMembership(group=entry.name))
 
 
 def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Motion:
@@ -99,7 +99,7 @@ def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Motion:
 
 
 def read_groups(
-    entries: Sequence[GroupEntry], axes: Sequence[AxisScene], loop_keys: Sequence[str], faults: Faults
+    entries: Sequence[GroupEntry], axes: Sequence[AxisScene], loop_keys: Sequence[str], faults: Diagnostics
 ) -> tuple[GroupScene, ...]:
     """Returns the groups whose sections are right; the faults of the others are noted.
 
@@ -120,7 +120,7 @@ def read_groups(
     return tuple(groups)
 
 
-def _check_names(entries: Sequence[GroupEntry], axes: Sequence[AxisScene], faults: Faults) -> None:
+def _check_names(entries: Sequence[GroupEntry], axes: Sequence[AxisScene], faults: Diagnostics) -> None:
     taken = {axis.parameters.name for axis in axes}
     for entry in entries:
         if entry.name in taken:
@@ -132,7 +132,7 @@ def _check_names(entries: Sequence[GroupEntry], axes: Sequence[AxisScene], fault
 
 
 def _read_group(
-    entry: GroupEntry, motion: Motion | None, loop_keys: Sequence[str], faults: Faults
+    entry: GroupEntry, motion: Motion | None, loop_keys: Sequence[str], faults: Diagnostics
 ) -> GroupScene | None:
     kinematics = _read_kinematics(entry, motion, faults)
     written = entry.section.get("kinematics")
@@ -147,7 +147,7 @@ def _read_group(
     return GroupScene(entry.name, entry.axes, kinematics, network, passivity)
 
 
-def _read_kinematics(entry: GroupEntry, motion: Motion | None, faults: Faults) -> Typed | None:
+def _read_kinematics(entry: GroupEntry, motion: Motion | None, faults: Diagnostics) -> ComponentSpec | None:
     section = entry.section
     if section.get("kinematics") is None:
         section = section.copy()
@@ -171,9 +171,9 @@ def _read_part(
     table: Mapping[str, str],
     kind: str,
     motion: Motion | None,
-    faults: Faults,
+    faults: Diagnostics,
     loop_keys: Sequence[str] = (),
-) -> Typed | None:
+) -> ComponentSpec | None:
     """Returns the parameters of one part of a group; None when it has faults, which are all noted."""
     if section.get(name) is None:
         faults.add(section.value_at(name), f"missing, expected {selector} (one of {', '.join(sorted(table))}) and more")
@@ -186,4 +186,4 @@ def _read_part(
     model: type[Parameters] = getattr(thing, "parameters_type", thing)
     own = part.without(selector, *(key for key in loop_keys if key not in model.model_fields))
     parameters: Any = read_section(model, own, faults, motion, also=(selector, *loop_keys))
-    return None if parameters is None else Typed(chosen, parameters)
+    return None if parameters is None else ComponentSpec(chosen, parameters)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from canhaptic.control.certificates.scalar_bounds import (
-    reach,
+    displacement_response,
     renderable_by_device_damping,
     renderable_by_hand_force,
     renderable_by_hand_speed,
@@ -179,7 +179,9 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
     hand_force, hand_speed = getattr(parameters, "hand_force", None), getattr(parameters, "hand_speed", None)
     if hand_force is not None and loop.moving_mass is not None:
         least, most = 0.0 if len(group) > 1 else loop.device_damping or 0.0, loop.device_damping_bound or 0.0
-        response = reach(loop.sample_time, loop.moving_mass, hand_force * _on_all(axis, group), least, most)
+        response = displacement_response(
+            loop.sample_time, loop.moving_mass, hand_force * _on_all(axis, group), least, most
+        )
         limit = renderable_by_hand_force(response, lag, torque)
         of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""
         held["hand force"] = limit, f"at the torque limit, hand force up to {hand_force:g}{of_each}{more}"

@@ -13,7 +13,7 @@ from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.scene.axes import LOOP_KEYS, SIMULATION_PARTS, read_axis
 from canhaptic.scene.buses import BusSections, bus_of_axis, check_every_bus_has_an_axis, read_buses
 from canhaptic.scene.cross_checks import cross_check
-from canhaptic.scene.diagnostics import Faults, Mark
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping, mark_plain, parse_yaml
 from canhaptic.scene.groups import GroupEntry, check_axis_names, group_of, read_group_entries, read_groups
 from canhaptic.scene.mechanisms import (
@@ -59,7 +59,7 @@ def scene_from_text(text: str, source: str, overrides: Sequence[str] = ()) -> Sc
     Raises:
         SceneError: Anything in it is wrong; lists every fault with its line.
     """
-    faults = Faults()
+    faults = Diagnostics()
     document = parse_yaml(text, source, faults)
     if len(faults) and not isinstance(document, MarkedMapping):
         faults.raise_if_any()
@@ -72,7 +72,7 @@ def scene_from_mapping(values: Mapping[str, Any], source: str = "scene", overrid
     Raises:
         SceneError: Anything in it is wrong; lists every fault.
     """
-    return _read(mark_plain(values, source), source, "", overrides, Faults())
+    return _read(mark_plain(values, source), source, "", overrides, Diagnostics())
 
 
 def _text(path: Path, source: str) -> str:
@@ -93,8 +93,8 @@ def _text(path: Path, source: str) -> str:
         ) from error
 
 
-def _read(document: Any, source: str, text: str, overrides: Sequence[str], faults: Faults) -> Scene:
-    top = Mark(source, 1, 1, ()) if text else Mark(source, 0, 0, ())
+def _read(document: Any, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Scene:
+    top = SourceLocation(source, 1, 1, ()) if text else SourceLocation(source, 0, 0, ())
     if document is None:
         faults.add(top, f"empty, expected a mapping with {', '.join(SECTIONS)}")
         raise faults.error()
@@ -112,7 +112,7 @@ def _read(document: Any, source: str, text: str, overrides: Sequence[str], fault
 
 
 def _sections(
-    sections: MarkedMapping, source: str, text: str, overrides: tuple[str, ...], faults: Faults
+    sections: MarkedMapping, source: str, text: str, overrides: tuple[str, ...], faults: Diagnostics
 ) -> Scene | None:
     run = read_section(RunParameters, sections.only(RunParameters.model_fields), faults)
     log_section = _section(sections, "log", faults)
@@ -138,7 +138,7 @@ def _sections(
     )  # fmt: skip
 
 
-def _section(sections: MarkedMapping, name: str, faults: Faults) -> MarkedMapping | None:
+def _section(sections: MarkedMapping, name: str, faults: Diagnostics) -> MarkedMapping | None:
     """Returns a section; None when it is absent or no mapping (a fault)."""
     value = sections.get(name)
     if value is None:
@@ -146,7 +146,7 @@ def _section(sections: MarkedMapping, name: str, faults: Faults) -> MarkedMappin
     return read_mapping(value, sections.value_at(name), faults, "keys and values")
 
 
-def _simulation(sections: MarkedMapping, faults: Faults) -> SimulationParameters | None:
+def _simulation(sections: MarkedMapping, faults: Diagnostics) -> SimulationParameters | None:
     section = _section(sections, "simulation", faults)
     if section is None:
         return None
@@ -154,7 +154,7 @@ def _simulation(sections: MarkedMapping, faults: Faults) -> SimulationParameters
     return read_section(SimulationParameters, section.without(*names), faults, also=names)
 
 
-def _accuracy(sections: MarkedMapping, faults: Faults) -> AccuracyParameters | AutoAccuracy | None:
+def _accuracy(sections: MarkedMapping, faults: Diagnostics) -> AccuracyParameters | AutoAccuracy | None:
     """Returns what simulated plants spend on accuracy; the defaults where the scene does not say."""
     if sections.get("accuracy") == "auto":
         faults.add(sections.value_at("accuracy"), "got 'auto' without a tolerance; write it as {auto: 1 um}")
@@ -174,7 +174,7 @@ def _solved(axis: AxisScene, accuracy: AccuracyParameters, compiled: bool) -> Ax
     return replace(axis, simulation=replace(axis.simulation, accuracy=accuracy, compiled=compiled))
 
 
-def _bus_effects(sections: MarkedMapping, faults: Faults) -> "BusEffects | None":
+def _bus_effects(sections: MarkedMapping, faults: Diagnostics) -> "BusEffects | None":
     """Returns what the simulated bus does to its frames; None when it is ideal, and then nothing is imported."""
     simulation = sections.get("simulation")
     if not isinstance(simulation, MarkedMapping) or "bus" not in simulation:
@@ -192,7 +192,7 @@ def _axis_names(sections: MarkedMapping) -> list[str]:
     return [str(entry.get("name")) for entry in entries if isinstance(entry, MarkedMapping)]
 
 
-def _check_members(entries: tuple[GroupEntry, ...], sections: MarkedMapping, faults: Faults) -> None:
+def _check_members(entries: tuple[GroupEntry, ...], sections: MarkedMapping, faults: Diagnostics) -> None:
     """Notes axes of groups that are none, and shared sections that no axis reads because groups render on all."""
     names = _axis_names(sections)
     if not entries or not names:
@@ -208,7 +208,7 @@ def _axes(
     sections: MarkedMapping,
     buses: BusSections | None,
     seed: int,
-    faults: Faults,
+    faults: Diagnostics,
     groups: tuple[GroupEntry, ...],
     mechanisms: tuple[MechanismEntry, ...],
 ) -> tuple[AxisScene, ...]:
@@ -234,7 +234,7 @@ def _axes(
     return tuple(axis for axis in axes if axis is not None)
 
 
-def _check_parts_of_axes(sections: MarkedMapping, faults: Faults) -> None:
+def _check_parts_of_axes(sections: MarkedMapping, faults: Diagnostics) -> None:
     """Notes every key of `simulation.axes` that names no axis, and every unknown part below it."""
     simulation = sections.get("simulation")
     if not isinstance(simulation, MarkedMapping) or simulation.get("axes") is None:

@@ -11,10 +11,10 @@ simulation:
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from canhaptic.scene.diagnostics import Faults
+from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.groups import read_axis_names
-from canhaptic.scene.models import AxisScene, MechanismScene, Typed
+from canhaptic.scene.models import AxisScene, ComponentSpec, MechanismScene
 from canhaptic.scene.section import read_list, read_mapping, read_section, read_type
 
 MECHANISMS_KEY: Final = "mechanisms"
@@ -28,7 +28,7 @@ class MechanismEntry(NamedTuple):
     axes: tuple[str, ...]
 
 
-def read_mechanism_entries(sections: MarkedMapping, faults: Faults) -> tuple[MechanismEntry, ...]:
+def read_mechanism_entries(sections: MarkedMapping, faults: Diagnostics) -> tuple[MechanismEntry, ...]:
     """Returns the mechanisms of a scene with the axes that move each; faults in these are noted."""
     simulation = sections.get("simulation")
     if not isinstance(simulation, MarkedMapping) or simulation.get(MECHANISMS_KEY) is None:
@@ -49,14 +49,14 @@ def moves_mechanism(name: str, entries: Sequence[MechanismEntry]) -> bool:
 
 
 def read_mechanisms(
-    entries: Sequence[MechanismEntry], axes: Sequence[AxisScene], faults: Faults
+    entries: Sequence[MechanismEntry], axes: Sequence[AxisScene], faults: Diagnostics
 ) -> tuple[MechanismScene, ...]:
     """Returns the mechanisms whose sections are right; the faults of the others are noted."""
     found = (_read_mechanism(entry, axes, faults) for entry in entries)
     return tuple(mechanism for mechanism in found if mechanism is not None)
 
 
-def _read_mechanism(entry: MechanismEntry, axes: Sequence[AxisScene], faults: Faults) -> MechanismScene | None:
+def _read_mechanism(entry: MechanismEntry, axes: Sequence[AxisScene], faults: Diagnostics) -> MechanismScene | None:
     from canhaptic.sim.plant.mechanism import MECHANISMS
     from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 
@@ -84,4 +84,4 @@ def _read_mechanism(entry: MechanismEntry, axes: Sequence[AxisScene], faults: Fa
         faults.add(section.value_at("axes"), "got axes of several buses, expected one bus for what is simulated as one")
     if len(faults) > before or parameters is None:
         return None
-    return MechanismScene(entry.axes, Typed(name, parameters), hand)
+    return MechanismScene(entry.axes, ComponentSpec(name, parameters), hand)

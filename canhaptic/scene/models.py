@@ -43,7 +43,7 @@ class SimulationParameters(Parameters):
     """Whether plants run compiled by numba (the extra `fast`); seconds of compiling, for stiff scenes."""
 
 
-class Typed(NamedTuple):
+class ComponentSpec(NamedTuple):
     """Parameters of a thing chosen by name from a table."""
 
     name: str
@@ -57,7 +57,7 @@ class AxisSimulation:
     drive: SimulatedDriveParameters
     plant: PlantParameters
     user: UserParameters | None
-    effects: tuple[Typed, ...]
+    effects: tuple[ComponentSpec, ...]
     seed: int
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)
     compiled: bool = False
@@ -68,8 +68,8 @@ class AxisScene:
     """One axis with everything that is rendered on it."""
 
     parameters: AxisParameters
-    environment: Typed
-    passivity: Typed
+    environment: ComponentSpec
+    passivity: ComponentSpec
     loop: LoopProperties
     simulation: AxisSimulation | None
     bus: str = ""  # name of the one it is on
@@ -93,9 +93,9 @@ class GroupScene:
 
     name: str
     axes: tuple[str, ...]
-    kinematics: Typed
-    network: Typed
-    passivity: Typed
+    kinematics: ComponentSpec
+    network: ComponentSpec
+    passivity: ComponentSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class MechanismScene:
     """A simulated mechanism that several drives move."""
 
     axes: tuple[str, ...]
-    mechanism: Typed
+    mechanism: ComponentSpec
     hand: "TaskHand | None"
     substeps: int = 1
 
@@ -201,7 +201,7 @@ def _plain(parameters: Parameters) -> dict[str, Any]:
     return parameters.model_dump(mode="json")
 
 
-def _typed(selector: str, typed: Typed) -> dict[str, Any]:
+def _typed(selector: str, typed: ComponentSpec) -> dict[str, Any]:
     return {selector: typed.name, **_plain(typed.parameters)}
 
 

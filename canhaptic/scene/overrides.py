@@ -8,18 +8,18 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from canhaptic.registry import nearest
-from canhaptic.scene.diagnostics import Faults, Mark
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
 _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
 
 
-def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Faults) -> None:
+def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Diagnostics) -> None:
     """Lays each override over the scene in place, later ones over earlier ones; faults name the override."""
     for text in overrides:
         source = f"--set {text}"
-        top = Mark(source, 0, 0, ())
+        top = SourceLocation(source, 0, 0, ())
         address, equals, value_text = text.partition("=")
         if not equals or _PATH.fullmatch(address.strip()) is None:
             faults.add(top, "got no PATH=VALUE, expected something like axes.0.node_id=5")
@@ -29,7 +29,7 @@ def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Faul
         _put(scene, path, value, top._replace(path=path), faults)
 
 
-def _put(container: Any, path: tuple[str, ...], value: Any, mark: Mark, faults: Faults) -> None:
+def _put(container: Any, path: tuple[str, ...], value: Any, mark: SourceLocation, faults: Diagnostics) -> None:
     """Walks to the entry and sets it; a mapping that does not exist on the way is made."""
     for depth, part in enumerate(path):
         here = mark._replace(path=path[: depth + 1])
@@ -55,7 +55,7 @@ def _put(container: Any, path: tuple[str, ...], value: Any, mark: Mark, faults: 
             return
 
 
-def _index(entries: MarkedList, part: str, here: Mark, faults: Faults) -> int | None:
+def _index(entries: MarkedList, part: str, here: SourceLocation, faults: Diagnostics) -> int | None:
     """Returns the index of a list entry, given as a number or by the entry's name."""
     names = [str(entry.get("name")) if isinstance(entry, MarkedMapping) else "" for entry in entries]
     if part.isascii() and part.isdigit() and len(part) < 6 and int(part) < len(entries):

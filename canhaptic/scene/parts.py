@@ -16,7 +16,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
-from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene, Typed
+from canhaptic.scene.models import AxisScene, AxisSimulation, ComponentSpec, GroupScene, MechanismScene, Scene
 from canhaptic.sim.drive.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
@@ -34,7 +34,7 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
     )  # fmt: skip
 
 
-def effect_of(effect: Typed) -> Effect:
+def effect_of(effect: ComponentSpec) -> Effect:
     """Returns an effect as what it is."""
     return cast(Effect, effect.parameters)  # every class of EFFECTS is one
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
 from canhaptic.package_data import shipped
-from canhaptic.scene.diagnostics import Faults, Mark
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedMapping, parse_yaml
 from canhaptic.scene.section import read_mapping, refuse_unknown_keys
 from canhaptic.units import shown
@@ -31,7 +31,7 @@ def profile_names() -> list[str]:
     return sorted(path.stem for path in PROFILES.glob("*.yaml"))
 
 
-def with_profile(section: MarkedMapping, faults: Faults) -> MarkedMapping:
+def with_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Returns an axis's section with its profile laid under it, and without the key that names the profile."""
     name, at = section.get(PROFILE_KEY), section.value_at(PROFILE_KEY)
     own = section.without(PROFILE_KEY)
@@ -54,7 +54,7 @@ def profile_values(name: str) -> dict[str, Any]:
     Raises:
         SceneError: There is none of this name, or it cannot be read.
     """
-    faults = Faults()
+    faults = Diagnostics()
     if name not in profile_names():
         raise SceneError([f"{name}: no such drive profile, expected one of: {', '.join(profile_names())}"])
     profile = _read(PROFILES / f"{name}.yaml", faults)
@@ -69,22 +69,22 @@ def profile_of_vendor(vendor_id: int | None) -> str | None:
     return next((name for name in profile_names() if profile_values(name).get("vendor_id") == vendor_id), None)
 
 
-def _path(name: str, at: Mark) -> Path | None:
+def _path(name: str, at: SourceLocation) -> Path | None:
     if not name.endswith((".yaml", ".yml")):
         return PROFILES / f"{name}.yaml" if name in profile_names() else None
     path = at.folder / name
     return path if path.is_file() else None
 
 
-def _read(path: Path, faults: Faults) -> MarkedMapping:
+def _read(path: Path, faults: Diagnostics) -> MarkedMapping:
     """Returns the keys of a profile; what is wrong with it is noted, and left out."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        whole = Mark(str(path), 0, 0, ())
+        whole = SourceLocation(str(path), 0, 0, ())
         faults.add(whole, f"cannot be read ({error}); give a profile in YAML, as UTF-8")
         return MarkedMapping(whole)
-    top = Mark(str(path), 1, 1, ())
+    top = SourceLocation(str(path), 1, 1, ())
     value = parse_yaml(text, str(path), faults)
     profile = MarkedMapping(top) if value is None else read_mapping(value, top, faults, "keys of an axis")
     if profile is None:

@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails
 
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load, nearest
-from canhaptic.scene.diagnostics import Faults, Mark
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.units import Motion, Parameters, Unit, axis_motion, shown
 
@@ -35,7 +35,7 @@ _NUMBER_FAULTS: Final = {
 def read_section(
     model: type[P],
     section: MarkedMapping,
-    faults: Faults,
+    faults: Diagnostics,
     motion: Motion | None = None,
     also: Iterable[str] = (),
 ) -> P | None:
@@ -59,7 +59,7 @@ def read_section(
     return None
 
 
-def read_mapping(value: Any, at: Mark, faults: Faults, what: str) -> MarkedMapping | None:
+def read_mapping(value: Any, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedMapping | None:
     """Returns a value that must be a mapping; None, with a fault, when it is something else."""
     if isinstance(value, MarkedMapping):
         return value
@@ -67,7 +67,7 @@ def read_mapping(value: Any, at: Mark, faults: Faults, what: str) -> MarkedMappi
     return None
 
 
-def read_list(value: Any, at: Mark, faults: Faults, what: str) -> MarkedList | None:
+def read_list(value: Any, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedList | None:
     """Returns a value that must be a list; None, with a fault, when it is something else."""
     if isinstance(value, MarkedList):
         return value
@@ -76,7 +76,7 @@ def read_list(value: Any, at: Mark, faults: Faults, what: str) -> MarkedList | N
 
 
 def read_type(
-    section: MarkedMapping, selector: str, kind: str, table: Mapping[str, str], faults: Faults
+    section: MarkedMapping, selector: str, kind: str, table: Mapping[str, str], faults: Diagnostics
 ) -> tuple[str, type[Any]] | None:
     """Returns (name, class) of a section that chooses from a table; None, with a fault, when it does not."""
     name, at = section.get(selector), section.value_at(selector)
@@ -93,7 +93,7 @@ def read_type(
     return None
 
 
-def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Faults) -> None:
+def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Diagnostics) -> None:
     """Notes every key of a section that is none of the known ones, with the nearest name."""
     names = tuple(known)
     for key in section:
@@ -110,7 +110,7 @@ def _note(
     model: type[BaseModel],
     section: MarkedMapping,
     fault: ErrorDetails,
-    faults: Faults,
+    faults: Diagnostics,
     motion: Motion | None,
     also: tuple[str, ...],
 ) -> None:
@@ -134,7 +134,9 @@ def _note(
         faults.add(value_at, f"got {shown(value)}, {message[:1].lower()}{message[1:]}")
 
 
-def _places(section: MarkedMapping, location: tuple[int | str, ...], seen: Any) -> tuple[Any, Mark, Mark]:
+def _places(
+    section: MarkedMapping, location: tuple[int | str, ...], seen: Any
+) -> tuple[Any, SourceLocation, SourceLocation]:
     """Returns the value as written and the marks of value and key at a location.
 
     What is missing takes its owner's place; `seen` stands for a value that is not found.

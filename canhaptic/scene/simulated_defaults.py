@@ -49,7 +49,7 @@ def twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
     return twin
 
 
-def lay_twin(drive: MarkedMapping, axis: MarkedMapping) -> None:
+def mirror_quirks(drive: MarkedMapping, axis: MarkedMapping) -> None:
     """Adds to the section of a simulated drive what follows from its axis; its own keys win."""
     for key, value in twin_of(axis).items():
         if key not in drive:

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import model_validator
 
-from canhaptic.sim.plant.assembly import Guard, Rows, Scene
+from canhaptic.sim.plant.assembly import Guard, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 HAND: Final = "hand"
@@ -56,7 +56,7 @@ class UserParameters(Parameters):
             raise ValueError("motion without a hand: stiffness and damping are 0, expected one > 0")
         return self
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the hand, when there is one, at the last body of the scene."""
         if self.stiffness or self.damping or self.push:
             Hand(self).add_to(scene)
@@ -82,7 +82,7 @@ class Hand:
     def _rest(self) -> float:
         return self._user.rest + (self._user.motion.offset if self._user.motion else 0.0)
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the part, its work, and the oscillator of the voluntary motion."""
         user = self._user
         scene.works[HAND] = "user"
@@ -95,7 +95,7 @@ class Hand:
             omega = 2.0 * math.pi * user.motion.frequency
             self.follow(scene, "motion", user.motion.amplitude, omega, user.motion.phase)
 
-    def follow(self, scene: Scene, name: str, amplitude: float, omega: float, phase: float) -> None:
+    def follow(self, scene: PlantModel, name: str, amplitude: float, omega: float, phase: float) -> None:
         """Adds a sinusoid to what the hand follows, as two states of an oscillator."""
         scene.add_state(f"{name}_sine", math.sin(phase))
         scene.add_state(f"{name}_cosine", math.cos(phase))

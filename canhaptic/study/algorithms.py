@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
-from canhaptic.scene.models import AxisScene, Scene, Typed
+from canhaptic.scene.models import AxisScene, ComponentSpec, Scene
 from canhaptic.study.scenes import loop_case
 from canhaptic.units import Parameters
 
@@ -46,7 +46,7 @@ def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
     if axis.passivity.name == name:
         return axis
     common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
-    return replace(axis, passivity=Typed(name, model().model_copy(update=common)))
+    return replace(axis, passivity=ComponentSpec(name, model().model_copy(update=common)))
 
 
 def with_known_plant(axis: AxisScene) -> AbleAxis:

@@ -8,7 +8,7 @@ import can
 import pytest
 
 from canhaptic.commission.dialogue import Unattended
-from canhaptic.commission.findings import Finding, Report, Verdict
+from canhaptic.commission.findings import Report, StepFinding, StepVerdict
 from canhaptic.commission.identify import scan
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import commission
@@ -48,7 +48,7 @@ def commissioned(
     return session.report
 
 
-def row(report: Report, item: str) -> Finding:
+def row(report: Report, item: str) -> StepFinding:
     [found] = [finding for finding in report.findings if finding.item == item]
     return found
 
@@ -76,30 +76,30 @@ def test_a_right_configuration_agrees_in_everything() -> None:
     assert not report.differs
     assert row(report, "moving mass").found == "0.25 kg"
     assert value(report, "passivity.moving_mass") == pytest.approx(0.225, rel=0.01)  # 0.9 of 0.25 kg
-    assert row(report, "watchdog").verdict is Verdict.AGREES
-    assert row(report, "cycle").verdict is Verdict.AGREES
+    assert row(report, "watchdog").verdict is StepVerdict.AGREES
+    assert row(report, "cycle").verdict is StepVerdict.AGREES
 
 
 def test_wrong_encoder_counts_are_found_and_do_not_spoil_mass_and_scale() -> None:
     report = commissioned("simulation.drive.counts_per_unit=5e5")
-    assert row(report, "encoder counts").verdict is Verdict.DIFFERS
+    assert row(report, "encoder counts").verdict is StepVerdict.DIFFERS
     assert value(report, "counts_per_unit") == pytest.approx(5e5, rel=1e-4)
     assert row(report, "moving mass").found == "0.25 kg"
-    assert row(report, "torque scale").verdict is Verdict.AGREES
+    assert row(report, "torque scale").verdict is StepVerdict.AGREES
 
 
 def test_a_drive_mounted_the_other_way_round_wants_direction_minus_one() -> None:
     report = commissioned("simulation.drive.direction=-1")
-    assert row(report, "encoder direction").verdict is Verdict.DIFFERS
+    assert row(report, "encoder direction").verdict is StepVerdict.DIFFERS
     assert value(report, "direction") == -1
-    assert row(report, "torque sign").verdict is Verdict.AGREES
+    assert row(report, "torque sign").verdict is StepVerdict.AGREES
     assert not commissioned("simulation.drive.direction=-1", "axes.0.direction=-1").differs  # what it says, helps
 
 
 @pytest.mark.parametrize("wrong", ["torque", "encoder"])
 def test_a_motor_that_turns_against_its_encoder_gets_no_more_torque(wrong: str) -> None:
     report = commissioned(f"simulation.drive.reversed={wrong}")
-    assert row(report, "torque sign").verdict is Verdict.FAILED
+    assert row(report, "torque sign").verdict is StepVerdict.FAILED
     assert not [finding for finding in report.findings if finding.item == "moving mass"]
     assert report.failed
 
@@ -111,19 +111,19 @@ def test_a_rated_torque_that_the_drive_does_not_have_is_found_by_a_known_mass() 
         "axes.0.rated_torque=5 N",
         "simulation.drive.rated_torque=10 N",
     )
-    assert row(report, "rated torque (0x6076)").verdict is Verdict.UNKNOWN
-    assert row(report, "torque scale").verdict is Verdict.DIFFERS
+    assert row(report, "rated torque (0x6076)").verdict is StepVerdict.UNKNOWN
+    assert row(report, "torque scale").verdict is StepVerdict.DIFFERS
     assert value(report, "rated_torque") == pytest.approx(10.0, rel=0.01)
 
 
 def test_a_declared_mass_above_the_real_one_is_a_failure() -> None:
-    assert row(commissioned("passivity.moving_mass=0.3 kg"), "moving mass").verdict is Verdict.FAILED
+    assert row(commissioned("passivity.moving_mass=0.3 kg"), "moving mass").verdict is StepVerdict.FAILED
 
 
 def test_a_drive_that_reports_its_torque_after_the_update_is_told_from_one_that_does_before() -> None:
-    assert row(commissioned(), "demand reported").verdict is Verdict.AGREES
+    assert row(commissioned(), "demand reported").verdict is StepVerdict.AGREES
     report = commissioned("simulation.drive.torque_read_back=after_update")
-    assert row(report, "demand reported").verdict is Verdict.DIFFERS
+    assert row(report, "demand reported").verdict is StepVerdict.DIFFERS
     assert value(report, "demand_reported") == "after"
     assert not commissioned("simulation.drive.torque_read_back=after_update", "axes.0.demand_reported=after").differs
 
@@ -140,7 +140,7 @@ def test_dry_friction_is_measured() -> None:
 
 def test_a_drive_that_goes_on_without_its_master_is_a_failure() -> None:
     report = commissioned("axes.0.watchdog=false")
-    assert row(report, "watchdog").verdict is Verdict.FAILED
+    assert row(report, "watchdog").verdict is StepVerdict.FAILED
     assert "OPERATION ENABLED" in row(report, "watchdog").found
 
 
@@ -152,8 +152,8 @@ def test_without_consent_no_frame_carries_a_torque() -> None:
         )
         if refused != "Now?":
             assert set(torques(frames)) <= {0}
-    assert row(reports[0], "torque sign").verdict is Verdict.UNKNOWN
-    assert row(reports[1], "watchdog").verdict is Verdict.UNKNOWN
+    assert row(reports[0], "torque sign").verdict is StepVerdict.UNKNOWN
+    assert row(reports[1], "watchdog").verdict is StepVerdict.UNKNOWN
     assert len(torques(frames)) == 0  # not even enabled
 
 
@@ -165,7 +165,7 @@ def test_no_torque_exceeds_what_was_announced() -> None:
 
 def test_an_axis_that_goes_too_far_loses_its_torque() -> None:
     report = commissioned(limits=CommissioningLimits(travel=1e-4))
-    assert row(report, "moving mass").verdict is Verdict.UNKNOWN
+    assert row(report, "moving mass").verdict is StepVerdict.UNKNOWN
     assert "moved further" in row(report, "moving mass").text
 
 

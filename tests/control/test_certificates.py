@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from canhaptic.control.certificates.scalar_bounds import (
     device_damping_bound,
+    displacement_response,
     hand_force_bound,
     hand_speed_bound,
     next_displacement,
-    reach,
     renderable_by_device_damping,
     renderable_by_hand_force,
     renderable_by_hand_speed,
@@ -51,13 +51,13 @@ def displacements(mass, damping, sample_time, velocity, torques, hand):
 def test_no_hand_within_its_force_moves_the_axis_further_than_the_reach(
     mass, under, damping, known, rate, velocity, torques, hand
 ):
-    response = reach(1.0 / rate, under * mass, 20.0, known[0] * damping, known[1] * damping)
+    response = displacement_response(1.0 / rate, under * mass, 20.0, known[0] * damping, known[1] * damping)
     first, second = displacements(mass, damping, 1.0 / rate, velocity, torques, hand)
     assert second <= next_displacement(float(first), *torques, response) + 1e-12
 
 
 def test_the_reach_is_attained_by_the_hand_that_pulls_with_all_its_force():
-    response = reach(1e-2, 0.25, 20.0, 5.0, 5.0)
+    response = displacement_response(1e-2, 0.25, 20.0, 5.0, 5.0)
     first, second = displacements(0.25, 5.0, 1e-2, -3.0, (4.0, 7.0), [20.0] * 8)
     assert first < 0.0
     bound = next_displacement(float(first), 4.0, 7.0, response)
@@ -65,13 +65,13 @@ def test_the_reach_is_attained_by_the_hand_that_pulls_with_all_its_force():
 
 
 def test_without_damping_the_reach_has_the_known_coefficients():
-    response = reach(1e-3, 0.25, 20.0)
+    response = displacement_response(1e-3, 0.25, 20.0)
     assert astuple(response) == pytest.approx((1.0, 2e-6, 2e-6, 8e-5))
 
 
 @pytest.mark.parametrize("y", [0.9e-3, 1.1e-3])
 def test_the_series_for_light_damping_joins_the_closed_form(y):
-    response = reach(1.0, 1.0, 1.0, y, y)
+    response = displacement_response(1.0, 1.0, 1.0, y, y)
     assert response.during == pytest.approx((y - 1.0 + math.exp(-y)) / y**2, rel=1e-9)
     assert response.hand == pytest.approx(-math.expm1(-y) / y, rel=1e-9)
 
@@ -115,7 +115,7 @@ def test_the_hand_speed_bound_is_energy_over_the_longest_path():
 
 @pytest.mark.parametrize(("delay", "share"), [(0, 2.0), (1, 6.0)])
 def test_the_stiffness_that_a_hand_force_can_hold_is_the_known_one(delay, share):
-    response = reach(1e-2, 0.25, 5.0)
+    response = displacement_response(1e-2, 0.25, 5.0)
     expected = 0.25 / (share * 1e-4) * 10.0 / 15.0
     assert renderable_by_hand_force(response, delay, 10.0) == pytest.approx(expected)
 
@@ -132,7 +132,7 @@ def test_the_stiffness_that_a_hand_speed_can_hold_stores_what_the_longest_path_t
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_above_the_start_speed_a_contact_starts_from_zero_energy(delay):
-    response = reach(1e-3, 0.25, 10.0, 0.0, 0.1)
+    response = displacement_response(1e-3, 0.25, 10.0, 0.0, 0.1)
     speed = start_speed(response, 1e-3, delay)
     assert speed == pytest.approx((1 + delay) * 10.0 * 1e-3 / 0.25, rel=2e-3)
     displacement = -1.001 * speed * 1e-3
@@ -143,5 +143,5 @@ def test_above_the_start_speed_a_contact_starts_from_zero_energy(delay):
 
 def test_with_a_coarse_encoder_the_start_speed_no_longer_falls_with_the_rate():
     count, force = 1e-4, 5.0
-    speeds = [start_speed(reach(1.0 / rate, 0.25, force), 1.0 / rate, 0, count) for rate in (4e3, 8e3)]
+    speeds = [start_speed(displacement_response(1.0 / rate, 0.25, force), 1.0 / rate, 0, count) for rate in (4e3, 8e3)]
     assert speeds == pytest.approx([math.sqrt(2.0 * count * force / 0.25)] * 2, rel=0.15)

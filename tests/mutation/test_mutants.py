@@ -58,7 +58,7 @@ SUBJECTS = {
         cia402,
         specification_of_cia402.judge,
         240,
-        members={"DriveState": cia402.DriveState, "Controlword": Controlword},
+        members={"DriveState": cia402.PowerState, "Controlword": Controlword},
         equivalent={
             "module: ..DriveState.OPERATION_ENABLED), (111, 7, DriveState.QUICK_STO.. => "
             "..DriveState.OPERATION_ENABLED), (79, 7, DriveState.QUICK_STO..": "0x27 was told apart one row earlier",
@@ -98,8 +98,8 @@ SUBJECTS = {
         members={
             "_S": state_machine.DriveState,
             "DriveState": state_machine.DriveState,
-            "_C": state_machine.Command,
-            "Command": state_machine.Command,
+            "_C": state_machine.PowerCommand,
+            "Command": state_machine.PowerCommand,
             "StatusBit": StatusBit,
         },
         equivalent={

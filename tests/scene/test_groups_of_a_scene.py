@@ -11,7 +11,7 @@ from scene_text import REPOSITORY
 
 from canhaptic.cli.main import main
 from canhaptic.control.certificates.group_certificates import axes_of
-from canhaptic.control.certificates.per_axis_certificates import AxesApart
+from canhaptic.control.certificates.per_axis_certificates import PerAxisBound
 from canhaptic.control.multi_axis.axis_group import AxisGroup
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import ParameterError, SceneError
@@ -175,7 +175,7 @@ def test_hints_say_what_lost_frames_and_a_hand_on_every_axis_leave() -> None:
 def test_the_hint_for_lost_frames_is_what_the_certificates_do() -> None:
     scene = load_scene(HANDLES, ["groups.0.passivity.lost_frames=1"])
     loops = [LoopProperties(sample_time=1e-3, delay=1, moving_mass=0.2)] * 2
-    apart = AxesApart(axes_of(tuple(loops), 0.0, None), 1, 1)
+    apart = PerAxisBound(axes_of(tuple(loops), 0.0, None), 1, 1)
     still, torques = (0.0, 0.0), (20.0, 0.0)
     apart.take(still, still, torques, [torques])
     limit = next(h.limit for h in group_hints(scene) if h.what == "stiffness, certified by hand force")

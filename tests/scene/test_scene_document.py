@@ -5,12 +5,12 @@ import math
 import pytest
 
 from canhaptic.errors import SceneError
-from canhaptic.scene.diagnostics import Faults
+from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MAX_NODES, MarkedMapping, parse_yaml
 
 
 def read(text: str) -> object:
-    faults = Faults()
+    faults = Diagnostics()
     value = parse_yaml(text, "s.yaml", faults)
     faults.raise_if_any()
     return value

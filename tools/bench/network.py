@@ -21,7 +21,7 @@ from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_controller import GroupController
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.port_hamiltonian.equation import new_room
+from canhaptic.control.port_hamiltonian.equation import new_workspace
 from canhaptic.control.port_hamiltonian.newton import advance
 from canhaptic.control.port_hamiltonian.njit_equation import CompiledEquation
 from canhaptic.control.port_hamiltonian.shapes.box import Box
@@ -162,7 +162,7 @@ def step_time(controller: GroupController, path: Callable[[int], list[float]]) -
 def equation_time(compiled: bool) -> float:
     """Returns the 10 % fastest of the equation alone [us]."""
     network, _ = EXAMPLE.build(2)
-    room, state, times = new_room(4, len(network.tables.viscous)), [0.0] * 4, []
+    room, state, times = new_workspace(4, len(network.tables.viscous)), [0.0] * 4, []
     equation = CompiledEquation(network.tables, room) if compiled else None
     for k in range(STEPS):
         motion = [1e-4 * math.cos(0.01 * k), 1e-4 * math.sin(0.01 * k)]

@@ -35,12 +35,12 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from canhaptic.control.certificates.scalar_bounds import Reach, reach
+from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, displacement_response
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.port_hamiltonian.discrete_gradient import Vector
 
 
-class Axes(NamedTuple):
+class AxisLimits(NamedTuple):
     """What the certificates know of the motor axes; shapes (axes,)."""
 
     before: Vector  # response of the displacement to the torque of the hold before [m/N]
@@ -54,7 +54,7 @@ class Axes(NamedTuple):
     count: Vector  # encoder counts [m or rad]
 
 
-def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_speed: float | None) -> Axes:
+def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_speed: float | None) -> AxisLimits:
     """Returns what the certificates know of the motor axes.
 
     Args:
@@ -66,17 +66,17 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
     by_hand = hand_force is not None and all(loop.moving_mass is not None for loop in loops)
     alone = len(loops) == 1
     responses = [
-        reach(
+        displacement_response(
             sample_time, loop.moving_mass or 1.0, 1.0, (loop.device_damping or 0.0) if alone else 0.0,
             max(loop.device_damping or 0.0, loop.device_damping_bound or 0.0),
         )
         if by_hand
-        else Reach(1.0, 0.0, 0.0, 0.0)
+        else DisplacementResponse(1.0, 0.0, 0.0, 0.0)
         for loop in loops
     ]  # fmt: skip
     lost = [1.0 - response.retained for response in responses]
     damping = [(loop.device_damping or 0.0) / sample_time for loop in loops]
-    return Axes(
+    return AxisLimits(
         before=[response.before for response in responses],
         during=[response.during for response in responses],
         lost=lost,
@@ -101,7 +101,7 @@ def response_to(torques: Vector, acting: Vector, response: Vector) -> float:
     return largest if largest > 0.0 else 0.0
 
 
-def hand_term(axes: Axes, torques: Vector) -> float:
+def hand_term(axes: AxisLimits, torques: Vector) -> float:
     """Returns how much the hand raises W . D in one hold [J]."""
     if axes.hand == 0.0:
         return 0.0
@@ -111,7 +111,7 @@ def hand_term(axes: Axes, torques: Vector) -> float:
     return axes.hand * math.sqrt(total)
 
 
-def along_last(axes: Axes, torques: Vector, displacement: Vector, blur: Vector) -> float:
+def along_last(axes: AxisLimits, torques: Vector, displacement: Vector, blur: Vector) -> float:
     """Returns the largest W . D_0 [J], after friction, of a displacement known to its encoder counts and blur."""
     total = 0.0
     for i in range(len(axes.count)):
@@ -120,7 +120,7 @@ def along_last(axes: Axes, torques: Vector, displacement: Vector, blur: Vector) 
     return total
 
 
-def raised_by_friction(axes: Axes, torques: Vector, displacement: Vector) -> float:
+def raised_by_friction(axes: AxisLimits, torques: Vector, displacement: Vector) -> float:
     """Returns how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
     total = 0.0
     for i in range(len(axes.lost)):
@@ -132,7 +132,7 @@ def raised_by_friction(axes: Axes, torques: Vector, displacement: Vector) -> flo
 
 
 def base_of(
-    axes: Axes, torques: Vector, displacement: Vector, bound: float, last: Vector, under_way: list[Vector]
+    axes: AxisLimits, torques: Vector, displacement: Vector, bound: float, last: Vector, under_way: list[Vector]
 ) -> float:
     """Returns the base of l W . D [J] for torques that act after those under way.
 
@@ -168,7 +168,7 @@ def taken_by_mover(torques: Sequence[float], moved: Sequence[float]) -> float:
     return total
 
 
-def gain_of(axes: Axes, torques: Vector) -> float:
+def gain_of(axes: AxisLimits, torques: Vector) -> float:
     """Returns the gain of l W . D [J] by the torques themselves."""
     total = 0.0
     for i in range(len(axes.during)):
@@ -176,7 +176,7 @@ def gain_of(axes: Axes, torques: Vector) -> float:
     return total
 
 
-def damping_need(axes: Axes, torques: Vector) -> float:
+def damping_need(axes: AxisLimits, torques: Vector) -> float:
     """Returns sum(F_i^2 T / 4 b_i) [J]."""
     total = 0.0
     for i in range(len(axes.damping)):
@@ -184,7 +184,7 @@ def damping_need(axes: Axes, torques: Vector) -> float:
     return total
 
 
-def path_need(axes: Axes, torques: Vector) -> float:
+def path_need(axes: AxisLimits, torques: Vector) -> float:
     """Returns sum |F_i| v_max T [J]."""
     total = 0.0
     for torque in torques:

@@ -23,7 +23,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from canhaptic.control.certificates.group_certificates import Axes, share_within
+from canhaptic.control.certificates.group_certificates import AxisLimits, share_within
 from canhaptic.control.multi_axis.group_commands import Values
 
 _PASSES: Final = 24
@@ -34,10 +34,10 @@ Parabola = tuple[float, float, float]
 """A + B l + C l^2 [J]."""
 
 
-class AxesApart:
+class PerAxisBound:
     """What the torques under way may still give out, and how much of new ones may be added."""
 
-    def __init__(self, axes: Axes, delay: int, losses: int) -> None:
+    def __init__(self, axes: AxisLimits, delay: int, losses: int) -> None:
         """Keeps what is known.
 
         Args:

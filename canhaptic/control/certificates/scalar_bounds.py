@@ -10,8 +10,8 @@ force without limit. With D_i the displacement in hold i and K the response of t
     D_1 = e^(-bT/m) D_0 + integral over both holds of K(s) (f(s) + u(s)) ds,   K >= 0,
 
 so D_1 grows with u, and u = F_h throughout is the worst user whatever he did before. The integrals have closed forms
-(`Reach`); without damping they are T^2/2m for the torque of either hold and T^2/m for the hand. Where b and m are only
-bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0 its least value, at the
+(`DisplacementResponse`); without damping they are T^2/2m for the torque of either hold and T^2/m for the hand.
+Where b and m are only bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0 its least value, at the
 upper bound of b and the under-estimate of m; each response is largest at the under-estimates of m and b; a torque in
 the other direction helps by an amount that an over-estimate of m would be needed for, and counts as 0.
 Since D_1 is bounded by a rising function of D_0, bounds chain over the holds whose torque is under way (delay), and
@@ -31,7 +31,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class DisplacementResponse:
     """Worst response of the displacement in a hold, for one axis and hand (see the module)."""
 
     retained: float  # least share of an inward displacement that the next hold repeats, e^(-bT/m)
@@ -40,9 +40,9 @@ class Reach:
     hand: float  # [m] by the hand pushing out with its declared force in both holds
 
 
-def reach(
+def displacement_response(
     sample_time: float, mass: float, hand_force: float, damping_least: float = 0.0, damping_most: float = 0.0
-) -> Reach:
+) -> DisplacementResponse:
     """Returns the worst response of the displacement in a hold.
 
     With y = bT/m: during = (T^2/m) (y - 1 + e^-y) / y^2, before = (T^2/m) (1 - e^-y - y e^-y) / y^2, hand = F_h times
@@ -65,10 +65,12 @@ def reach(
         during, before = whole * (y - 1.0 + fade) / (y * y), whole * (1.0 - fade - y * fade) / (y * y)
     both = during + before
     retained = math.exp(-max(damping_most, damping_least) * sample_time / mass)
-    return Reach(retained, 0.5 * whole if y > 0.5 else before, during, both * hand_force)
+    return DisplacementResponse(retained, 0.5 * whole if y > 0.5 else before, during, both * hand_force)
 
 
-def next_displacement(displacement: float, torque_before: float, torque: float, response: Reach) -> float:
+def next_displacement(
+    displacement: float, torque_before: float, torque: float, response: DisplacementResponse
+) -> float:
     """Returns the largest outward displacement [m or rad] in the hold that follows one of `displacement`.
 
     Args:
@@ -132,7 +134,7 @@ def hand_speed_bound(budget: float, speed: float, sample_time: float, holds: int
     return budget / (speed * sample_time * holds) if budget > 0.0 else 0.0
 
 
-def renderable_by_hand_force(response: Reach, delay: int, torque: float) -> float:
+def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque: float) -> float:
     """Returns the largest static stiffness [N/m or N*m/rad] that the hand-force certificate holds at a torque.
 
     At rest every hold has the same torque F and the stored energy F^2 / 2k must cover sum(F D_i) over the holds under
@@ -162,7 +164,7 @@ WINDOW = 32
 """Holds looked back for the outward speed when the encoder is coarse."""
 
 
-def start_speed(response: Reach, sample_time: float, delay: int, count: float = 0.0) -> float:
+def start_speed(response: DisplacementResponse, sample_time: float, delay: int, count: float = 0.0) -> float:
     """Returns the inward speed [m/s or rad/s] above which a contact starts from zero energy.
 
     (1 + delay) F_h T / m with an ideal encoder. One count leaves count / (j T) of the speed over j holds unsure, in

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from canhaptic.control.certificates.scalar_bounds import (
     WINDOW,
-    Reach,
+    DisplacementResponse,
     device_damping_bound,
     hand_force_bound,
     hand_speed_bound,
@@ -18,7 +18,7 @@ class Declared:
     """What a configuration declares of the axis and of the hand. None: that certificate is not used."""
 
     sample_time: float
-    response: Reach | None  # of the hand-force certificate
+    response: DisplacementResponse | None  # of the hand-force certificate
     damping: float | None  # certain damping of the device [N*s/m or N*m*s/rad]
     speed: float | None  # largest speed of the hand [m/s or rad/s]
     encoder_count: float  # [m or rad]
@@ -190,7 +190,7 @@ class TorqueBound:
             known = self._known_outward[sign] = self._by_windows(sign, self._response)
         return known
 
-    def _by_windows(self, sign: float, response: Reach) -> float:
+    def _by_windows(self, sign: float, response: DisplacementResponse) -> float:
         """Returns the smallest of the bounds by the mean over the last 1, 2, 3, ... holds [m or rad]."""
         count, before, during, hand = self._count, response.before, response.during, response.hand
         lost, enough = 1.0 - response.retained, 2.0 * count

@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from canhaptic.control.multi_axis.torque_scaling import Scale, Taken, solve_scale
+from canhaptic.control.multi_axis.torque_scaling import ScaledHold, TorqueScaling, solve_scale
 from canhaptic.control.passivity.root import solve_balance
-from canhaptic.control.port_hamiltonian.discrete_gradient import Tables, discrete_gradient, extension, gradient
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, discrete_gradient, extension, gradient
 from canhaptic.control.port_hamiltonian.user_energy import UserEnergies
 
 FURTHEST: Final = 2.0
@@ -14,11 +14,11 @@ FURTHEST: Final = 2.0
 _ROUNDING: Final = 1e-15
 
 
-class Line:
+class EnergyAlongScale:
     """H(x + l s) - H(x) for one x and s, without cancellation: l s . e_dg(x, x + l s)."""
 
     def __init__(
-        self, tables: Tables, user: UserEnergies | None, state: Sequence[float], step: Sequence[float]
+        self, tables: NetworkTables, user: UserEnergies | None, state: Sequence[float], step: Sequence[float]
     ) -> None:
         """Keeps state and step; neither is changed."""
         self._tables, self._user = tables, user
@@ -26,7 +26,7 @@ class Line:
         n = len(self._state)
         self._moved, self._efforts, self._slopes = [0.0] * n, [0.0] * n, [0.0] * n
 
-    def taken(self, share: float, loss: float) -> Taken:
+    def taken(self, share: float, loss: float) -> ScaledHold:
         """Returns the energy that a share of the step takes up, l L included, and its slope [J]."""
         moved, efforts, step = self._moved, self._efforts, self._step
         for i, s in enumerate(step):
@@ -45,7 +45,7 @@ class Line:
         slope = loss
         for e, s in zip(efforts, step, strict=True):
             slope += e * s
-        return Taken(energy, slope)
+        return ScaledHold(energy, slope)
 
     def stiffness(self) -> float | None:
         """Returns s . H'' s [J] where the energy is quadratic along the line as far as its storages stay engaged."""
@@ -69,7 +69,7 @@ class Line:
                 total += s * sum([q * other for q, other in zip(row, self._step, strict=True)])
         return total
 
-    def solve(self, energy: float, loss: float, limit: float = FURTHEST) -> Scale:
+    def solve(self, energy: float, loss: float, limit: float = FURTHEST) -> TorqueScaling:
         """Returns the share nearest 0 that takes up an energy [J] together with a loss [J] in proportion to it."""
         stiffness = self.stiffness()
         if stiffness is None:
@@ -77,13 +77,13 @@ class Line:
             return solve_scale(lambda share: self.taken(share, loss), energy, limit, _ROUNDING * size)
         length = math.sqrt(sum([s * s for s in self._step]))  # along a unit step: of one state, eq. 16 itself
         if length == 0.0:
-            return Scale(0.0, energy >= 0.0, 1)
+            return TorqueScaling(0.0, energy >= 0.0, 1)
         change = solve_balance(
             stiffness / (length * length), self.taken(0.0, loss).slope / length, energy, length
         )  # fmt: skip
         share = None if change is None else change / length
         if share is None:
-            return Scale(0.0, False, 1)
+            return TorqueScaling(0.0, False, 1)
         if abs(share) > limit and energy > 0.0:
-            return Scale(limit if share > 0.0 else -limit, True, 1)
-        return Scale(share, True, 1)
+            return TorqueScaling(limit if share > 0.0 else -limit, True, 1)
+        return TorqueScaling(share, True, 1)

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 from canhaptic.control.certificates import group_certificates as bound
 from canhaptic.control.certificates import lost_samples
-from canhaptic.control.certificates.group_certificates import Axes
+from canhaptic.control.certificates.group_certificates import AxisLimits
 from canhaptic.control.certificates.lost_samples import Gap
-from canhaptic.control.certificates.per_axis_certificates import AxesApart
+from canhaptic.control.certificates.per_axis_certificates import PerAxisBound
 from canhaptic.control.multi_axis.group_commands import GroupCommands, Values
 from canhaptic.control.passivity.settlement import settle
 
@@ -22,7 +22,7 @@ class GroupAccount:
         unsure: How much less than booked may have come in so far [J]: encoder counts and lost samples.
     """
 
-    def __init__(self, axes: Axes, commands: GroupCommands, credit: float, losses: int = 0) -> None:
+    def __init__(self, axes: AxisLimits, commands: GroupCommands, credit: float, losses: int = 0) -> None:
         """Makes an empty account.
 
         Args:
@@ -33,7 +33,7 @@ class GroupAccount:
         """
         self._axes, self._commands, self._credit = axes, commands, credit
         self._losses = losses
-        self._apart = AxesApart(axes, commands.delay, losses) if losses else None
+        self._apart = PerAxisBound(axes, commands.delay, losses) if losses else None
         self._coarse = any(axes.count)
         self.reset()
 
@@ -220,7 +220,7 @@ class GroupAccount:
         return by_force, by_damping, by_speed
 
     def raised(self, torques: Values, share: float, energy: float) -> Values:
-        """Returns torques scaled by a share, or more on axes that take energy in; see `AxesApart.raised`.
+        """Returns torques scaled by a share, or more on axes that take energy in; see `PerAxisBound.raised`.
 
         Right after `shares`.
 
@@ -233,7 +233,7 @@ class GroupAccount:
             return tuple([share * torque for torque in torques])
         return self._apart.raised(torques, share, energy)
 
-    def _free_apart(self, apart: AxesApart, energy: float, coming: tuple[Values, ...]) -> float:
+    def _free_apart(self, apart: PerAxisBound, energy: float, coming: tuple[Values, ...]) -> float:
         axes = self._axes
         apart.take(self._displacement, self._blur, self._torques, self._commands.under_way, coming)
         nothing, free = (0.0,) * len(axes.count), 0.0
@@ -248,7 +248,7 @@ class GroupAccount:
         return free if free > 0.0 else 0.0
 
     def _shares_apart(
-        self, apart: AxesApart, torques: Values, energy: float, coming: tuple[Values, ...]
+        self, apart: PerAxisBound, torques: Values, energy: float, coming: tuple[Values, ...]
     ) -> tuple[float, float, float]:
         """Returns `shares` for axes that may act apart; none is above 1 by hand force."""
         axes = self._axes

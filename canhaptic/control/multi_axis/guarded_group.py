@@ -15,7 +15,7 @@ from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_account import GroupAccount
 from canhaptic.control.multi_axis.group_commands import EndedHold, GroupCommand, GroupCommands, Values, as_applied
 from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
-from canhaptic.control.multi_axis.requested_efforts import GroupMotion, Wish
+from canhaptic.control.multi_axis.requested_efforts import GroupMotion, RequestedEfforts
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.errors import ControlError, ParameterError
@@ -258,7 +258,7 @@ class GuardedGroup:
             factor *= _GRID_BACK * share
         return self._commands.nothing.torques, 0.0
 
-    def _modulated(self, wish: Wish, damper: list[float]) -> tuple[list[float], float]:
+    def _modulated(self, wish: RequestedEfforts, damper: list[float]) -> tuple[list[float], float]:
         """Returns the efforts of the modulated damper of eq. 19, and the damping rendered along the motion."""
         velocity = wish.velocity
         square = sum([v * v for v in velocity])
@@ -271,7 +271,7 @@ class GuardedGroup:
         )  # fmt: skip
         return [extra * v for v in velocity], rendered + extra
 
-    def _shares(self, wish: Wish, energy: float, ceiling: float) -> tuple[float, float, float, bool]:
+    def _shares(self, wish: RequestedEfforts, energy: float, ceiling: float) -> tuple[float, float, float, bool]:
         """Returns the shares of spring, lead and damper to render, and whether the account covers all of them."""
         spring, velocity = wish.spring, wish.velocity
         size, lead_size, damper_size = self._norm(spring), self._norm(wish.lead), self._norm(wish.damper)
@@ -298,7 +298,7 @@ class GuardedGroup:
             lead_share = room / lead_size
         return share, lead_share, damper_share, covered
 
-    def _permitted(self, wish: Wish, size: float, energy: float, ceiling: float) -> float:
+    def _permitted(self, wish: RequestedEfforts, size: float, energy: float, ceiling: float) -> float:
         """Returns the square of the share of the springs that the account covers; may be above 1."""
         if size == 0.0:
             return 1.0

@@ -17,7 +17,7 @@ _LONGEST_WINDOW: Final = 0.02
 Values = Sequence[float]
 
 
-class Wish(NamedTuple):
+class RequestedEfforts(NamedTuple):
     """Efforts that oppose the motion, at the motors [N*m or N]."""
 
     spring: list[float]
@@ -226,13 +226,13 @@ class GroupMotion:
                     found[axis] += a * distance / square
         return tuple(found)
 
-    def efforts(self, lead: float) -> Wish:
+    def efforts(self, lead: float) -> RequestedEfforts:
         """Returns what the network would have the motors do, with its springs `lead` holds ahead."""
         network, ports = self.network, self._port_motion()
         damper = network.dampers(ports, self._sample_time)
         spring, leading = network.springs(lead, self._holds, ports)
         velocity = [self.entered * v for v in self._velocity]
-        return Wish(
+        return RequestedEfforts(
             self.to_motors(spring), self.to_motors(leading), self.to_motors(damper), velocity,
             network.internal_motion() / (self._holds * self._sample_time),
         )  # fmt: skip

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from canhaptic.control.balance import Branch
-from canhaptic.control.multi_axis.energy_along_scale import Line
+from canhaptic.control.multi_axis.energy_along_scale import EnergyAlongScale
 from canhaptic.control.multi_axis.requested_efforts import GroupMotion
 from canhaptic.control.port_hamiltonian.discrete_gradient import extension, gradient
 
@@ -106,7 +106,7 @@ class ScaledState:
     def _balance(self, h_m: float, damped: float, power: float) -> Account:
         """Solves the scalar balance and takes its step; eq. 18 where there is no solution."""
         network, before = self._network, self.h_s
-        line = Line(network.tables, network.user, network.state, network.room.step)
+        line = EnergyAlongScale(network.tables, network.user, network.state, network.room.step)
         loss = damped + network.internal
         scale = line.solve(h_m, loss)
         if scale.found and loss * scale.share < 0.0:
@@ -127,7 +127,7 @@ class ScaledState:
         network, available, model = self._network, self.h_s + h_m, list(self._network.room.step)
         h_r = min(max(0.0, power), max(0.0, available))
         rest, left, empty = self._to_rest(), max(0.0, available) - h_r, available <= 0.0
-        line = Line(network.tables, network.user, network.state, rest)
+        line = EnergyAlongScale(network.tables, network.user, network.state, rest)
         bottom = left <= _ROUNDING * self.h_s  # a double root, not to be searched for
         sunk = line.solve(left - self.h_s, 0.0, 1.0)
         if bottom and line.taken(1.0, 0.0).energy <= (_ROUNDING - 1.0) * self.h_s:

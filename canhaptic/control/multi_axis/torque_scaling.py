@@ -18,14 +18,14 @@ _PIECES: Final = 8
 """In which a step is searched for a place that takes up the energy received, where its end does not."""
 
 
-class Taken(NamedTuple):
+class ScaledHold(NamedTuple):
     """What a share of the step takes up, and how that grows."""
 
     energy: float  # [J]
     slope: float  # [J]
 
 
-class Scale(NamedTuple):
+class TorqueScaling(NamedTuple):
     """A share of the step."""
 
     share: float
@@ -33,7 +33,7 @@ class Scale(NamedTuple):
     evaluations: int
 
 
-def solve_scale(taken: Callable[[float], Taken], energy: float, limit: float, tolerance: float) -> Scale:
+def solve_scale(taken: Callable[[float], ScaledHold], energy: float, limit: float, tolerance: float) -> TorqueScaling:
     """Returns the share l nearest 0, |l| <= limit, at which `taken` equals an energy.
 
     Args:
@@ -42,27 +42,27 @@ def solve_scale(taken: Callable[[float], Taken], energy: float, limit: float, to
         limit: Of |l|.
         tolerance: Rounding of `taken` [J].
     """
-    search = _Search(taken)
+    search = _ScaleSearch(taken)
     if abs(energy) <= tolerance:
-        return Scale(0.0, True, 0)
+        return TorqueScaling(0.0, True, 0)
     slope = search.at(0.0).slope
     if slope == 0.0 and energy < 0.0:
-        return Scale(0.0, False, 1)
+        return TorqueScaling(0.0, False, 1)
     far = limit if (slope > 0.0) == (energy > 0.0) or slope == 0.0 else -limit
     bracket = search.upwards(energy, far) if energy > 0.0 else search.downwards(energy, far)
     if bracket is None:
-        return Scale(search.best, False, search.evaluations)
+        return TorqueScaling(search.best, False, search.evaluations)
     share = search.root(energy, *bracket, tolerance)
-    return Scale(share, True, search.evaluations)
+    return TorqueScaling(share, True, search.evaluations)
 
 
-class _Search:
-    def __init__(self, taken: Callable[[float], Taken]) -> None:
+class _ScaleSearch:
+    def __init__(self, taken: Callable[[float], ScaledHold]) -> None:
         self._taken = taken
         self.evaluations = 0
         self.best = 0.0
 
-    def at(self, share: float) -> Taken:
+    def at(self, share: float) -> ScaledHold:
         self.evaluations += 1
         return self._taken(share)
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Books
+from canhaptic.control.passivity.hold_account import HoldAccount
 from canhaptic.control.passivity.sampled_model import SampledModel
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.units import Parameters
@@ -23,7 +23,7 @@ class Direct:
     def __init__(self, environment: Environment, parameters: DirectParameters, loop: LoopProperties) -> None:
         self._model = SampledModel(environment)
         self._damping = environment.damping
-        self._books = Books(
+        self._books = HoldAccount(
             delay=loop.delay,
             sample_time=loop.sample_time,
             estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
@@ -41,7 +41,7 @@ class Direct:
         return self._books.repeat()
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Books the hold that ended; see `Controller.step`."""
+        """Accounts for the hold that ended; see `Controller.step`."""
         hold = self._books.open(position, torque_applied)
         model = self._model
         if hold is None:

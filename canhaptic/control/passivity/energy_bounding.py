@@ -12,7 +12,7 @@ from typing import ClassVar
 from canhaptic.control.balance import AT_REST, Certificate, CompensatedSum, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Books
+from canhaptic.control.passivity.hold_account import HoldAccount
 from canhaptic.control.passivity.sampled_model import SampledModel
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
@@ -38,7 +38,7 @@ class EnergyBounding:
         self._device_damping = loop.device_damping
         self._sample_time = loop.sample_time
         self._model = SampledModel(environment)
-        self._books = Books(
+        self._books = HoldAccount(
             delay=loop.delay,
             sample_time=loop.sample_time,
             estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
@@ -57,7 +57,7 @@ class EnergyBounding:
         return self._books.repeat()
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Books the hold that ended; see `Controller.step`."""
+        """Accounts for the hold that ended; see `Controller.step`."""
         hold = self._books.open(position, torque_applied)
         model = self._model
         if hold is None:

@@ -24,7 +24,7 @@ from collections import deque
 from typing import Annotated, ClassVar, Final
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.certificates.scalar_bounds import reach
+from canhaptic.control.certificates.scalar_bounds import displacement_response
 from canhaptic.control.certificates.torque_bound import Declared, TorqueBound
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
@@ -89,7 +89,7 @@ class Guarded:
         response = None
         if parameters.hand_force is not None and mass is not None:
             most = loop.device_damping_bound or 0.0
-            response = reach(sample_time, mass, parameters.hand_force, damping or 0.0, most)
+            response = displacement_response(sample_time, mass, parameters.hand_force, damping or 0.0, most)
         elif damping is None and parameters.hand_speed is None:
             raise ParameterError(
                 "guarded: got neither moving_mass with hand_force, nor device_damping, nor hand_speed, expected one of "

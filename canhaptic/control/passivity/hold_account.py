@@ -22,7 +22,7 @@ class Hold(NamedTuple):
     velocity: float  # measured: of this hold, or from the estimator [m/s or rad/s]
 
 
-class Books:
+class HoldAccount:
     """The surplus of one axis and its commands in flight.
 
     Attributes:

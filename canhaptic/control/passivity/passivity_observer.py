@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar
 from canhaptic.control.balance import AT_REST, Certificate, CompensatedSum, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Books, Hold
+from canhaptic.control.passivity.hold_account import Hold, HoldAccount
 from canhaptic.control.passivity.sampled_model import SampledModel
 from canhaptic.control.recovery import damping_cap
 from canhaptic.control.velocity import DamperVelocity
@@ -44,7 +44,7 @@ class PassivityObserver:
         self._limit = max(0.0, cap - environment.damping) if limit is None else limit
         self._damping = environment.damping
         self._model = SampledModel(environment)
-        self._books = Books(
+        self._books = HoldAccount(
             delay=loop.delay,
             sample_time=loop.sample_time,
             estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
@@ -63,7 +63,7 @@ class PassivityObserver:
         return self._books.repeat()
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Books the hold that ended; see `Controller.step`."""
+        """Accounts for the hold that ended; see `Controller.step`."""
         hold = self._books.open(position, torque_applied)
         model = self._model
         if hold is None:

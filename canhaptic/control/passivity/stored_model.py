@@ -6,7 +6,7 @@ They differ in how a hold changes the state. How a hold is opened, and which com
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Books, Hold
+from canhaptic.control.passivity.hold_account import Hold, HoldAccount
 from canhaptic.control.passivity.storage import Account, Storage
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.control.velocity import DamperVelocity
@@ -36,7 +36,7 @@ class StoredModel:
         self._stores = environment.linear_stiffness != 0.0
         self._damping = min(environment.damping, cap)
         self.storage = Storage(environment, loop.sample_time)
-        self._books = Books(
+        self._books = HoldAccount(
             delay=loop.delay,
             sample_time=loop.sample_time,
             estimator=parameters.estimator(loop.sample_time, loop.encoder_count),

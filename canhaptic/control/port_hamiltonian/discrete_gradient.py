@@ -19,7 +19,7 @@ Matrix: TypeAlias = Any
 """list[list[float]], or an array of shape (n, m)."""
 
 
-class Tables(NamedTuple):
+class NetworkTables(NamedTuple):
     """A network as data: n states, r ports, d dissipators."""
 
     stiffness: Vector  # k, (n,)
@@ -40,7 +40,7 @@ class Tables(NamedTuple):
     beside: Sequence[int]  # storage beside which a dissipator acts, only where that is engaged; -1: always, (d,)
 
 
-def extension(tables: Tables, index: int, value: float) -> float:
+def extension(tables: NetworkTables, index: int, value: float) -> float:
     """Returns how far a state is beyond the edges of its storage; 0 where it is not engaged."""
     upper = tables.upper[index]
     if value > upper:
@@ -49,7 +49,7 @@ def extension(tables: Tables, index: int, value: float) -> float:
     return value - lower if value < lower else 0.0
 
 
-def stored_energy(tables: Tables, state: Vector) -> float:
+def stored_energy(tables: NetworkTables, state: Vector) -> float:
     """Returns H(x) without user energies [J]."""
     total = 0.0
     stiffness, hardening = tables.stiffness, tables.hardening
@@ -72,7 +72,7 @@ def stored_energy(tables: Tables, state: Vector) -> float:
     return total
 
 
-def gradient(tables: Tables, state: Vector, efforts: Vector) -> None:
+def gradient(tables: NetworkTables, state: Vector, efforts: Vector) -> None:
     """Writes dH/dx at a state."""
     stiffness, hardening = tables.stiffness, tables.hardening
     for i in range(len(stiffness)):
@@ -85,7 +85,7 @@ def gradient(tables: Tables, state: Vector, efforts: Vector) -> None:
                 efforts[i] += row[j] * state[j]
 
 
-def discrete_gradient(tables: Tables, state: Vector, step: Vector, efforts: Vector, slopes: Vector) -> None:
+def discrete_gradient(tables: NetworkTables, state: Vector, step: Vector, efforts: Vector, slopes: Vector) -> None:
     """Writes the discrete gradient between x and x + s, and its derivative by s for the scalar storages.
 
     Args:

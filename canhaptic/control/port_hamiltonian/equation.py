@@ -6,10 +6,16 @@ s = T (J e - sum(a_j phi_j(f_j))) + g dc,    e = e_dg(x, x + s),    f_j = a_j . 
 import math
 from typing import Any, NamedTuple
 
-from canhaptic.control.port_hamiltonian.discrete_gradient import Matrix, Tables, Vector, discrete_gradient, extension
+from canhaptic.control.port_hamiltonian.discrete_gradient import (
+    Matrix,
+    NetworkTables,
+    Vector,
+    discrete_gradient,
+    extension,
+)
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Where a step writes; shapes (n,), (d,) and (n, n)."""
 
     step: Vector  # s; the guess before, the solution after
@@ -29,20 +35,20 @@ class Room(NamedTuple):
     mobility: Matrix  # T (J - R) as it acts on e
 
 
-def new_room(states: int, dissipators: int) -> Room:
+def new_workspace(states: int, dissipators: int) -> Workspace:
     """Returns empty lists of the sizes that a network needs."""
 
     def zeros(count: int) -> list[float]:
         return [0.0] * count
 
     n, d = states, dissipators
-    return Room(
+    return Workspace(
         zeros(n), zeros(n), zeros(n), zeros(d), zeros(d), zeros(d), zeros(d), zeros(n), zeros(n), zeros(n), zeros(n),
         zeros(n), zeros(n), [zeros(n) for _ in range(n)], [zeros(n) for _ in range(n)],
     )  # fmt: skip
 
 
-def drive(tables: Tables, state: Vector, displacement: Vector, room: Room) -> None:
+def drive(tables: NetworkTables, state: Vector, displacement: Vector, room: Workspace) -> None:
     """Writes g dc, and how much of the motion every dissipator beside a storage took part in."""
     driven, step = room.driven, room.step
     for i in range(len(driven)):
@@ -57,7 +63,7 @@ def drive(tables: Tables, state: Vector, displacement: Vector, room: Room) -> No
         room.engaged[j] = 1.0 if storage < 0 else engaged_share(tables, storage, state[storage], step[storage])
 
 
-def engaged_share(tables: Tables, index: int, value: float, change: float) -> float:
+def engaged_share(tables: NetworkTables, index: int, value: float, change: float) -> float:
     """Returns the share of a state's change during which its storage was engaged; 0 where it is not at the end."""
     after = extension(tables, index, value + change)
     if tables.lower[index] == tables.upper[index]:
@@ -67,7 +73,7 @@ def engaged_share(tables: Tables, index: int, value: float, change: float) -> fl
     return (after - extension(tables, index, value)) / change if change != 0.0 else 1.0
 
 
-def dissipate(tables: Tables, displacement: Vector, sample_time: float, room: Room) -> None:
+def dissipate(tables: NetworkTables, displacement: Vector, sample_time: float, room: Workspace) -> None:
     """Writes flow, effort and slope of every dissipator at the efforts of the step."""
     efforts = room.efforts
     for j in range(len(room.flows)):
@@ -93,7 +99,9 @@ def dissipate(tables: Tables, displacement: Vector, sample_time: float, room: Ro
         room.factors[j] = share * factor
 
 
-def evaluate(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> float:
+def evaluate(
+    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
+) -> float:
     """Writes the residual of the equation at `room.step`; returns its largest entry over the size of its terms.
 
     Infinite where an entry is no finite number.
@@ -127,7 +135,7 @@ def evaluate(tables: Tables, state: Vector, displacement: Vector, sample_time: f
     return worst
 
 
-def linearise(tables: Tables, sample_time: float, room: Room, user: Any) -> None:
+def linearise(tables: NetworkTables, sample_time: float, room: Workspace, user: Any) -> None:
     """Writes the Jacobian of the equation, I + T (R' - J) de/ds."""
     n = len(room.step)
     mobility, jacobian = room.mobility, room.jacobian

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from canhaptic.control.port_hamiltonian.discrete_gradient import Tables
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables
 from canhaptic.control.port_hamiltonian.dissipators import Damper, DampingMatrix, Dissipator
 from canhaptic.control.port_hamiltonian.storages import (
     DoubleWell,
@@ -112,7 +112,7 @@ class Network:
 
     def _tabled(
         self, storages: list[Storage | UserEnergy], dampers: list[Damper], structure: Rows, gain: Rows
-    ) -> Tables:
+    ) -> NetworkTables:
         n = self.states
         stiffness, hardening, lower, upper = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
         quadratic, at = _zeros(n, n), 0
@@ -130,7 +130,7 @@ class Network:
             at += states_of(storage)
         structure = [[float(v) for v in row] for row in structure]
         rows = [self._rows_of(damper, structure, gain) for damper in dampers]
-        return Tables(
+        return NetworkTables(
             stiffness, hardening, lower, upper,
             coupled=any(v != 0.0 for row in quadratic for v in row),
             quadratic=quadratic,

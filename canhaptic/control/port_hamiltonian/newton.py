@@ -17,8 +17,8 @@ until it is level.
 import math
 from typing import Any, Final
 
-from canhaptic.control.port_hamiltonian.discrete_gradient import Tables, Vector, discrete_gradient
-from canhaptic.control.port_hamiltonian.equation import Room, dissipate, drive, evaluate, linearise
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, Vector, discrete_gradient
+from canhaptic.control.port_hamiltonian.equation import Workspace, dissipate, drive, evaluate, linearise
 from canhaptic.control.port_hamiltonian.gauss import solve_linear
 
 EVALUATIONS: Final = 60
@@ -44,7 +44,9 @@ _INSIDE: Final = 0.1
 """Share of the way between two places, at either end, in which no place between them is tried."""
 
 
-def advance(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> int:
+def advance(
+    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
+) -> int:
     """Finds the state change of one sample; returns the evaluations it took, negative where it did not converge.
 
     Args:
@@ -70,7 +72,9 @@ def advance(tables: Tables, state: Vector, displacement: Vector, sample_time: fl
     return evaluations
 
 
-def by_residual(tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any) -> int:
+def by_residual(
+    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
+) -> int:
     """Takes Newton steps, each as far as the residual falls; returns the evaluations, negative where that ends."""
     worst = evaluate(tables, state, displacement, sample_time, room, user)
     evaluations = 1
@@ -90,7 +94,7 @@ def by_residual(tables: Tables, state: Vector, displacement: Vector, sample_time
     return evaluations
 
 
-def merit_of(room: Room) -> float:
+def merit_of(room: Workspace) -> float:
     """Returns the size of the residual in the scale of the sample."""
     total = 0.0
     for i in range(len(room.residual)):
@@ -100,7 +104,13 @@ def merit_of(room: Room) -> float:
 
 
 def descend(
-    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any, before: float
+    tables: NetworkTables,
+    state: Vector,
+    displacement: Vector,
+    sample_time: float,
+    room: Workspace,
+    user: Any,
+    before: float,
 ) -> tuple[float, int]:
     """Goes along the Newton step as far as the residual falls; returns (residual, evaluations)."""
     share, taken = 1.0, 0.0
@@ -117,7 +127,13 @@ def descend(
 
 
 def by_power(
-    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any, spent: int
+    tables: NetworkTables,
+    state: Vector,
+    displacement: Vector,
+    sample_time: float,
+    room: Workspace,
+    user: Any,
+    spent: int,
 ) -> int:
     """Goes on where the residual falls no more; returns all evaluations, negative where they were not enough.
 
@@ -142,7 +158,7 @@ def by_power(
     return evaluations
 
 
-def aim(tables: Tables, sample_time: float, room: Room, user: Any) -> float:
+def aim(tables: NetworkTables, sample_time: float, room: Workspace, user: Any) -> float:
     """Writes Newton's direction and the change of the efforts along it; returns the power, 0 where it has none."""
     n = len(room.step)
     linearise(tables, sample_time, room, user)
@@ -161,7 +177,7 @@ def aim(tables: Tables, sample_time: float, room: Room, user: Any) -> float:
     return power_of(room)
 
 
-def power_of(room: Room) -> float:
+def power_of(room: Workspace) -> float:
     """Returns r . de."""
     total = 0.0
     for i in range(len(room.residual)):
@@ -170,8 +186,8 @@ def power_of(room: Room) -> float:
 
 
 def go_down(
-    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any, power: float,
-    left: int,
+    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any,
+    power: float, left: int,
 ) -> tuple[float, int]:  # fmt: skip
     """Goes along the direction towards level ground; returns (residual, evaluations).
 
@@ -209,7 +225,7 @@ def go_down(
 
 
 def rest_on_ports(
-    tables: Tables, state: Vector, displacement: Vector, sample_time: float, room: Room, user: Any
+    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
 ) -> None:
     """Takes s = g dc where no solution was found: nothing moves by itself in this sample, and nothing is created."""
     for i in range(len(room.step)):

@@ -12,8 +12,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from canhaptic.control.port_hamiltonian.discrete_gradient import Tables
-from canhaptic.control.port_hamiltonian.equation import Room
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables
+from canhaptic.control.port_hamiltonian.equation import Workspace
 from canhaptic.control.port_hamiltonian.njit_registry import MODULES, plain_functions
 
 
@@ -31,7 +31,7 @@ def compiled_advance() -> Callable[..., int]:
 class CompiledEquation:
     """The equation of one network over arrays of its own, with lists on the outside."""
 
-    def __init__(self, network: Tables, room: Room) -> None:
+    def __init__(self, network: NetworkTables, room: Workspace) -> None:
         """Takes a network as data.
 
         Args:
@@ -39,8 +39,8 @@ class CompiledEquation:
             room: Lists that receive what a step finds.
         """
         self._advance, self._lists, self._structure = compiled_advance(), room, network.structure
-        self._tables = Tables(*[_array(value) for value in network])
-        self._room = Room(*[_array(value) for value in room])
+        self._tables = NetworkTables(*[_array(value) for value in network])
+        self._room = Workspace(*[_array(value) for value in room])
         n, ports = len(network.stiffness), len(network.gain[0])
         self._state, self._displacement = np.zeros(n), np.zeros(ports)
         if not network.viscous:

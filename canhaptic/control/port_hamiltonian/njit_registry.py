@@ -19,7 +19,9 @@ def plain_functions() -> list[Callable[..., Any]]:
         function.__name__: function
         for module in MODULES
         for function in vars(module).values()
-        if inspect.isfunction(function) and function.__module__ == module.__name__ and function is not equation.new_room
+        if inspect.isfunction(function)
+        and function.__module__ == module.__name__
+        and function is not equation.new_workspace
     }
     order: list[Callable[..., Any]] = []
 

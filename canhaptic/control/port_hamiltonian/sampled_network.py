@@ -5,7 +5,7 @@ from typing import Any
 
 from canhaptic.control.port_hamiltonian import equation
 from canhaptic.control.port_hamiltonian import newton as step
-from canhaptic.control.port_hamiltonian.discrete_gradient import Tables, extension, gradient, stored_energy
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, extension, gradient, stored_energy
 from canhaptic.control.port_hamiltonian.network import Network
 from canhaptic.errors import ParameterError
 
@@ -23,7 +23,7 @@ def never_left(network: Network) -> bool:
     )  # fmt: skip
 
 
-def compiled_equation(tables: Tables, room: equation.Room, network: Network) -> Any:
+def compiled_equation(tables: NetworkTables, room: equation.Workspace, network: Network) -> Any:
     """Returns the equation of a network, compiled.
 
     Raises:
@@ -73,7 +73,7 @@ class SampledNetwork:
         self.user = network.user
         self.always = never_left(network)
         self.edged = [i for i in range(n) if tables.lower[i] != tables.upper[i]]
-        self.room = equation.new_room(n, len(tables.viscous))
+        self.room = equation.new_workspace(n, len(tables.viscous))
         self._equation = compiled_equation(self.tables, self.room, network) if compiled else None
         self._next, self._ahead = [0.0] * n, [0.0] * n
         self.begin((0.0,) * network.ports)

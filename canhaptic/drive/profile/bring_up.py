@@ -10,7 +10,7 @@ from canhaptic.canopen.objects import Controlword, NmtCommand, NmtState
 from canhaptic.drive.can.pdo_map import is_writable
 from canhaptic.drive.can.pdo_setup import write_map
 from canhaptic.drive.profile.fitness import agreed_rated_torque
-from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, DriveState, drive_state
+from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
@@ -38,7 +38,7 @@ REMEDIES: Final = {
     "bus": "check the interface, cable and termination",
 }
 
-_POWERED: Final = (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE)
+_POWERED: Final = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _POLL_PERIOD: Final = 2_000_000  # [ns] between two of them
 _LARGEST_U16: Final = 0xFFFF
 _PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: some drives take milliseconds alone
@@ -195,15 +195,15 @@ class BringUp:
             if self._state() not in FAULTED:
                 return
             self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
-            self._await(lambda: self._state() is DriveState.FAULT)
+            self._await(lambda: self._state() is PowerState.FAULT)
             self._sdo.write(od.CONTROLWORD, 0, Controlword.FAULT_RESET)
-            gone = self._await(lambda: self._state() is not DriveState.FAULT)
+            gone = self._await(lambda: self._state() is not PowerState.FAULT)
             self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
         if not gone:
             raise self.refusal("drive state", f"{self.fault_text()} after a fault reset", "the fault gone")
         self._drive.emergency = None
 
-    def _state(self) -> DriveState:
+    def _state(self) -> PowerState:
         return drive_state(self._sdo.read(od.STATUSWORD))
 
     def fault_text(self) -> str:

@@ -10,7 +10,7 @@ from typing import Final
 from canhaptic.canopen.objects import Controlword
 
 
-class DriveState(Enum):
+class PowerState(Enum):
     """States of the power state machine, named as the standard does."""
 
     NOT_READY_TO_SWITCH_ON = "NOT READY TO SWITCH ON"
@@ -26,53 +26,53 @@ class DriveState(Enum):
 
 STATE_TABLE: Final = (
     # (mask, value, state): IEC 61800-7-201, table 30
-    (0x4F, 0x00, DriveState.NOT_READY_TO_SWITCH_ON),
-    (0x4F, 0x40, DriveState.SWITCH_ON_DISABLED),
-    (0x6F, 0x21, DriveState.READY_TO_SWITCH_ON),
-    (0x6F, 0x23, DriveState.SWITCHED_ON),
-    (0x6F, 0x27, DriveState.OPERATION_ENABLED),
-    (0x6F, 0x07, DriveState.QUICK_STOP_ACTIVE),
-    (0x4F, 0x0F, DriveState.FAULT_REACTION_ACTIVE),
-    (0x4F, 0x08, DriveState.FAULT),
+    (0x4F, 0x00, PowerState.NOT_READY_TO_SWITCH_ON),
+    (0x4F, 0x40, PowerState.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, PowerState.READY_TO_SWITCH_ON),
+    (0x6F, 0x23, PowerState.SWITCHED_ON),
+    (0x6F, 0x27, PowerState.OPERATION_ENABLED),
+    (0x6F, 0x07, PowerState.QUICK_STOP_ACTIVE),
+    (0x4F, 0x0F, PowerState.FAULT_REACTION_ACTIVE),
+    (0x4F, 0x08, PowerState.FAULT),
 )
 
 ENABLE_TABLE: Final = {
     # state -> controlword of the next transition towards OPERATION ENABLED; a fault has no way there
-    DriveState.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
-    DriveState.READY_TO_SWITCH_ON: Controlword.SWITCH_ON,
-    DriveState.SWITCHED_ON: Controlword.ENABLE_OPERATION,
-    DriveState.OPERATION_ENABLED: Controlword.ENABLE_OPERATION,
-    DriveState.QUICK_STOP_ACTIVE: Controlword.DISABLE_VOLTAGE,
+    PowerState.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
+    PowerState.READY_TO_SWITCH_ON: Controlword.SWITCH_ON,
+    PowerState.SWITCHED_ON: Controlword.ENABLE_OPERATION,
+    PowerState.OPERATION_ENABLED: Controlword.ENABLE_OPERATION,
+    PowerState.QUICK_STOP_ACTIVE: Controlword.DISABLE_VOLTAGE,
 }
 
 TORQUE_FREE: Final = frozenset(
     {
         # states in which the power stage gives no torque
-        DriveState.NOT_READY_TO_SWITCH_ON,
-        DriveState.SWITCH_ON_DISABLED,
-        DriveState.READY_TO_SWITCH_ON,
-        DriveState.SWITCHED_ON,
-        DriveState.FAULT,
+        PowerState.NOT_READY_TO_SWITCH_ON,
+        PowerState.SWITCH_ON_DISABLED,
+        PowerState.READY_TO_SWITCH_ON,
+        PowerState.SWITCHED_ON,
+        PowerState.FAULT,
     }
 )
 
-FAULTED: Final = frozenset({DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE})
+FAULTED: Final = frozenset({PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE})
 
 ENABLED_MASK: Final = 0x6F
 ENABLED_VALUE: Final = 0x27
 
 
-def _state(statusword: int) -> DriveState:
+def _state(statusword: int) -> PowerState:
     for mask, value, state in STATE_TABLE:
         if statusword & mask == value:
             return state
-    return DriveState.UNKNOWN
+    return PowerState.UNKNOWN
 
 
 _STATES: Final = tuple(_state(low_byte) for low_byte in range(256))
 
 
-def drive_state(statusword: int) -> DriveState:
+def drive_state(statusword: int) -> PowerState:
     """Returns the state that a statusword (0x6041) shows; only its low byte matters."""
     return _STATES[statusword & 0xFF]
 
@@ -82,6 +82,6 @@ def is_enabled(statusword: int) -> bool:
     return statusword & ENABLED_MASK == ENABLED_VALUE
 
 
-def next_controlword(state: DriveState) -> Controlword | None:
+def next_controlword(state: PowerState) -> Controlword | None:
     """Returns the controlword (0x6040) of the next step towards OPERATION ENABLED; None where only waiting helps."""
     return ENABLE_TABLE.get(state)

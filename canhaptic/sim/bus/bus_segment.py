@@ -89,7 +89,7 @@ class Foreign:
         self.due += max(1, round(self._random.expovariate(self._rate) * _SECOND))
 
 
-class Line:
+class BusSegment:
     """Frames of one direction on their way, struck by the effects that the scene names.
 
     Args:

@@ -14,14 +14,14 @@ from typing import Protocol
 import can
 
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
-from canhaptic.signals import FarSide
+from canhaptic.signals import SimulatedPeer
 from canhaptic.sim.bus.bus_effects import BusEffects, Direction, Schedule
-from canhaptic.sim.bus.bus_segment import Counts, Foreign, Line, Wire
+from canhaptic.sim.bus.bus_segment import BusSegment, Counts, Foreign, Wire
 from canhaptic.sim.bus.frame_effects import Refuse
 from canhaptic.sim.drive.timers import NEVER
 
 
-class Clock(Protocol):
+class BusClock(Protocol):
     """Time as the owner of the connection sees it."""
 
     def now(self) -> int:
@@ -52,14 +52,14 @@ class FaultyBus(can.BusABC):
         self.channel_info = f"{getattr(bus, 'channel_info', 'bus')} with faults"
         self.counts: Counts = Counter()
         self._bus = bus
-        self._clock: Clock | None = None
+        self._clock: BusClock | None = None
         self._ready: deque[can.Message] = deque()
         is_master = side == "master"
         self._out: Direction = "to_drive" if is_master else "to_master"
         self._in: Direction = "to_master" if is_master else "to_drive"
         self._wire = Wire(bitrate) if effects.wire_time else None
-        self._outgoing = Line(effects, self._out, seed, self.counts, self._wire, self._send_on)
-        self._incoming = Line(effects, self._in, seed, self.counts, self._wire, self._hand_in)
+        self._outgoing = BusSegment(effects, self._out, seed, self.counts, self._wire, self._send_on)
+        self._incoming = BusSegment(effects, self._in, seed, self.counts, self._wire, self._hand_in)
         self._refuse = Refuse(effects, seed) if effects.refuse and is_master and effects.suffers(self._out) else None
         self._stall = Schedule(effects.stall) if effects.stall and is_master else None
         self._bus_off = Schedule(effects.bus_off) if effects.bus_off else None
@@ -69,7 +69,7 @@ class FaultyBus(can.BusABC):
         self._is_pumped = False  # by a far side, which collects what the connection receives
         self._epoch: int | None = None
 
-    def use(self, clock: Clock) -> None:
+    def use(self, clock: BusClock) -> None:
         """Sets the clock by which frames are late."""
         self._clock = clock
 
@@ -126,7 +126,7 @@ class FaultyBus(can.BusABC):
 
     # --- time ---------------------------------------------------------------------------------------------------------
 
-    def around(self, far_side: FarSide) -> FarSide:
+    def around(self, far_side: SimulatedPeer) -> SimulatedPeer:
         """Returns a far side whose frames come and go through the faults, for the master's clock to drive."""
         self._is_pumped = True
         return FaultyFarSide(self, far_side)
@@ -223,14 +223,14 @@ class FaultyBus(can.BusABC):
 
 
 class FaultyFarSide:
-    """Simulated drives behind a faulty bus (a `FarSide`), driven by the master's clock.
+    """Simulated drives behind a faulty bus (a `SimulatedPeer`), driven by the master's clock.
 
     Args:
         bus: The master's connection.
         far_side: The drives.
     """
 
-    def __init__(self, bus: FaultyBus, far_side: FarSide) -> None:
+    def __init__(self, bus: FaultyBus, far_side: SimulatedPeer) -> None:
         self._bus = bus
         self._far_side = far_side
 

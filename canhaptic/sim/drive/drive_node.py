@@ -89,7 +89,7 @@ class SimulatedDrive:
         self.servo = Servo(store, motor, parameters)
         self.timers = timers = Timers()
         self.on_routes_changed: Callable[[], None] = lambda: None
-        self._emergency = emcy.Emergency(store, node_id, self._send_emergency)
+        self._emergency = emcy.EmergencyProducer(store, node_id, self._send_emergency)
         self._sdo = SdoServer(store, parameters.sdo_size_indicated)
         self._producer = HeartbeatProducer(store, timers, self._send_heartbeat, self._now)
         self._consumer = HeartbeatConsumer(

@@ -21,7 +21,7 @@ SYNC_LOST: Final = 0x8700
 _REGISTER_BITS: Final = {0x2: 1 << 1, 0x3: 1 << 2, 0x4: 1 << 3, 0x8: 1 << 4, 0xF: 1 << 7}
 
 
-class Emergency:
+class EmergencyProducer:
     """Errors that are present, each announced once when it comes and when the last has gone.
 
     Args:

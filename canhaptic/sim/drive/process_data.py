@@ -45,7 +45,7 @@ class ProcessData:
         store: ObjectStore,
         servo: Servo,
         timers: Timers,
-        emergency: emcy.Emergency,
+        emergency: emcy.EmergencyProducer,
         parameters: SimulatedDriveParameters,
         send: Send,
         on_loss: Callable[[int], None],

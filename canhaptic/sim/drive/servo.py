@@ -29,7 +29,7 @@ from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.drive_torque import TorqueStage
 from canhaptic.sim.drive.object_store import ObjectStore
 from canhaptic.sim.drive.state_machine import STATUSWORD as STATUSWORDS
-from canhaptic.sim.drive.state_machine import Command, DriveState, StateMachine, command_of
+from canhaptic.sim.drive.state_machine import DriveState, PowerCommand, StateMachine, command_of
 from canhaptic.sim.drive.torque_meter import TorqueMeter
 
 _SENSOR_FAULT: Final = 0x7300  # error code of 0x603F: a position that is no number
@@ -172,7 +172,7 @@ class Servo:
         """Returns the controlword, without the command to enable until its time has come."""
         if not self._enable_delay:
             return controlword
-        is_asked = command_of(controlword) is Command.ENABLE_OPERATION
+        is_asked = command_of(controlword) is PowerCommand.ENABLE_OPERATION
         if not is_asked or self.machine.state not in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON):
             self._enabling_since = -1
             return controlword

@@ -19,7 +19,7 @@ class DriveState(IntEnum):
     FAULT = 7
 
 
-class Command(IntEnum):
+class PowerCommand(IntEnum):
     """Command in bits 7, 3, 2, 1, 0 of the controlword (0x6040)."""
 
     DISABLE_VOLTAGE = 0  # xx0x
@@ -29,7 +29,7 @@ class Command(IntEnum):
     ENABLE_OPERATION = 4  # 1111
 
 
-_S, _C = DriveState, Command
+_S, _C = DriveState, PowerCommand
 
 TRANSITIONS: Final = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
@@ -69,15 +69,15 @@ _FAULT_RESET: Final = 0x80
 _QUICK_STOP_STAYS: Final = range(5, 9)  # option codes 0x605A that stay in QUICK STOP ACTIVE
 
 
-def command_of(controlword: int) -> Command:
+def command_of(controlword: int) -> PowerCommand:
     """Returns the command that a controlword gives, the fault reset bit apart."""
     if not controlword & 0x02:
-        return Command.DISABLE_VOLTAGE
+        return PowerCommand.DISABLE_VOLTAGE
     if not controlword & 0x04:
-        return Command.QUICK_STOP
+        return PowerCommand.QUICK_STOP
     if not controlword & 0x01:
-        return Command.SHUTDOWN
-    return Command.ENABLE_OPERATION if controlword & 0x08 else Command.SWITCH_ON
+        return PowerCommand.SHUTDOWN
+    return PowerCommand.ENABLE_OPERATION if controlword & 0x08 else PowerCommand.SWITCH_ON
 
 
 class StateMachine:
@@ -123,7 +123,7 @@ class StateMachine:
 
     def disable_voltage(self) -> None:
         """Does transition 7, 9, 10 or 12, as the abort connection option asks (0x6007 = 2)."""
-        self.state = TRANSITIONS.get((self.state, Command.DISABLE_VOLTAGE), self.state)
+        self.state = TRANSITIONS.get((self.state, PowerCommand.DISABLE_VOLTAGE), self.state)
 
     def fault(self) -> None:
         """Begins the fault reaction (transition 13) from any state that is not yet a fault."""

@@ -87,14 +87,14 @@ class HandPart(Protocol):
 
     name: str
 
-    def follow(self, scene: "Scene", name: str, amplitude: float, omega: float, phase: float) -> None:
+    def follow(self, scene: "PlantModel", name: str, amplitude: float, omega: float, phase: float) -> None:
         """Adds a sinusoid to what the hand follows."""
 
     def add_grasp(self, stiffness: float, damping: float) -> str:
         """Returns the mode of a further grasp."""
 
 
-class Command(Protocol):
+class TorqueCommand(Protocol):
     """Changes the torque of a hold before it reaches the motor."""
 
     state_names: tuple[str, ...]
@@ -113,7 +113,7 @@ class Encoder(Protocol):
         """Returns the reading [m or rad] of `position` at `tick`; the same tick always reads the same."""
 
 
-class Effort(Protocol):
+class NonlinearForce(Protocol):
     """A force on the motor's body that is not piecewise affine: held over a substep, solved together with its motion.
 
     Attributes:
@@ -138,7 +138,7 @@ class Effort(Protocol):
 
 
 @dataclass
-class Scene:
+class PlantModel:
     """Everything a plant consists of, collected from the plant, the user and the effects."""
 
     sample_time: float  # [s]
@@ -146,9 +146,9 @@ class Scene:
     bodies: list[Body] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
     works: dict[str, Account] = field(default_factory=dict)  # name -> account, booked as integrals of a power
-    commands: list[Command] = field(default_factory=list)
+    commands: list[TorqueCommand] = field(default_factory=list)
     encoders: list[Encoder] = field(default_factory=list)
-    efforts: list[Effort] = field(default_factory=list)
+    efforts: list[NonlinearForce] = field(default_factory=list)
     schedule: list[tuple[float, str, str]] = field(default_factory=list)  # (time [s], part, mode)
     deflection: dict[str, float] = field(default_factory=dict)  # name -> factor: hand's deflection minus position
     slots: dict[str, str] = field(default_factory=dict)  # what may be there once -> the effect that is
@@ -189,7 +189,7 @@ class Rows:
         forces: Sum of the forces on each body, one row each.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: PlantModel) -> None:
         self.scene = scene
         self.index = {name: i for i, name in enumerate(scene.names)}
         self.size = len(self.index)

@@ -11,10 +11,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from canhaptic.sim.plant import stepper
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.mode_matrices import Exit, Mode, compile_mode, first_key, initial_state
 from canhaptic.sim.plant.propagator import TICKS, Array
-from canhaptic.sim.plant.stepper import CAPPED, COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, PRODUCTS, Settings, Tables
+from canhaptic.sim.plant.stepper import (
+    CAPPED,
+    COUNTS,
+    EVENTS,
+    LIMIT,
+    MISSING,
+    MODE,
+    NONE,
+    PRODUCTS,
+    ModeTables,
+    Settings,
+)
 
 
 class Snapshot(NamedTuple):
@@ -27,7 +38,7 @@ class Snapshot(NamedTuple):
     capped: int
 
 
-class Machine:
+class HybridAutomaton:
     """State, mode and energies of one scene.
 
     Attributes:
@@ -35,14 +46,14 @@ class Machine:
         tick_time: T / 2^24 [s].
     """
 
-    def __init__(self, scene: Scene, max_events: int, event_bits: int) -> None:
+    def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
         self.scene = scene
         self.tick_time = scene.sample_time / TICKS
         self._settings = Settings(max_events, event_bits, self.tick_time)
         self._modes: list[Mode] = []
         self._stored: list[Callable[[Array], float]] = []  # by mode
         self._index: dict[tuple[str, ...], int] = {}
-        self._tables = Tables(*([] for _ in Tables._fields))
+        self._tables = ModeTables(*([] for _ in ModeTables._fields))
         self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
         names = scene.names
         sines = [name for name in names if name.endswith("_sine")]
@@ -56,7 +67,7 @@ class Machine:
         self.reset()
 
     def _new_books(self) -> list[Any]:
-        return list(stepper.two_books(len(self.scene.names), len(self.scene.works)))
+        return list(stepper.two_buffers(len(self.scene.names), len(self.scene.works)))
 
     def _new_counts(self) -> Any:
         return [0] * COUNTS
@@ -240,7 +251,7 @@ class Machine:
         self._modes.append(mode)
         self._stored.append(stored_by(mode.storage))
         resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
-        row = Tables(
+        row = ModeTables(
             mode.flows, mode.works, mode.base, mode.guards, len(mode.exits), [NONE] * len(mode.exits),
             [bool(leaving.resets) for leaving in mode.exits], resets, [leaving.work for leaving in mode.exits],
             mode.storage,

@@ -1,11 +1,11 @@
-"""Scene -> data of one mode: flows, work forms and guards. No scene-specific code is made or run."""
+"""PlantModel -> data of one mode: flows, work forms and guards. No scene-specific code is made or run."""
 
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.sim.plant.assembly import Rows, Scene
+from canhaptic.sim.plant.assembly import PlantModel, Rows
 from canhaptic.sim.plant.propagator import LEVELS, Array, dyadic_flows
 
 Product = Callable[[Array, Array], object]
@@ -34,7 +34,7 @@ class Mode(NamedTuple):
     storage: Array  # P with z'Pz the stored energy
 
 
-def compile_mode(scene: Scene, key: tuple[str, ...]) -> Mode:
+def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
     """Returns the mode in which part i is in `key[i]`."""
     rows = Rows(scene)
     for part, mode in zip(scene.parts, key, strict=True):
@@ -55,7 +55,7 @@ def compile_mode(scene: Scene, key: tuple[str, ...]) -> Mode:
     return Mode(key, flows, works, base, np.concatenate([values, values @ rows.rates]), exits, rows.storage)
 
 
-def _forms(rows: Rows, scene: Scene) -> tuple[list[Product], list[Product]]:
+def _forms(rows: Rows, scene: PlantModel) -> tuple[list[Product], list[Product]]:
     """Returns the flows, and the works evaluated with the hand's deflection in the place of the position.
 
     In q and x_u the squares of a stiff hand would cancel: 1e6 N/m at 10 mm is 50 J, against the 0.1 J that flow.
@@ -89,7 +89,7 @@ def _base_level(rates: Array, sample_time: float) -> int:
     return level
 
 
-def initial_state(scene: Scene) -> Array:
+def initial_state(scene: PlantModel) -> Array:
     """Returns the state at the start, with torque 0."""
     state = np.zeros(len(scene.names))
     state[: len(scene.states)] = list(scene.states.values())
@@ -97,6 +97,6 @@ def initial_state(scene: Scene) -> Array:
     return state
 
 
-def first_key(scene: Scene) -> tuple[str, ...]:
+def first_key(scene: PlantModel) -> tuple[str, ...]:
     """Returns the mode in which every part starts."""
     return tuple(part.modes[0] for part in scene.parts)

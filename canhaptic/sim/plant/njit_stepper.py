@@ -14,11 +14,11 @@ import numba
 import numpy as np
 
 from canhaptic.sim.plant import stepper
-from canhaptic.sim.plant.assembly import Scene
-from canhaptic.sim.plant.hybrid_automaton import Machine, matrix_of, reset_matrix
+from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of, reset_matrix
 from canhaptic.sim.plant.mode_matrices import Mode
 from canhaptic.sim.plant.propagator import LEVELS, Array
-from canhaptic.sim.plant.stepper import COUNTS, NONE, Tables
+from canhaptic.sim.plant.stepper import COUNTS, NONE, ModeTables
 
 _LOGIC: Final = ("first_broken", "dips", "leave", "settle", "judge", "run_free", "run", "free_holds", "run_holds")
 """Functions of the stepper, each after those that it calls."""
@@ -99,13 +99,13 @@ def _rebound(function: Any, names: dict[str, Any]) -> FunctionType:
     return FunctionType(function.__code__, names, function.__name__, function.__defaults__)
 
 
-class CompiledMachine(Machine):
+class CompiledMachine(HybridAutomaton):
     """A machine whose holds, and whose whole runs, are compiled."""
 
-    def __init__(self, scene: Scene, max_events: int, event_bits: int) -> None:
+    def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
         functions = compiled_stepper()
         self._run, self._free, self._holds = functions["run"], functions["run_free"], functions["run_holds"]
-        self._flat: Tables | None = None
+        self._flat: ModeTables | None = None
         super().__init__(scene, max_events, event_bits)
 
     def _new_books(self) -> list[Any]:
@@ -150,7 +150,7 @@ class CompiledMachine(Machine):
         super()._add(mode)
         self._flat = None
 
-    def _arrays(self) -> Tables:
+    def _arrays(self) -> ModeTables:
         """Returns the tables as arrays, every table of one shape for all modes."""
         if self._flat is None:
             self._flat = flat_tables(self._modes, self._tables.targets, len(self.scene.works))
@@ -159,7 +159,7 @@ class CompiledMachine(Machine):
         return self._flat
 
 
-def flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> Tables:
+def flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> ModeTables:
     """Returns the tables of the modes as arrays; guards that a mode does not have are zero.
 
     Args:
@@ -178,7 +178,7 @@ def flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> Tabl
             resets[i, j] = reset_matrix(leaving, size).T
     flows = np.array([[matrix_of(flow).T for flow in mode.flows] for mode in modes])
     forms = np.array([[_columns(matrix_of(work), size, works) for work in mode.works] for mode in modes])
-    return Tables(
+    return ModeTables(
         flows, forms, np.array([mode.base for mode in modes]), guards, np.array([len(mode.exits) for mode in modes]),
         target, jumps, resets, loss, np.array([mode.storage for mode in modes]),
     )  # fmt: skip

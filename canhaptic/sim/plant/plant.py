@@ -14,9 +14,9 @@ from pydantic import model_validator
 
 from canhaptic.errors import ParameterError
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, Rows, Scene
+from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.hybrid_automaton import Machine, matrix_of
+from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
 from canhaptic.sim.plant.mode_matrices import Mode, initial_state
 from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
 from canhaptic.sim.plant.splitting import Splitting
@@ -42,7 +42,7 @@ class PlantParameters(Parameters):
     initial_velocity: Annotated[float, quantity("m/s", "rad/s", ge=-1e3, le=1e3)] = 0.0
     """With which the plant starts."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the motor's body and its bearings."""
         scene.add_state("position", self.initial_position)
         scene.add_state("velocity", self.initial_velocity)
@@ -124,7 +124,7 @@ class Plant:
         self.seed = seed
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
         self.has_ideal_encoder = not self.scene.encoders
-        machine_type = _compiled_machine() if compiled else Machine
+        machine_type = _compiled_machine() if compiled else HybridAutomaton
         self._machine = machine_type(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
         self._splitting = Splitting(self._machine, self.accuracy.substeps) if self.scene.efforts else None
         self._timetable: Timetable | None = None
@@ -356,7 +356,7 @@ def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
     return tuple(place for of in places for place in (*of, zero, zero)[:2])
 
 
-def _compiled_machine() -> type[Machine]:
+def _compiled_machine() -> type[HybridAutomaton]:
     """Returns the machine whose holds are compiled.
 
     Raises:
@@ -373,13 +373,13 @@ def _compiled_machine() -> type[Machine]:
 
 def collect(
     parameters: PlantParameters, user: UserParameters | None, effects: Sequence[Effect], sample_time: float
-) -> Scene:
+) -> PlantModel:
     """Returns the scene of a plant: body, shaft and motor first, then the hand, then the other effects.
 
     Raises:
         ParameterError: An effect needs another that is not there, or two exclude each other.
     """
-    scene = Scene(sample_time)
+    scene = PlantModel(sample_time)
     parameters.add_to(scene)
     ranked = sorted(effects, key=lambda effect: effect.rank)
     for effect in (effect for effect in ranked if effect.rank == 0):

@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from canhaptic.sim.plant.assembly import Account, Effort
-from canhaptic.sim.plant.hybrid_automaton import Machine
+from canhaptic.sim.plant.assembly import Account, NonlinearForce
+from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.propagator import TICKS
 
 _CLOSE: Final = 1e-13  # of the largest force seen in the substep
@@ -28,9 +28,9 @@ class Splitting:
         work: Work of the efforts by account since the start [J].
     """
 
-    def __init__(self, machine: Machine, substeps: int) -> None:
+    def __init__(self, machine: HybridAutomaton, substeps: int) -> None:
         self._machine = machine
-        self._efforts: list[Effort] = machine.scene.efforts
+        self._efforts: list[NonlinearForce] = machine.scene.efforts
         self._substep_ticks = TICKS // substeps
         self._tick_time = machine.tick_time
         names = machine.scene.names

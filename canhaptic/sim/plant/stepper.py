@@ -30,7 +30,7 @@ MISSING: Final = 5  # guard that leads to a mode not compiled yet, or NONE: the 
 COUNTS: Final = 6
 
 
-class Tables(NamedTuple):
+class ModeTables(NamedTuple):
     """All modes as data; the first index of each table is the mode. Lists when interpreted, arrays when compiled."""
 
     flows: Any  # by level: z -> z after T / 2^level
@@ -54,7 +54,7 @@ class Settings(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)  # read at every step: half the cost of the fields of a NamedTuple
-class Books:
+class StepBuffers:
     """Buffers for the work of one step; two of them take turns, so that booking is two products and no sum.
 
     The first product writes `rows`: for each work [Q y, unit row], then y, the state with the hand's deflection. In the
@@ -70,15 +70,15 @@ class Books:
     totals_after: Array  # the totals in the other buffer, shape (works,)
 
 
-def two_books(size: int, works: int) -> list[Books]:
+def two_buffers(size: int, works: int) -> list[StepBuffers]:
     """Returns the two buffers for a state of `size` and a number of works."""
     length = works * (size + works)
     this, other = np.zeros(length + 2 * size + works), np.zeros(length + 2 * size + works)
 
-    def books(buffer: Array, after: Array) -> Books:
+    def books(buffer: Array, after: Array) -> StepBuffers:
         both, vector = buffer[: length + 2 * size], buffer[size + length :]
         contract = buffer[size : size + length].reshape(works, size + works).dot
-        return Books(both[:size], both, both[size:], contract, vector, vector[size:], after[length + 2 * size :])
+        return StepBuffers(both[:size], both, both[size:], contract, vector, vector[size:], after[length + 2 * size :])
 
     return [books(this, other), books(other, this)]
 
@@ -104,7 +104,7 @@ def stored(storage: Any, state: Array) -> float:
 
 
 def book(works: Any, state: Array, books: Any) -> None:
-    """Books the work of a step that begins at `state`."""
+    """StepBuffers the work of a step that begins at `state`."""
     this = books[0]
     works(state, this.rows)
     this.contract(this.vector, this.totals_after)
@@ -128,7 +128,7 @@ def dips(before: Any, after: Any, guard: int, count: int, step: float) -> bool:
     return bool(before[guard] + falling * meeting < 0.0)
 
 
-def leave(tables: Tables, state: Array, moved: Array, books: Any, counts: Any, guard: int) -> tuple[Array, Array]:
+def leave(tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, guard: int) -> tuple[Array, Array]:
     """Changes the mode through a guard, with the jump that belongs to it; returns the state and the spare state."""
     mode = counts[MODE]
     after = tables.targets[mode][guard]
@@ -143,7 +143,7 @@ def leave(tables: Tables, state: Array, moved: Array, books: Any, counts: Any, g
 
 
 def settle(
-    tables: Tables, state: Array, moved: Array, books: Any, counts: Any, values: Any
+    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, values: Any
 ) -> tuple[Array, Array, Any]:
     """Leaves every mode whose guards do not hold at this very state; returns state, spare and the guards' values."""
     for _ in range(_CHAIN):
@@ -161,7 +161,7 @@ def settle(
     return state, moved, values
 
 
-def judge(tables: Tables, mode: int, before: Any, after: Any, moved: Array, step: float) -> int:
+def judge(tables: ModeTables, mode: int, before: Any, after: Any, moved: Array, step: float) -> int:
     """Returns the guard that a step broke, NONE, or _DOUBTFUL; a step of 0 is one that is not halved any more."""
     count = tables.guard_counts[mode]
     broken = first_broken(tables.guards[mode], count, after, moved)
@@ -172,7 +172,9 @@ def judge(tables: Tables, mode: int, before: Any, after: Any, moved: Array, step
     return broken
 
 
-def run_free(tables: Tables, state: Array, moved: Array, books: Any, counts: Any, ticks: int) -> tuple[Array, Array]:
+def run_free(
+    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, ticks: int
+) -> tuple[Array, Array]:
     """Moves by `ticks` ignoring guards: whole sample times, then one step per bit; returns state and spare."""
     mode = counts[MODE]
     flows, works = tables.flows[mode], tables.works[mode]
@@ -194,7 +196,7 @@ def run_free(tables: Tables, state: Array, moved: Array, books: Any, counts: Any
 
 
 def run(
-    tables: Tables, settings: Settings, state: Array, moved: Array, books: Any, counts: Any, values: Any, ticks: int
+    tables: ModeTables, settings: Settings, state: Array, moved: Array, books: Any, counts: Any, values: Any, ticks: int
 ) -> tuple[Array, Array, int]:
     """Moves by `ticks` under constant inputs, through every event on the way.
 
@@ -243,7 +245,7 @@ def run(
 
 
 def run_holds(
-    tables: Tables, settings: Settings, state: Array, moved: Array, books: Any, counts: Any, values: Any,
+    tables: ModeTables, settings: Settings, state: Array, moved: Array, books: Any, counts: Any, values: Any,
     torques: Array, positions: Array,
 ) -> tuple[Array, Array, int, int]:  # fmt: skip
     """Takes one sample time under each torque and writes the position after it.
@@ -266,7 +268,7 @@ def run_holds(
 
 
 def free_holds(
-    tables: Tables, state: Array, moved: Array, books: Any, counts: Any, torques: Array, positions: Array
+    tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, torques: Array, positions: Array
 ) -> tuple[Array, Array]:
     """The same in a mode without guards, which nothing can leave; returns state and spare."""
     mode = counts[MODE]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from canhaptic.sim.plant.hybrid_automaton import Machine
+from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 
 
 class Timetable:
@@ -13,7 +13,7 @@ class Timetable:
         run: Moves the machine by some ticks without scheduled changes.
     """
 
-    def __init__(self, machine: Machine, run: Callable[[int], None]) -> None:
+    def __init__(self, machine: HybridAutomaton, run: Callable[[int], None]) -> None:
         self._machine, self._run = machine, run
         entries = [(round(time / machine.tick_time), part, mode) for time, part, mode in machine.scene.schedule]
         self._entries = sorted(entries, key=lambda entry: entry[0])

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.sim.textbook.reference_elements import Floats, Way
+from canhaptic.sim.textbook.reference_elements import Floats, Transition
 from canhaptic.sim.textbook.reference_model import Model, Modes
 from canhaptic.sim.textbook.reference_motion import Motion, motion_of
 
@@ -127,7 +127,7 @@ def settled(model: Model, time: float, state: list[float], torque: float, modes:
     return state, modes
 
 
-def _event(way: Way) -> Any:
+def _event(way: Transition) -> Any:
     """Returns what falls through zero a hair beyond the guard: a guard that stays at zero is no event."""
 
     def event(time: float, state: Any, torque: float, _modes: Modes) -> float:

@@ -15,7 +15,7 @@ POSITION, VELOCITY = 0, 1
 _NEGLIGIBLE: Final = 1e-12  # of a guard's scale: less than that below zero is rounding
 
 
-class Way(NamedTuple):
+class Transition(NamedTuple):
     """Leaves a mode where `value` falls through zero."""
 
     element: int
@@ -48,7 +48,7 @@ class Element(Protocol):
     def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds its forces and the rates of its own states."""
 
-    def ways(self, index: int, mode: str) -> Sequence[Way]:
+    def ways(self, index: int, mode: str) -> Sequence[Transition]:
         """Returns the ways out of a mode; `index` is its own place among the elements."""
 
 
@@ -57,7 +57,7 @@ class Smooth:
 
     modes: tuple[str, ...] = ("only",)
 
-    def ways(self, index: int, mode: str) -> Sequence[Way]:
+    def ways(self, index: int, mode: str) -> Sequence[Transition]:
         """Returns none."""
         return ()
 
@@ -73,7 +73,7 @@ class Drag(Smooth):
         forces[0] -= self._damping * state[VELOCITY]
 
 
-class Detents(Smooth):
+class ReferenceDetents(Smooth):
     """Cogging: -amplitude sin(2 pi q / pitch + phase)."""
 
     def __init__(self, amplitude: float, pitch: float, phase: float) -> None:
@@ -97,7 +97,7 @@ class Shaft(Smooth):
         forces[1] += force
 
 
-class Hand(Smooth):
+class ReferenceHand(Smooth):
     """K (x_u - q) + D (v_u - v) + push on the last body; its work goes to the last state.
 
     Args:
@@ -154,7 +154,7 @@ class LuGre(Smooth):
         forces[0] -= p.bristle_stiffness * bend + p.bristle_damping * rate + p.viscous * velocity
 
 
-class Contact:
+class ReferenceContact:
     """A one-sided damped contact whose dented face creeps back; `depth` is a state.
 
     Args:
@@ -183,7 +183,7 @@ class Contact:
         elif self._damping > 0.0:
             rates[self._depth] = -self._stiffness / self._damping * state[self._depth]
 
-    def ways(self, index: int, mode: str) -> Sequence[Way]:
+    def ways(self, index: int, mode: str) -> Sequence[Transition]:
         """Returns parting where the force would pull, touching where the faces meet."""
 
         def meet(state: Floats) -> None:
@@ -194,8 +194,8 @@ class Contact:
 
         if mode == "touching":
             reset = None if self._damping > 0.0 else straighten
-            return (Way(index, "apart", lambda t, y, u: self._force(y), _NEGLIGIBLE * self._stiffness, reset),)
-        return (Way(index, "touching", lambda t, y, u: y[self._depth] - self._beyond(y), _NEGLIGIBLE, meet),)
+            return (Transition(index, "apart", lambda t, y, u: self._force(y), _NEGLIGIBLE * self._stiffness, reset),)
+        return (Transition(index, "touching", lambda t, y, u: y[self._depth] - self._beyond(y), _NEGLIGIBLE, meet),)
 
     def _beyond(self, state: Any) -> float:
         return sum(factor * place.position(state) for _, place, factor in self._sides) - self._limit
@@ -207,7 +207,7 @@ class Contact:
         return self._stiffness * float(state[self._depth]) + self._damping * self._approach(state)
 
 
-class StickSlip:
+class ReferenceStickSlip:
     """Dry friction on the motor: held up to `static`, then `kinetic` and, with Stribeck, an excess that falls off.
 
     Args:
@@ -236,7 +236,7 @@ class StickSlip:
         size = self._kinetic + self._excess * math.exp(-ratio * ratio)
         forces[0] -= size if mode == "forward" else -size
 
-    def ways(self, index: int, mode: str) -> Sequence[Way]:
+    def ways(self, index: int, mode: str) -> Sequence[Transition]:
         """Returns breakaway when stuck, rest when sliding."""
         static, others, rounding = self._static, self._others, _NEGLIGIBLE * self._static
 
@@ -245,8 +245,8 @@ class StickSlip:
 
         if mode == "stuck":
             return (
-                Way(index, "forward", lambda t, y, u: static - others(t, y, u), rounding),
-                Way(index, "backward", lambda t, y, u: static + others(t, y, u), rounding),
+                Transition(index, "forward", lambda t, y, u: static - others(t, y, u), rounding),
+                Transition(index, "backward", lambda t, y, u: static + others(t, y, u), rounding),
             )
         sign = 1.0 if mode == "forward" else -1.0
-        return (Way(index, "stuck", lambda t, y, u: sign * float(y[VELOCITY]), _NEGLIGIBLE, stop),)
+        return (Transition(index, "stuck", lambda t, y, u: sign * float(y[VELOCITY]), _NEGLIGIBLE, stop),)

@@ -13,17 +13,17 @@ from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.textbook.reference_elements import (
     POSITION,
     VELOCITY,
-    Contact,
-    Detents,
     Drag,
     Element,
     Floats,
-    Hand,
     LuGre,
     Place,
+    ReferenceContact,
+    ReferenceDetents,
+    ReferenceHand,
+    ReferenceStickSlip,
     Shaft,
-    StickSlip,
-    Way,
+    Transition,
 )
 from canhaptic.sim.user import UserParameters
 
@@ -117,7 +117,7 @@ class Model:
         self._elements.append(Drag(parameters.damping))
         self._elements += [Drag(drag.damping) for drag in self._effects.get("viscous_friction", [])]
         for cogging in self._effects.get("cogging", []):
-            self._elements.append(Detents(cogging.amplitude, cogging.pitch, cogging.phase))
+            self._elements.append(ReferenceDetents(cogging.amplitude, cogging.pitch, cogging.phase))
 
     def _add_contacts(self) -> None:
         for stop in self._effects.get("hard_stop", []):
@@ -132,7 +132,7 @@ class Model:
 
     def _add_contact(self, sides: Any, limit: float, stiffness: float, damping: float, name: str) -> None:
         depth = self.add_state(f"{name}_depth")
-        self._elements.append(Contact(sides, limit, stiffness, damping, depth))
+        self._elements.append(ReferenceContact(sides, limit, stiffness, damping, depth))
 
     def _add_hand(self, user: UserParameters | None) -> None:
         if user is None or not (user.stiffness or user.damping or user.push):
@@ -146,12 +146,12 @@ class Model:
         for tremor in self._effects.get("tremor", []):
             sines.append((tremor.amplitude, 2.0 * math.pi * tremor.frequency, tremor.phase))
         rest = user.rest + (user.motion.offset if user.motion else 0.0)
-        hand = Hand(self._places[-1], grasps, user.push, rest, sines)
+        hand = ReferenceHand(self._places[-1], grasps, user.push, rest, sines)
         self.breaks = hand.changes
         self._elements.append(hand)
 
     def _add_friction(self) -> None:
-        self._friction: StickSlip | None = None
+        self._friction: ReferenceStickSlip | None = None
         lugre = self._one("lugre_friction")
         if lugre:
             self._elements.append(LuGre(lugre, self.add_state("bristle_deflection")))
@@ -160,7 +160,7 @@ class Model:
             width = getattr(dry, "stribeck_velocity", 1.0)
             excess = dry.static - dry.kinetic if dry.type == "stribeck_friction" else 0.0
             velocity = self.start[VELOCITY]
-            self._friction = StickSlip(dry.kinetic, dry.static, excess, width, velocity, self._other_forces)
+            self._friction = ReferenceStickSlip(dry.kinetic, dry.static, excess, width, velocity, self._other_forces)
             self._elements.append(self._friction)
 
     def rates(self, time: float, state: Any, torque: float, modes: Modes) -> Floats:
@@ -211,12 +211,12 @@ class Model:
         rates = [0.0] * len(self.names)
         return self._forces(time, state, torque, self._asked, rates, len(self._elements) - 1)[0]
 
-    def ways(self, modes: Modes) -> list[Way]:
+    def ways(self, modes: Modes) -> list[Transition]:
         """Returns every way out of these modes; valid until it is asked for others."""
         self._asked = modes
         return [way for i, element in enumerate(self._elements) for way in element.ways(i, modes[i])]
 
-    def through(self, way: Way, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
+    def through(self, way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
         """Returns state and modes after a way was taken."""
         after = [float(value) for value in state]
         if way.reset is not None:

@@ -16,7 +16,7 @@ from canhaptic.scene.accuracy_choice import simulation_of, textbook_model
 from canhaptic.scene.models import AxisScene
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import located_states
-from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats, Way
+from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats, Transition
 from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.study.reference.continuous_ode import surfaces
 from canhaptic.study.scenes import environment_of
@@ -81,7 +81,7 @@ class EnvironmentForce:
         rates[self.impulse] = force
         rates[self.interaction] = -force * velocity
 
-    def ways(self, index: int, mode: str) -> Sequence[Way]:
+    def ways(self, index: int, mode: str) -> Sequence[Transition]:
         """Returns crossing of the surfaces, yielding, or the reversal of what yields."""
         if isinstance(self._environment, CoulombSurface):
             return self._yielding(index, mode, self._environment.friction / self._environment.stiffness)
@@ -92,7 +92,7 @@ class EnvironmentForce:
             for zone in {self._zone(surface, -1.0), self._zone(surface, 1.0)} - {mode}:
                 if mode in (self._zone(surface, -1.0), self._zone(surface, 1.0)):
                     sign = -1.0 if zone == self._zone(surface, 1.0) else 1.0
-                    found.append(Way(index, zone, _distance(surface, sign), _ROUNDING))
+                    found.append(Transition(index, zone, _distance(surface, sign), _ROUNDING))
         return found
 
     def _zone(self, surface: float, side: float) -> str:
@@ -116,7 +116,7 @@ class EnvironmentForce:
                 place = min(place, math.nextafter(surface, -math.inf))
         return damper - environment.effort(environment.true_state(place, 0.0, 0.0))
 
-    def _yielding(self, index: int, mode: str, limit: float) -> Sequence[Way]:
+    def _yielding(self, index: int, mode: str, limit: float) -> Sequence[Transition]:
         strain = self._strain
 
         def at(value: float) -> Callable[[Floats], None]:
@@ -127,11 +127,11 @@ class EnvironmentForce:
 
         if mode == "elastic":
             return (
-                Way(index, "forward", lambda t, y, u: limit - float(y[strain]), _ROUNDING, at(limit)),
-                Way(index, "backward", lambda t, y, u: limit + float(y[strain]), _ROUNDING, at(-limit)),
+                Transition(index, "forward", lambda t, y, u: limit - float(y[strain]), _ROUNDING, at(limit)),
+                Transition(index, "backward", lambda t, y, u: limit + float(y[strain]), _ROUNDING, at(-limit)),
             )
         sign = 1.0 if mode == "forward" else -1.0
-        return (Way(index, "elastic", lambda t, y, u: sign * float(y[VELOCITY]), _ROUNDING),)
+        return (Transition(index, "elastic", lambda t, y, u: sign * float(y[VELOCITY]), _ROUNDING),)
 
 
 def _distance(surface: float, sign: float) -> Callable[[float, Any, float], float]:

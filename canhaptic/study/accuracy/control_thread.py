@@ -17,7 +17,7 @@ from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_servo_drive
-from canhaptic.signals import FarSide
+from canhaptic.signals import SimulatedPeer
 
 _CYCLES: Final = 600
 _BLOCK: Final = 50
@@ -53,7 +53,7 @@ def exchange_time(scene: Scene) -> float | None:
 class _TimedFarSide:
     """A far side and the time it took [ns]."""
 
-    def __init__(self, far_side: FarSide) -> None:
+    def __init__(self, far_side: SimulatedPeer) -> None:
         self.clock, self.spent = WallClock(), 0
         self._far_side = far_side
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.plant.assembly import Scene as PlantScene
+from canhaptic.sim.plant.assembly import PlantModel as PlantScene
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import flow_changes

@@ -6,7 +6,7 @@ from typing import Any, Final, TypeVar
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import ParameterError
-from canhaptic.scene.models import AxisScene, AxisSimulation, Scene, Typed
+from canhaptic.scene.models import AxisScene, AxisSimulation, ComponentSpec, Scene
 from canhaptic.units import Parameters
 
 _P = TypeVar("_P", bound=Parameters)
@@ -113,10 +113,10 @@ def _of_axis(axis: AxisScene) -> dict[str, Any]:
     }
 
 
-def _typed_with(typed: Typed, name: str, value: float) -> Typed:
+def _typed_with(typed: ComponentSpec, name: str, value: float) -> ComponentSpec:
     if name not in type(typed.parameters).model_fields:
         raise ParameterError(f"varied: got {name}, which {typed.name} does not have; leave it out")
-    return Typed(typed.name, _with(typed.parameters, **{name: value}))
+    return ComponentSpec(typed.name, _with(typed.parameters, **{name: value}))
 
 
 def _with(model: _P, **values: Any) -> _P:

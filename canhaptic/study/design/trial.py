@@ -64,7 +64,7 @@ _METRICS: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class TrialVerdict:
     """What many walls did, the worse of both hands; each of shape (n,)."""
 
     stiffness_share: Array  # rendered over asked
@@ -74,9 +74,9 @@ class Verdict:
     passed: Any
     nearly: Any  # whether it passes with the tolerance wider by `SLACK`
 
-    def last(self) -> "Verdict":
+    def last(self) -> "TrialVerdict":
         """Returns that of the last wall alone."""
-        return Verdict(*(getattr(self, field.name)[-1:] for field in fields(self)))
+        return TrialVerdict(*(getattr(self, field.name)[-1:] for field in fields(self)))
 
 
 class Trial:
@@ -120,7 +120,7 @@ class Trial:
         self._recipe = _recipe(pressed, self._hands, engine)
         self.engine, self.walls, self.remark = "", 0, ""
 
-    def verdict(self, stiffness: Array, damping: Array) -> Verdict:
+    def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
         """Tries walls.
 
         Args:
@@ -146,7 +146,7 @@ class Trial:
         passive = ran.all(axis=0) & (judged >= -self._allowance)
         error = np.maximum(np.abs(share - 1.0), np.where(damping > 0.0, np.abs(damped - 1.0), 0.0))
         within = [passive & (error <= tolerance) for tolerance in (self._tolerance, self._tolerance * (1.0 + SLACK))]
-        return Verdict(share, damped, least, judged, *within)
+        return TrialVerdict(share, damped, least, judged, *within)
 
     def _look_at(self, result: ChunkResult) -> None:
         """Notes what computed the trials, and refuses a rig on which none can be made.

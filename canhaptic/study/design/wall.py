@@ -18,7 +18,7 @@ from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.engine import Engine
 from canhaptic.study.comparison import compare
-from canhaptic.study.design.trial import ALGORITHM, DAMPING, DURATION, STIFFEST, STIFFNESS, Trial, Verdict
+from canhaptic.study.design.trial import ALGORITHM, DAMPING, DURATION, STIFFEST, STIFFNESS, Trial, TrialVerdict
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import places_of
 
@@ -85,7 +85,7 @@ def design_wall(
             f"got margin {margin:g} and tolerance {tolerance:g}, expected 0 <= margin <= 10, 0 < tolerance < 1"
         )
     trial = Trial(scene, tolerance, engine)
-    search = _Search(trial, 1.0 + margin, progress)
+    search = _WallSearch(trial, 1.0 + margin, progress)
     stiffest = search.largest_stiffness()
     stiffnesses = [_rounded(share * stiffest) for share in _SHARES]
     trade = tuple(zip(stiffnesses, search.largest_dampings(np.array(stiffnesses)), strict=True))
@@ -98,7 +98,7 @@ def design_wall(
     return Design(stiffness, damping, trade, result)
 
 
-class _Search:
+class _WallSearch:
     """A batch for the whole range and one for each interval found, with a factor on everything that is tried."""
 
     def __init__(self, trial: Trial, factor: float, progress: Callable[[int, int], None]) -> None:
@@ -124,7 +124,7 @@ class _Search:
             low, high = float(tried[max(last, 0)]), float(tried[first])
         return _rounded(low)
 
-    def _nothing_passes(self, verdict: Verdict) -> CheckFailedError:
+    def _nothing_passes(self, verdict: TrialVerdict) -> CheckFailedError:
         return CheckFailedError(
             f"{self._trial.scene.source}: not even {self._trial.softest * self._factor:g} is rendered within the "
             f"tolerance (stiffness {100.0 * float(verdict.stiffness_share[0]):.3g} % of what was asked, "
@@ -156,7 +156,7 @@ class _Search:
         rows = np.arange(len(dampings))
         return dampings[rows, edges[:, 0]], dampings[rows, edges[:, 1]]
 
-    def below_and_at(self, stiffness: float, damping: float) -> tuple[Any, Verdict]:
+    def below_and_at(self, stiffness: float, damping: float) -> tuple[Any, TrialVerdict]:
         """Returns which of some walls below a wall pass, all for one without hidden weakness, and its own verdict.
 
         The walls below are tried with the factor, the wall itself without.
@@ -176,7 +176,7 @@ class _Search:
         mass = axis.simulation.plant.mass
         return max(mass / scene.bus.sample_time, math.sqrt(stiffness * mass))
 
-    def _verdict(self, stiffness: Array, damping: Array) -> Verdict:
+    def _verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
         found = self._trial.verdict(self._factor * stiffness, self._factor * damping)
         self._progress(self._trial.walls, self._places.most)
         return found
@@ -196,7 +196,7 @@ def _rounded(value: float) -> float:
     return float(f"{math.floor(value / unit * (1.0 + 1e-12)) * unit:.{_DIGITS}g}")
 
 
-def _account(trial: Trial, verdict: Verdict, stiffness: float, damping: float) -> dict[str, Any]:
+def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
     """Returns what the wall is and costs: its verdict, and one run of it, leant on, beside the continuous wall."""
     values = {STIFFNESS: stiffness, DAMPING: damping}
     places = places_of(trial.scene, tuple(values))

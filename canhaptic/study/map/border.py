@@ -20,7 +20,7 @@ from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch import scene_with
 from canhaptic.study.loop import Array
-from canhaptic.study.map.field import Field, Mask
+from canhaptic.study.map.field import MapField, Mask
 from canhaptic.study.scenes import viscous_friction
 from canhaptic.study.sweep.chunk import BATCHED, RADIUS
 from canhaptic.study.sweep.places import batch_key
@@ -53,7 +53,7 @@ class Border(NamedTuple):
     open: Mask
 
 
-def usual_judgement(field: Field) -> str:
+def usual_judgement(field: MapField) -> str:
     """Returns how an algorithm is judged unless the user says otherwise.
 
     The plain wall promises nothing of its port: with what the device dissipates it is stable or not, by the eigenvalues
@@ -67,7 +67,7 @@ def usual_judgement(field: Field) -> str:
     return "passive" if field.has("least_interaction") else "margin"
 
 
-def passes(field: Field, judgement: str) -> Mask:
+def passes(field: MapField, judgement: str) -> Mask:
     """Returns which scenes pass, shaped as a figure of the field."""
     if judgement != "stable":
         return np.asarray(field.figure(_ENERGIES[judgement]) >= -PASSIVE_TOLERANCE)
@@ -80,13 +80,13 @@ def passes(field: Field, judgement: str) -> Mask:
     return passed
 
 
-def passing_share(field: Field, judgement: str) -> float:
+def passing_share(field: MapField, judgement: str) -> float:
     """Returns the share of the judged scenes that pass."""
     judged = field.judged()
     return float((passes(field, judgement) & judged).sum() / max(1, judged.sum()))
 
 
-def border_of(field: Field, key: str, kept: list[str], judgement: str) -> Border:
+def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> Border:
     """Returns the largest value of a key that passes, the worst over every key that is not kept.
 
     Args:
@@ -136,7 +136,7 @@ class Theory(NamedTuple):
     abbott_okamura: float | None
 
 
-def theory_at(field: Field, values: Mapping[str, float]) -> Theory:
+def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
     """Returns the lines of theory for the plain wall at some values of a field's keys.
 
     Args:
@@ -157,6 +157,6 @@ def theory_at(field: Field, values: Mapping[str, float]) -> Theory:
     return Theory(colgate, friction if delay == 0 and wall == 0.0 else None)
 
 
-def _scene_at(field: Field, values: Mapping[str, float]) -> Scene:
+def _scene_at(field: MapField, values: Mapping[str, float]) -> Scene:
     names = {batch_key(key, field.index, field.axis): value for key, value in values.items()}
     return scene_with(field.scene, {name: value for name, value in names.items() if name in BATCHED})

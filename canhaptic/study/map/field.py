@@ -20,7 +20,7 @@ from canhaptic.units import Parameters
 Mask = NDArray[np.bool_]
 
 
-class Field:
+class MapField:
     """One axis of a sweep under one algorithm.
 
     Args:
@@ -94,7 +94,7 @@ class Field:
         return cube.reshape(*cube.shape[: len(self.keys)], -1)
 
 
-def fields_of(table: SweepTable, axis: str | None = None) -> list[Field]:
+def fields_of(table: SweepTable, axis: str | None = None) -> list[MapField]:
     """Returns one field per algorithm.
 
     Args:
@@ -110,7 +110,7 @@ def fields_of(table: SweepTable, axis: str | None = None) -> list[Field]:
     if not table.done().any():
         raise InputError(f"{table.path}: no chunk is finished yet, there is nothing to draw; let the sweep run on")
     controllers = list(dict.fromkeys(table.values(CONTROLLER))) if CONTROLLER in table.keys else [""]
-    fields = [Field(table, name, str(controller)) for controller in controllers]
+    fields = [MapField(table, name, str(controller)) for controller in controllers]
     if not fields[0].keys:
         raise InputError(f"{table.path}: no key with numbers was varied, there is no axis to draw along")
     return fields

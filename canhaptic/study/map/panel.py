@@ -14,7 +14,7 @@ _FEW: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class PanelCurve:
     """One line of a panel; lines of one level of a key share their number."""
 
     label: str
@@ -36,7 +36,7 @@ class Lines:
     title: str
     x_label: str
     y_label: str
-    lines: tuple[Line, ...]
+    lines: tuple[PanelCurve, ...]
     x_log: bool
     y_log: bool
     note: str = ""

@@ -8,8 +8,8 @@ import numpy as np
 from canhaptic.errors import InputError
 from canhaptic.study.loop import Array
 from canhaptic.study.map.border import JUDGEMENTS, border_of, theory_at, usual_judgement
-from canhaptic.study.map.field import Field
-from canhaptic.study.map.panel import Cells, Line, Lines, Panel
+from canhaptic.study.map.field import MapField
+from canhaptic.study.map.panel import Cells, Lines, Panel, PanelCurve
 
 STIFFNESS: Final = "environment.stiffness"
 _PREFERRED: Final = ("bus.rate", "environment.damping")
@@ -30,7 +30,7 @@ class Chosen:
     judgement: str | None = None
 
 
-def panels_of(fields: list[Field], chosen: Chosen) -> list[list[Panel]]:
+def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel]]:
     """Returns the panels of a map, one column per algorithm.
 
     Raises:
@@ -44,7 +44,7 @@ def panels_of(fields: list[Field], chosen: Chosen) -> list[list[Panel]]:
     return [list(column) for column in zip(*rows, strict=True)] or columns
 
 
-def _check(field: Field, chosen: Chosen) -> None:
+def _check(field: MapField, chosen: Chosen) -> None:
     for name in (chosen.x, chosen.y):
         if name is not None and name not in field.keys:
             raise InputError(f"--x, --y: {name!r} was not varied in numbers, expected of: {', '.join(field.keys)}")
@@ -54,7 +54,7 @@ def _check(field: Field, chosen: Chosen) -> None:
         raise InputError(f"--metric: {chosen.metric!r} is not in the file; sweep again with --metrics {chosen.metric}")
 
 
-def _usual_panels(field: Field, chosen: Chosen) -> list[Panel]:
+def _usual_panels(field: MapField, chosen: Chosen) -> list[Panel]:
     free = [key for key in field.keys if key != chosen.x] or field.keys
     z = STIFFNESS if STIFFNESS in free else free[-1]
     if len(field.keys) == 1:
@@ -74,7 +74,7 @@ def _preference(key: str) -> int:
     return _PREFERRED.index(key) if key in _PREFERRED else len(_PREFERRED)
 
 
-def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel:
+def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Panel:
     """Returns the largest z that passes over x (and y), the worst over every other key."""
     border = border_of(field, z, [x] if y is None else [x, y], judgement)
     order = np.argsort(field.values[x])
@@ -89,13 +89,13 @@ def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel
             f"{title}, {note}", field.label(x), field.label(y), places, rows, cells, field.label(z),
             _is_log(places), _is_log(rows), value_log=True,
         )  # fmt: skip
-    lines: list[Line] = []
+    lines: list[PanelCurve] = []
     for colour, level in enumerate(levels):
         kept = (
             border.value if level is None else border.value[:, int(np.flatnonzero(field.values[y or ""] == level)[0])]
         )
         of_level = "" if level is None or y is None else f", {y.rpartition('.')[2]} {level:.3g}"
-        lines.append(Line(f"measured{of_level}", places, _positive(kept[order]), "measured", colour))
+        lines.append(PanelCurve(f"measured{of_level}", places, _positive(kept[order]), "measured", colour))
         if z == STIFFNESS and field.algorithm == "direct":
             lines += _theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
     if border.open.any():
@@ -108,16 +108,18 @@ def _width(field: Field, z: str, x: str, y: str | None, judgement: str) -> Panel
     return Lines(title, field.label(x), field.label(z), shown, _is_log(places), _is_log(field.values[z]), note)
 
 
-def _theory(field: Field, x: str, places: Array, at: dict[str, float], of_level: str, colour: int) -> list[Line]:
+def _theory(
+    field: MapField, x: str, places: Array, at: dict[str, float], of_level: str, colour: int
+) -> list[PanelCurve]:
     """Returns the lines of theory; where a further key is worst of all, theory is taken at the scene's own value."""
     found = [theory_at(field, {**at, x: float(place)}) for place in places]
     lines = []
     if all(one.colgate is not None for one in found):
         values = np.array([one.colgate for one in found], dtype=float)
-        lines.append(Line(f"Colgate{of_level}", places, _positive(values), "colgate", colour))
+        lines.append(PanelCurve(f"Colgate{of_level}", places, _positive(values), "colgate", colour))
     if colour == 0 and all(one.abbott_okamura is not None for one in found):
         values = np.array([one.abbott_okamura for one in found], dtype=float)
-        lines.append(Line("Abbott-Okamura", places, _positive(values), "abbott_okamura"))
+        lines.append(PanelCurve("Abbott-Okamura", places, _positive(values), "abbott_okamura"))
     return lines
 
 
@@ -125,7 +127,7 @@ def _positive(values: Array) -> Array:
     return np.where(values > 0.0, values, np.nan)
 
 
-def _metric_panel(field: Field, chosen: Chosen, metric: str) -> Panel:
+def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
     if len(field.keys) == 1:
         return _profile(field, field.keys[0], metric)
     others = sorted(field.keys, key=_preference)
@@ -151,7 +153,7 @@ def _metric_panel(field: Field, chosen: Chosen, metric: str) -> Panel:
     )  # fmt: skip
 
 
-def _shown(field: Field, metric: str) -> tuple[Array, str, str]:
+def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
     """Returns a figure as it is drawn: energies below zero as what is missing, renderings as shares of the asked."""
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
@@ -172,7 +174,7 @@ def _shown(field: Field, metric: str) -> tuple[Array, str, str]:
     return values, metric, "plain"
 
 
-def _asked_damping(field: Field, values: Array) -> Array:
+def _asked_damping(field: MapField, values: Array) -> Array:
     key = "environment.damping"
     if key not in field.keys:
         return np.full(values.shape, float(getattr(field.scene.axes[0].environment.parameters, "damping", 0.0)))
@@ -195,13 +197,13 @@ def _worst(values: Array, over: tuple[int, ...], kind: str) -> Array:
     return np.where(unknown.all(axis=2), np.nan, found)
 
 
-def _profile(field: Field, key: str, metric: str) -> Panel:
+def _profile(field: MapField, key: str, metric: str) -> Panel:
     """Returns a figure along the only key that was varied."""
     values, label, kind = _shown(field, metric)
     order = np.argsort(field.values[key])
     flat = _worst(values.reshape(len(order), 1, -1), (2,), kind)[:, 0] if field.is_grid else values
     places = field.values[key][order]
-    line = Line(field.algorithm, places, flat[order], "measured")
+    line = PanelCurve(field.algorithm, places, flat[order], "measured")
     log = kind in ("energy", "error")
     return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), _is_log(places), log)
 

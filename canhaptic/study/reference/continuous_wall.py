@@ -17,7 +17,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.environments.viscous_medium import ViscousMedium
-from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, Rows, Scene
+from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.propagator import Array
 
@@ -53,7 +53,7 @@ class _ContinuousEffect:
     parts: tuple[Part, ...]
     state: str | None
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the parts, the state they share, and the work they dissipate."""
         if self.state is not None:
             scene.add_state(self.state)

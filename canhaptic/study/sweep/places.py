@@ -6,7 +6,7 @@ A key that names its place in full (`axes.0.environment.stiffness`, `bus.rate`) 
 from typing import Any
 
 from canhaptic.scene.axes import OWN_SECTIONS, SIMULATION_PARTS
-from canhaptic.scene.diagnostics import Faults
+from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
 from canhaptic.scene.models import Scene
 from canhaptic.scene.overrides import apply_overrides
@@ -19,7 +19,7 @@ def places_of(scene: Scene, keys: tuple[str, ...]) -> dict[str, tuple[str, ...]]
         scene: Loaded without a fault, from text.
         keys: As given to `--vary`.
     """
-    faults = Faults()
+    faults = Diagnostics()
     document = parse_yaml(scene.text, scene.source, faults)
     apply_overrides(document, scene.overrides, faults)
     return {key: _places(document, key) for key in keys}

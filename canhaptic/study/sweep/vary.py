@@ -15,7 +15,7 @@ from typing import Final, Literal
 import numpy as np
 
 from canhaptic.errors import InputError
-from canhaptic.scene.diagnostics import Faults
+from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import parse_yaml
 from canhaptic.study.loop import Array
 from canhaptic.units import parse_unit
@@ -178,7 +178,7 @@ def _list(text: str, key: str, items: list[str]) -> Varied:
 
 def _plain(text: str, item: str) -> str:
     """Returns the text of a value that is valid YAML."""
-    faults = Faults()
+    faults = Diagnostics()
     parse_yaml(item, f"--vary {text}", faults, lined=False)
     faults.raise_if_any()
     return item

@@ -14,7 +14,7 @@ from attack import (
     run,
 )
 
-from canhaptic.control.mechanisms.five_bar import FiveBar as FiveBarKinematics
+from canhaptic.control.mechanisms.five_bar import FiveBarLinkage as FiveBarKinematics
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
@@ -22,7 +22,7 @@ from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import Anisotr
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHandles
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
-from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBar
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.user import SinusoidMotion
 from canhaptic.units import Parameters
@@ -209,7 +209,7 @@ def five_bar_run(environment: Parameters, delay: int, rate: int, cycles: int, an
             x=SinusoidMotion(amplitude=amplitude, frequency=3.1), y=SinusoidMotion(amplitude=amplitude, frequency=4.3)
         ),
     )  # fmt: skip
-    plant = FiveBar(
+    plant = FiveBarLinkage(
         **LINKS, motor_inertia=1.2e-3, distal_mass=0.04, handle_mass=0.05, initial_angles=angles,
         elbow_stop={"least": 0.05, "most": 0.39, "stiffness": 5e3},
     ).build(hand, sample_time_ns, 4)  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.control.certificates.group_certificates import axes_of
 from canhaptic.control.certificates.lost_samples import Gap, worst, worst_damped
-from canhaptic.control.certificates.per_axis_certificates import AxesApart
+from canhaptic.control.certificates.per_axis_certificates import PerAxisBound
 from canhaptic.control.multi_axis.group_account import GroupAccount
 from canhaptic.control.multi_axis.group_commands import GroupCommands
 from canhaptic.control.passivity.controller import LoopProperties
@@ -17,7 +17,7 @@ T, MASS, PULL = 2e-3, 0.3, 1.5
 
 def apart_of(axes, delay, losses, pull, friction=0.0):
     loop = LoopProperties(sample_time=T, delay=delay, moving_mass=MASS, device_damping_bound=friction or None)
-    return AxesApart(axes_of((loop,) * axes, pull, None), delay, losses)
+    return PerAxisBound(axes_of((loop,) * axes, pull, None), delay, losses)
 
 
 class Mass:

@@ -6,7 +6,7 @@ import pytest
 from networks import random_network
 from test_random_networks import random_sample
 
-from canhaptic.control.port_hamiltonian.equation import new_room
+from canhaptic.control.port_hamiltonian.equation import new_workspace
 from canhaptic.control.port_hamiltonian.network import Network, UserEnergy
 from canhaptic.control.port_hamiltonian.newton import advance
 from canhaptic.control.port_hamiltonian.sampled_network import SampledNetwork
@@ -51,7 +51,7 @@ def test_compiled_and_interpreted_solve_the_same_samples_to_the_last_bit():
         if not network.tables.moving:
             continue
         tables, size = network.tables, (network.states, len(network.tables.viscous))
-        interpreted, compiled = new_room(*size), new_room(*size)
+        interpreted, compiled = new_workspace(*size), new_workspace(*size)
         evaluations = advance(tables, state, motion, sample_time, interpreted, None)
         if evaluations <= 12 and rng.random() < 0.9:
             continue  # most are solved at once: all others are compared, and some of these

@@ -5,11 +5,11 @@ import random
 import pytest
 from networks import random_network, tangled_network
 
-from canhaptic.control.multi_axis.energy_along_scale import FURTHEST, Line
+from canhaptic.control.multi_axis.energy_along_scale import FURTHEST, EnergyAlongScale
 from canhaptic.control.multi_axis.torque_scaling import EVALUATIONS as SCALE_EVALUATIONS
 from canhaptic.control.port_hamiltonian import newton as step
 from canhaptic.control.port_hamiltonian.discrete_gradient import stored_energy
-from canhaptic.control.port_hamiltonian.equation import new_room
+from canhaptic.control.port_hamiltonian.equation import new_workspace
 from canhaptic.control.port_hamiltonian.network import DoubleWell, Mass, Network, Spring, UserEnergy
 from canhaptic.control.port_hamiltonian.newton import EVALUATIONS, advance
 
@@ -29,7 +29,7 @@ def random_sample(rng):
 def judge_model_step(network, state, motion, sample_time):
     """Solves one step; returns (evaluations, balance residual over the largest energy, port energy, losses, step)."""
     tables = network.tables
-    room = new_room(network.states, len(tables.viscous))
+    room = new_workspace(network.states, len(tables.viscous))
     evaluations = advance(tables, state, motion, sample_time, room, None)
     before = stored_energy(tables, state)
     after = stored_energy(tables, [x + s for x, s in zip(state, room.step, strict=True)])
@@ -62,7 +62,7 @@ def judge_scaled_step(rng, network, state, step, received, lost):
     """Solves the scalar balance of the same step, with an energy that the hold need not have given."""
     energy = received * rng.uniform(-1.0, 2.0) + rng.choice((-1, 1)) * 10.0 ** rng.uniform(-12, 0) * rng.random()
     loss = lost * rng.random()
-    line = Line(network.tables, None, state, step)
+    line = EnergyAlongScale(network.tables, None, state, step)
     scale = line.solve(energy, loss)
     taken = line.taken(scale.share, loss).energy
     size = max(stored_energy(network.tables, state), abs(energy), abs(loss * scale.share))
@@ -119,7 +119,7 @@ def test_energies_given_as_functions_are_solved_as_those_of_the_table():
         steps = []
         for storage in (given, tabled):
             network = Network([storage, mass], gain=[[1.0], [0.0]], structure=ON_A_MASS)
-            room = new_room(2, 0)
+            room = new_workspace(2, 0)
             assert 0 < advance(network.tables, state, [1e-4], 1e-3, room, network.user) <= EVALUATIONS
             steps.append(list(room.step))
         assert steps[0] == pytest.approx(steps[1], rel=1e-6, abs=1e-9)
@@ -127,4 +127,4 @@ def test_energies_given_as_functions_are_solved_as_those_of_the_table():
 
 def test_a_step_without_finite_numbers_is_not_called_solved():
     network = Network([Spring(stiffness=1.0, hardening=1e12), Mass(mass=1.0)], gain=[[1.0], [0.0]], structure=ON_A_MASS)
-    assert advance(network.tables, [1e200, 0.0], [1e-3], 1e-3, new_room(2, 0), None) < 0
+    assert advance(network.tables, [1e200, 0.0], [1e-3], 1e-3, new_workspace(2, 0), None) < 0

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBar
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.user import SinusoidMotion
@@ -34,7 +34,7 @@ Torques = Sequence[tuple[float, float]]
 
 
 def five_bar(hand: TaskHand | None = HAND, substeps: int = 1, period: int = MS, **values: Any):
-    return FiveBar(**{**LINKS, **values}).build(hand, period, substeps)
+    return FiveBarLinkage(**{**LINKS, **values}).build(hand, period, substeps)
 
 
 def stage(hand: TaskHand | None = HAND, period: int = MS, **values: Any):

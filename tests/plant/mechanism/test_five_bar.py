@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mechanism_scenes import LINKS, MS, OpenChains, five_bar, integrated, run, wavy
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBar
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 
 LEFT = st.floats(1.7, 2.9)
@@ -133,7 +133,7 @@ def test_a_mechanism_flung_about_at_coarse_steps_keeps_its_energy_and_converges_
     expected = integrated(chains.rates, chains.start(), torques, 5e-3)
     errors = []
     for substeps in (1, 8, 32, 128):
-        mechanism = FiveBar(**FLUNG).build(THROWER, period, substeps)
+        mechanism = FiveBarLinkage(**FLUNG).build(THROWER, period, substeps)
         errors.append(np.abs(run(mechanism, torques, period) - expected[:, :2]).max())
         assert abs(mechanism.stored_error) <= 1e-9 * mechanism.stored
     assert np.abs(expected[:, 4:6]).max() > 50.0
@@ -191,7 +191,7 @@ def test_the_elbow_stop_keeps_the_links_from_stretching():
 
 def test_a_stop_beyond_the_singular_pose_is_refused():
     with pytest.raises(ParameterError, match=r"expected least < most < 0\.4"):
-        FiveBar(**{**LINKS, "elbow_stop": {"most": 0.41, "stiffness": 1e5}})
+        FiveBarLinkage(**{**LINKS, "elbow_stop": {"most": 0.41, "stiffness": 1e5}})
 
 
 def test_time_does_not_go_back():

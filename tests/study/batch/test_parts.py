@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.scene.models import AxisSimulation, Typed
+from canhaptic.scene.models import AxisSimulation, ComponentSpec
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -52,7 +52,7 @@ def test_a_simplified_expression_has_the_value_of_the_plain_one(data, x, y, size
 
 
 def simulation(effects=(), **user):
-    typed = tuple(Typed(str(e["type"]), read_effect(e)) for e in effects)
+    typed = tuple(ComponentSpec(str(e["type"]), read_effect(e)) for e in effects)
     hand = UserParameters(**user)
     return AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), PlantParameters(mass=0.3), hand, typed, 0)
 

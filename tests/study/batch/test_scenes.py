@@ -9,7 +9,7 @@ import pytest
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.models import Scene, Typed
+from canhaptic.scene.models import ComponentSpec, Scene
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import (
@@ -37,7 +37,7 @@ def demo(algorithm: str = "direct", *overrides: str) -> Scene:
 def with_effect(scene: Scene, **values: object) -> Scene:
     axis = scene.axes[0]
     assert axis.simulation is not None
-    effect = Typed(str(values["type"]), read_effect(values))  # type: ignore[arg-type]
+    effect = ComponentSpec(str(values["type"]), read_effect(values))  # type: ignore[arg-type]
     return replace(scene, axes=(replace(axis, simulation=replace(axis.simulation, effects=(effect,))),))
 
 

@@ -18,8 +18,8 @@ from canhaptic.control.multi_axis.unfolding.values import (
     kind_of,
     text_of,
 )
-from canhaptic.control.port_hamiltonian.discrete_gradient import Tables
-from canhaptic.control.port_hamiltonian.equation import Room
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables
+from canhaptic.control.port_hamiltonian.equation import Workspace
 
 
 class Calls(Expressions):
@@ -45,9 +45,9 @@ class Calls(Expressions):
         return self.writer.computed(text, kind)
 
     def _argument(self, value: Any) -> str:
-        if isinstance(value, Tables):
+        if isinstance(value, NetworkTables):
             return "tables"
-        if isinstance(value, Room):
+        if isinstance(value, Workspace):
             return "room"
         if isinstance(value, Array):
             return value.name

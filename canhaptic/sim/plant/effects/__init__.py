@@ -1,7 +1,7 @@
 """One simulated effect a file, and the table that names them; an effect no scene names is never imported.
 
 An effect is a frozen parameter model with `type` (its name in a scene) and `add_to(scene)`, which adds states, parts,
-commands, encoders or efforts to a `canhaptic.sim.plant.assembly.Scene`.
+commands, encoders or efforts to a `canhaptic.sim.plant.assembly.PlantModel`.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final, Protocol, cast
 
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 
 EFFECTS: Final[dict[str, str]] = {
     "backlash": "canhaptic.sim.plant.effects.backlash:Backlash",
@@ -45,7 +45,7 @@ class Effect(Protocol):
     rank: ClassVar[int]
     """Effects are added in this order, then in the order of the scene."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds what the effect consists of.
 
         Raises:

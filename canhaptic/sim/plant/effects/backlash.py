@@ -8,7 +8,7 @@ Typical: 0.1..10 mrad. Source: Nordin and Gutman, "Controlling mechanical system
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import MOTOR, Scene
+from canhaptic.sim.plant.assembly import MOTOR, PlantModel
 from canhaptic.sim.plant.effects.contact import Contact
 from canhaptic.sim.plant.effects.shaft_compliance import LOAD
 from canhaptic.units import Parameters, quantity
@@ -24,7 +24,7 @@ class Backlash(Parameters):
     gap: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
     """Whole play, from flank to flank."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Puts two flanks in the place of the shaft's spring.
 
         Raises:

@@ -9,7 +9,7 @@ Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2nd ed., 2003, ch.
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Account, Scene
+from canhaptic.sim.plant.assembly import Account, PlantModel
 from canhaptic.units import Parameters, quantity
 
 
@@ -27,7 +27,7 @@ class Cogging(Parameters):
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
     """Of the sine at position 0."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the effort."""
         scene.efforts.append(Detent(self))
 

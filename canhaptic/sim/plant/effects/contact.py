@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from canhaptic.sim.plant.assembly import Guard, Rows, Scene
+from canhaptic.sim.plant.assembly import Guard, PlantModel, Rows
 from canhaptic.sim.plant.propagator import Array
 
 
@@ -37,7 +37,7 @@ class Contact:
         self._sides, self._limit = tuple(sides), limit
         self._stiffness, self._damping = stiffness, damping
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the part, its depth and its work."""
         scene.add_state(self.depth)
         scene.works[self.name] = "dissipated"

@@ -8,7 +8,7 @@ Source: Karnopp, ASME J. Dynamic Systems 107, 1985; see `canhaptic.sim.plant.dry
 
 from typing import ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, Scene
+from canhaptic.sim.plant.assembly import MOTOR, PlantModel
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
 
 
@@ -20,7 +20,7 @@ class CoulombFriction(DryFriction):
 
     type: Literal["coulomb_friction"] = "coulomb_friction"
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the part with its three modes."""
         scene.claim("friction model", self.type)
         scene.works[self.type] = "dissipated"

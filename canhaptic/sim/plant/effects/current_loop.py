@@ -9,7 +9,7 @@ Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003; Leonhard, "C
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import LinearPart, Rows, Scene
+from canhaptic.sim.plant.assembly import LinearPart, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 
@@ -23,7 +23,7 @@ class CurrentLoop(Parameters):
     time_constant: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Of the winding, L / R, or of the closed current loop."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the torque of the motor as a state."""
         scene.claim("current loop", self.type)
         scene.add_state("motor_torque")

@@ -8,7 +8,7 @@ splitmix64 (Steele, Lea, Flood, OOPSLA 2014).
 import math
 from typing import Annotated, ClassVar, Final, Literal
 
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.units import Parameters, quantity
 
 _MASK: Final = (1 << 64) - 1
@@ -25,7 +25,7 @@ class EncoderNoise(Parameters):
     deviation: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
     """Standard deviation."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the error of the reading."""
         scene.claim("encoder noise", self.type)
         scene.encoders.append(Noise(self.deviation))

@@ -5,7 +5,7 @@ States added: none. Exact. Energy: none. Typical: 1e-7..1e-4 m. Source: any incr
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.units import Parameters, quantity
 
 
@@ -19,7 +19,7 @@ class EncoderQuantisation(Parameters):
     count: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
     """Displacement of one count."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the rounding of the reading."""
         scene.claim("encoder quantisation", self.type)
         scene.encoders.append(Steps(self.count))

@@ -7,7 +7,7 @@ Typical: 50..1000 N/m within some tenths of a second. Source: Hajian and Howe, A
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.units import Parameters, quantity
 
 
@@ -25,7 +25,7 @@ class GraspChange(Parameters):
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)]
     """Of the hand's grip from then on."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds a grasp to the hand and the time at which it comes.
 
         Raises:

@@ -6,7 +6,7 @@ Typical: 1e5..1e7 N/m for metal on rubber to metal on metal. Source: Goldsmith, 
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.effects.contact import Contact
 from canhaptic.units import Parameters, quantity
 
@@ -27,7 +27,7 @@ class HardStop(Parameters):
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Of the stop."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the contact of the handle with the stop."""
         scene.claim(f"{self.side} hard stop", self.type)
         factor = 1.0 if self.side == "upper" else -1.0

@@ -14,7 +14,7 @@ Source: Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Contro
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Account, Scene
+from canhaptic.sim.plant.assembly import Account, PlantModel
 from canhaptic.sim.plant.dry_friction import DryFriction
 from canhaptic.units import quantity
 
@@ -35,7 +35,7 @@ class LuGreFriction(DryFriction):
     viscous: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Viscous friction beside the bristles."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the bristle as an effort."""
         scene.claim("friction model", self.type)
         scene.efforts.append(Bristle(self))

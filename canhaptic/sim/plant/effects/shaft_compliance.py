@@ -7,7 +7,7 @@ Typical: 1e3..1e6 N/m. Source: Ellis, "Control System Design Guide", 2012, ch. 1
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, Rows, Scene
+from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 LOAD = 1
@@ -28,7 +28,7 @@ class ShaftCompliance(Parameters):
     load_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
     """Of the handle's side; `plant.mass` is then the motor's side."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the load and the shaft."""
         scene.claim("shaft", self.type)
         scene.shaft = (self.stiffness, self.damping)

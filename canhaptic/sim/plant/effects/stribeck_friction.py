@@ -10,7 +10,7 @@ Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, Account, Scene
+from canhaptic.sim.plant.assembly import MOTOR, Account, PlantModel
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
 from canhaptic.units import quantity
 
@@ -25,7 +25,7 @@ class StribeckFriction(DryFriction):
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the modes of dry friction and the effort of the falling part."""
         scene.claim("friction model", self.type)
         scene.works[self.type] = "dissipated"

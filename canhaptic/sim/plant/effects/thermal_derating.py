@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.units import Parameters, quantity
 
 
@@ -45,7 +45,7 @@ class ThermalDerating(Parameters):
             raise ValueError(f"hot {self.hot} K is not above warm {self.warm} K, expected hot > warm")
         return self
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the limit."""
         scene.claim("thermal derating", self.type)
         scene.commands.append(Winding(self))

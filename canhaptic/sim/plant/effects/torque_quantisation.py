@@ -6,7 +6,7 @@ Source: CiA 402-2, 0x6071 in per mille of 0x6076; current sensors of 10..12 bits
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.units import Parameters, quantity
 
 
@@ -20,7 +20,7 @@ class TorqueQuantisation(Parameters):
     quantum: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Smallest step of the torque."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the rounding."""
         scene.claim("torque quantisation", self.type)
         scene.commands.append(Rounding(self.quantum))

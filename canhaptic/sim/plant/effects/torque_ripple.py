@@ -8,7 +8,7 @@ Typical: 1..5 % at the 6th electrical harmonic. Source: Hanselman, "Brushless Pe
 import math
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Account, Scene
+from canhaptic.sim.plant.assembly import Account, PlantModel
 from canhaptic.sim.plant.effects.cogging import mean_sine
 from canhaptic.units import Parameters, quantity
 
@@ -27,7 +27,7 @@ class TorqueRipple(Parameters):
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
     """Of the sine at position 0."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the effort."""
         scene.efforts.append(Ripple(self))
 

@@ -6,7 +6,7 @@ Source: CiA 402-2, object 0x6072; any drive's peak current.
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.units import Parameters, quantity
 
 
@@ -20,7 +20,7 @@ class TorqueSaturation(Parameters):
     limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Largest torque of the motor."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the clip."""
         scene.claim("torque saturation", self.type)
         scene.commands.append(Clip(self.limit))

@@ -8,7 +8,7 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.assembly import Scene
+from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.units import Parameters, quantity
 
 
@@ -26,7 +26,7 @@ class Tremor(Parameters):
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
     """At the start of the plant."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds an oscillator to what the hand follows.
 
         Raises:

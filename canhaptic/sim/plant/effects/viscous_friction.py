@@ -6,7 +6,7 @@ Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, LinearPart, Rows, Scene
+from canhaptic.sim.plant.assembly import MOTOR, LinearPart, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 
@@ -20,7 +20,7 @@ class ViscousFriction(Parameters):
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)]
     """Force per velocity."""
 
-    def add_to(self, scene: Scene) -> None:
+    def add_to(self, scene: PlantModel) -> None:
         """Adds the force on the motor's body."""
         scene.claim("viscous friction", self.type)
         scene.works[self.type] = "dissipated"

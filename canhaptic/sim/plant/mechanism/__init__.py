@@ -11,7 +11,7 @@ from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.units import Motion
 
 MECHANISMS: Final[dict[str, str]] = {
-    "five_bar": "canhaptic.sim.plant.mechanism.five_bar_linkage:FiveBar",
+    "five_bar": "canhaptic.sim.plant.mechanism.five_bar_linkage:FiveBarLinkage",
     "xy_stage": "canhaptic.sim.plant.mechanism.xy_stage:XYStage",
 }
 """Name in a scene -> "module:Class" of its frozen parameters."""

@@ -17,7 +17,7 @@ from pydantic import model_validator
 from canhaptic.errors import ParameterError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.mechanism.hand_force import HandForce
-from canhaptic.sim.plant.mechanism.linkage import Inertia, Linkage, Pose
+from canhaptic.sim.plant.mechanism.linkage import Inertia, Linkage, LinkagePose
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.propagator import TICKS
@@ -50,7 +50,7 @@ class ElbowStop(Parameters):
     """Of the springs."""
 
 
-class FiveBar(Parameters):
+class FiveBarLinkage(Parameters):
     """Lengths and masses of a five-bar; left and right alike."""
 
     motion: ClassVar[Motion] = "rad"
@@ -77,7 +77,7 @@ class FiveBar(Parameters):
     """Of the left and the right motor, from +x, counterclockwise."""
 
     @model_validator(mode="after")
-    def _stop_is_short_of_singular(self) -> "FiveBar":
+    def _stop_is_short_of_singular(self) -> "FiveBarLinkage":
         stop = self.elbow_stop
         if stop is not None and not stop.least < stop.most < 2.0 * self.distal:
             raise ValueError(
@@ -108,7 +108,7 @@ class _Place:
 
     def __init__(self, linkage: Linkage, left: float, right: float) -> None:
         self.angles = (left, right)
-        self.pose: Pose = linkage.pose(left, right)
+        self.pose: LinkagePose = linkage.pose(left, right)
         self.inertia: Inertia = linkage.inertia(self.pose)
 
 
@@ -126,9 +126,9 @@ class FiveBarMotion:
         iterations: Solver iterations since the start, a machine-independent price.
     """
 
-    order = FiveBar.order
+    order = FiveBarLinkage.order
 
-    def __init__(self, links: FiveBar, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> None:
+    def __init__(self, links: FiveBarLinkage, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> None:
         self._clock = SampleClock(sample_time_ns)
         self._linkage = links.linkage()
         self._damping, self._stop = links.damping, links.elbow_stop
@@ -319,10 +319,10 @@ class FiveBarMotion:
         assert self._stop is not None
         return max(0.0, span - self._stop.most) - max(0.0, self._stop.least - span)
 
-    def _potential(self, pose: Pose) -> float:
+    def _potential(self, pose: LinkagePose) -> float:
         return 0.5 * self._stop.stiffness * self._depth(pose.span) ** 2 if self._stop is not None else 0.0
 
-    def _stop_gradient(self, before: Pose, middle: Pose, after: Pose, change: Pair) -> Pair:
+    def _stop_gradient(self, before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair) -> Pair:
         """Returns the discrete gradient of the potential; corrected always, for its slope has a kink."""
         assert self._stop is not None
         pull = self._stop.stiffness * self._depth(middle.span)
@@ -353,7 +353,7 @@ class FiveBarMotion:
         return Inertia(a, b, c)
 
 
-def _secant_jacobian(before: Pose, middle: Pose, after: Pose, change: Pair) -> tuple[Pair, Pair]:
+def _secant_jacobian(before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair) -> tuple[Pair, Pair]:
     """Returns the Jacobian in the middle, corrected so that it maps the displacement of the motors to the handle's."""
     square = change[0] * change[0] + change[1] * change[1]
     (xl, xr), (yl, yr) = middle.jacobian

@@ -13,7 +13,7 @@ from canhaptic.errors import ParameterError
 _CLEARANCE: Final = 1e-9  # of the distal length: nearer to a singular pose there is no direction left
 
 
-class Pose(NamedTuple):
+class LinkagePose(NamedTuple):
     """A pose and everything of first order in it. Vectors are (x, y); `u` is d(elbow)/d(angle) of its own motor."""
 
     handle: tuple[float, float]  # [m]
@@ -61,7 +61,7 @@ class Linkage:
         self._half_rod = distal_mass / 6.0
         self._handle = handle_mass + 2.0 * distal_mass / 3.0
 
-    def pose(self, left: float, right: float) -> Pose:
+    def pose(self, left: float, right: float) -> LinkagePose:
         """Returns the pose at two motor angles [rad].
 
         Raises:
@@ -84,7 +84,7 @@ class Linkage:
         handle = (u[0][1] - half + r_left[0], r_left[1] - u[0][0])
         r = (r_left, r_right)
         pulls = (_dot(r_left, u[0]), 0.0), (0.0, _dot(r_right, u[1]))
-        return Pose(handle, span, (dx, dy), u, r, _solved(r, pulls))
+        return LinkagePose(handle, span, (dx, dy), u, r, _solved(r, pulls))
 
     @property
     def distal(self) -> float:
@@ -99,7 +99,7 @@ class Linkage:
             "give the mechanism an elbow_stop short of it, or less force"
         )
 
-    def inertia(self, pose: Pose) -> Inertia:
+    def inertia(self, pose: LinkagePose) -> Inertia:
         """Returns the inertia that the motors feel, T = 1/2 v' M v."""
         (x_left, x_right), (y_left, y_right) = pose.jacobian
         (u_left, u_right), rod, handle = pose.u, self._half_rod, self._handle
@@ -110,15 +110,15 @@ class Linkage:
             self._motor_inertia + 2.0 * rod * _dot(u_right, right) + handle * _dot(right, right),
         )
 
-    def inertia_rates(self, pose: Pose) -> tuple[Inertia, Inertia]:
+    def inertia_rates(self, pose: LinkagePose) -> tuple[Inertia, Inertia]:
         """Returns the derivatives of the inertia by the left and by the right angle."""
         return self._rate(pose, 0), self._rate(pose, 1)
 
-    def span_rates(self, pose: Pose) -> tuple[float, float]:
+    def span_rates(self, pose: LinkagePose) -> tuple[float, float]:
         """Returns the derivatives of the elbows' distance by both angles [m/rad]."""
         return -_dot(pose.across, pose.u[0]) / pose.span, _dot(pose.across, pose.u[1]) / pose.span
 
-    def _rate(self, pose: Pose, by: int) -> Inertia:
+    def _rate(self, pose: LinkagePose, by: int) -> Inertia:
         """Returns dM/dq of one angle; the Jacobian's derivative comes from that of (r . J) = (r . u)."""
         (x, y), u, r = pose.jacobian, pose.u, pose.r
         moves = (x[by], y[by])

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Final
 
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.assembly import Body, LinearPart, Rows, Scene
+from canhaptic.sim.plant.assembly import Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
-from canhaptic.sim.plant.hybrid_automaton import Machine
+from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import Length, TaskHand
 from canhaptic.sim.plant.propagator import LEVELS, TICKS
@@ -68,7 +68,7 @@ class XYMotion:
     def __init__(self, stage: XYStage, hand: TaskHand | None, sample_time_ns: int) -> None:
         self._clock = SampleClock(sample_time_ns)
         self._scene = scene = _scene(stage, hand, sample_time_ns * 1e-9)
-        self._machine = machine = Machine(scene, _MAX_EVENTS, LEVELS)
+        self._machine = machine = HybridAutomaton(scene, _MAX_EVENTS, LEVELS)
         self._run = machine.run if any(part.has_guards for part in scene.parts) else machine.run_free
         self.state_names = scene.names
         index = {name: i for i, name in enumerate(scene.names)}
@@ -128,7 +128,7 @@ class XYMotion:
         return PlantEnergy(motor, user, dissipated, 0.5 * self._masses[axis] * self.velocities[axis] ** 2)
 
 
-def _works_of(name: str, scene: Scene) -> tuple[list[int], list[int], list[int]]:
+def _works_of(name: str, scene: PlantModel) -> tuple[list[int], list[int], list[int]]:
     """Returns the places of one direction's works on motor, user and dissipated."""
     places: dict[Any, list[int]] = {"motor": [], "user": [], "dissipated": []}
     for i, (work, account) in enumerate(scene.works.items()):
@@ -137,8 +137,8 @@ def _works_of(name: str, scene: Scene) -> tuple[list[int], list[int], list[int]]
     return places["motor"], places["user"], places["dissipated"]
 
 
-def _scene(stage: XYStage, hand: TaskHand | None, sample_time: float) -> Scene:
-    scene = Scene(sample_time)
+def _scene(stage: XYStage, hand: TaskHand | None, sample_time: float) -> PlantModel:
+    scene = PlantModel(sample_time)
     masses, dampings = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
     for body, name in enumerate(_NAMES):
         scene.add_state(f"{name}_position", stage.initial_position[body])
@@ -156,7 +156,7 @@ def _scene(stage: XYStage, hand: TaskHand | None, sample_time: float) -> Scene:
     return scene
 
 
-def _add_motor(scene: Scene, body: int, name: str) -> None:
+def _add_motor(scene: PlantModel, body: int, name: str) -> None:
     def write(rows: Rows) -> None:
         velocity, force = rows.velocity(body), rows.row(**{f"{name}_force": 1.0})
         rows.set_rate(f"{name}_position", velocity)
@@ -167,7 +167,7 @@ def _add_motor(scene: Scene, body: int, name: str) -> None:
     scene.parts.append(LinearPart(f"{name}_motor", write))
 
 
-def _add_guide(scene: Scene, body: int, name: str, damping: float) -> None:
+def _add_guide(scene: PlantModel, body: int, name: str, damping: float) -> None:
     def write(rows: Rows) -> None:
         velocity = rows.velocity(body)
         rows.forces[body] -= damping * velocity
@@ -177,12 +177,12 @@ def _add_guide(scene: Scene, body: int, name: str, damping: float) -> None:
     scene.parts.append(LinearPart(f"{name}_guide", write))
 
 
-def _add_friction(scene: Scene, body: int, name: str, friction: DryFriction) -> None:
+def _add_friction(scene: PlantModel, body: int, name: str, friction: DryFriction) -> None:
     scene.works[name] = "dissipated"
     scene.parts.append(StickSlip(name, friction, 0.0, body))
 
 
-def _add_hand(scene: Scene, hand: TaskHand) -> None:
+def _add_hand(scene: PlantModel, hand: TaskHand) -> None:
     omegas = [2.0 * math.pi * motion.frequency if motion else 0.0 for motion in hand.motions]
     for name, motion in zip(_NAMES, hand.motions, strict=True):
         if motion is not None:
