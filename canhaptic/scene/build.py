@@ -232,8 +232,8 @@ def _build_faulty_bus(scene: Scene, index: int, bus: can.BusABC, stack: ExitStac
 
 def _build_clock(scene: Scene, pace: Pace, groups: Sequence[DriveGroup], faulty: "Mapping[int, FaultyBus]") -> Clock:
     """Returns the clock, which drives the simulated drives, and the faults between them and the master if any."""
-    far_sides: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
-    clock: Clock = VirtualClock(far_sides) if pace == "free" else WallClock(far_sides, scene.bus.spin_margin)
+    peers: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
+    clock: Clock = VirtualClock(peers) if pace == "free" else WallClock(peers, scene.bus.spin_margin)
     for faulty_bus in faulty.values():
         faulty_bus.use(clock)
     return clock

@@ -11,9 +11,10 @@ force without limit. With D_i the displacement in hold i and K the response of t
 
 so D_1 grows with u, and u = F_h throughout is the worst user whatever he did before. The integrals have closed forms
 (`DisplacementResponse`); without damping they are T^2/2m for the torque of either hold and T^2/m for the hand.
-Where b and m are only bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0 its least value, at the
-upper bound of b and the under-estimate of m; each response is largest at the under-estimates of m and b; a torque in
-the other direction helps by an amount that an over-estimate of m would be needed for, and counts as 0.
+Where b and m are only bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0
+its least value, at the upper bound of b and the under-estimate of m; each response is largest at the under-estimates
+of m and b; a torque in the other direction helps by an amount that an over-estimate of m would be needed for, and
+counts as 0.
 Since D_1 is bounded by a rising function of D_0, bounds chain over the holds whose torque is under way (delay), and
 the energy taken out, sum(f_i D_i) + F D, is largest when every D_i is: a bound D_1 < 0 therefore certifies energy that
 comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
