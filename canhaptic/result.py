@@ -11,7 +11,7 @@ from typing import Any
 
 from canhaptic.control.balance import Certificate, Ledger
 from canhaptic.cycle import Cycle
-from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.drive.can.servo_drive import ServoDrive
 
 
 def run_result(

@@ -75,8 +75,8 @@ def sdo_client() -> Target:
 def sdo_server() -> Target:
     """Requests to the simulated drive, 8 bytes each."""
     from canhaptic.canopen.eds import read_dictionary
-    from canhaptic.sim.drive.object_store import ObjectStore
-    from canhaptic.sim.drive.sdo_server import SdoServer
+    from canhaptic.sim.drive.can.sdo_server import SdoServer
+    from canhaptic.sim.drive.profile.object_store import ObjectStore
 
     read = read_dictionary(Path(__file__).parents[1] / "eds" / "cia402_servo.eds", 5)
 

@@ -16,7 +16,7 @@ from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.bus import open_bus, suffers, with_effects
 from canhaptic.scene.buses import NamedBus
 from canhaptic.scene.models import Scene
-from canhaptic.sim.drive.drive_group import DriveGroup
+from canhaptic.sim.drive.can.drive_group import DriveGroup
 
 _LONGEST_WAIT = 50_000_000  # [ns] between two looks at the stop signal
 _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be waited on together

@@ -8,7 +8,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.session import Session
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import SdoError, StartError
 from canhaptic.units import effort_unit
 

@@ -8,8 +8,8 @@ from canhaptic.commission.dialogue import Dialogue
 from canhaptic.commission.findings import Report, StepFinding, StepVerdict, Value
 from canhaptic.commission.laws import NO_TORQUE, CommissioningLimits, OpenLoop
 from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import InputError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.models import AxisScene, Scene

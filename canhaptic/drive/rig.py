@@ -19,11 +19,11 @@ from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
 from canhaptic.drive.can.bus_budget import BusBudget, has_room_for_sdo, require_budget
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile.bring_up import BringUp
 from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
 from canhaptic.drive.rig_stop import Trust
-from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample

@@ -14,9 +14,9 @@ from canhaptic.canopen.objects import (
     StatusBit,
 )
 from canhaptic.drive.can.exchange import Exchange
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp, nmt_name
 from canhaptic.drive.profile.power_states import FAULTED, PowerState, next_controlword
-from canhaptic.drive.servo_drive import ServoDrive
 
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
 _WRAP: Final = 1 << 32

@@ -19,9 +19,9 @@ from canhaptic.canopen.objects import (
     NmtState,
 )
 from canhaptic.drive.can.exchange import Exchange
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp
 from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
-from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import LinkError, RigError
 
 _LONGEST_RAMP: Final = 50_000_000  # [ns]

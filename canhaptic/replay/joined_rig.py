@@ -1,11 +1,11 @@
 """A rig that joins a bus whose drives are enabled already: for recordings that lack the start."""
 
 from canhaptic.canopen import objects as od
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.fitness import agreed_rated_torque
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import ServoDrive
 
 
 class JoinedRig(Rig):

@@ -33,7 +33,7 @@ from canhaptic.scene.parts import (
     shared_motors,
 )
 from canhaptic.signals import SimulatedPeer, Truth
-from canhaptic.sim.drive.drive_group import DriveGroup, DriveGroups, Drives
+from canhaptic.sim.drive.can.drive_group import DriveGroup, DriveGroups, Drives
 from canhaptic.sim.plant.plant import Plant
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import AxisScene, AxisSimulation, ComponentSpec, GroupScene, MechanismScene, Scene
-from canhaptic.sim.drive.drive_node import SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.mechanism import Mechanism, MechanismParameters

@@ -9,8 +9,8 @@ from bus_frames import DEMO, assert_never_enabled, commands, read_log
 
 from canhaptic.cli.main import main
 from canhaptic.scene import build
-from canhaptic.sim.drive.drive_node import SimulatedDrive
-from canhaptic.sim.drive.sdo_server import SdoServer
+from canhaptic.sim.drive.can.drive_node import SimulatedDrive
+from canhaptic.sim.drive.can.sdo_server import SdoServer
 
 Prepare = Callable[[pytest.MonkeyPatch], None]
 

@@ -9,7 +9,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.control.balance import AT_REST, Certificate, Ledger
-from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import _ledger
 

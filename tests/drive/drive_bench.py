@@ -12,11 +12,11 @@ from canopen import ObjectDictionary
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.drive.drive_node import SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent

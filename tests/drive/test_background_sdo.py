@@ -14,7 +14,7 @@ from canhaptic.drive.can import sdo_transfer
 from canhaptic.drive.can.bus_budget import bus_budget, has_room_for_sdo
 from canhaptic.drive.can.sdo_transfer import ProtocolError
 from canhaptic.errors import InputError, SdoError
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 SOON = 10.0  # [s] until a thread of this process has handed a result over; never a pass mark
 NAME = b"canhaptic generic CiA 402 servo"  # 0x1008 of our EDS

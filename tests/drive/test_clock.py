@@ -10,12 +10,12 @@ from drive_bench import FreeMass, axis, dictionary, make_bench, private_channel
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import ServoDrive
-from canhaptic.sim.drive.drive_node import SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 MS = 1_000_000
 

@@ -13,7 +13,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.cycle import Cycle
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import CommandLostError, DriveFaultError, InputError, LinkError
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 
 @pytest.mark.parametrize(("rpdo", "delay"), [("synchronous", 2), ("event", 1)])

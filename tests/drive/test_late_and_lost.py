@@ -7,7 +7,7 @@ import pytest
 from drive_bench import MakeBench, started
 
 from canhaptic.errors import LinkError
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 
 @pytest.mark.parametrize("late", [0, 1, 5, 6, 9])

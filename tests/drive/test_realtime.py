@@ -9,9 +9,9 @@ import pytest
 from drive_bench import Bench, axis, dictionary
 
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import StartError
 from canhaptic.host.realtime import GRANTED, Realtime, RealtimeParameters
 

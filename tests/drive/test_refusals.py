@@ -10,7 +10,7 @@ from drive_bench import OUR_EDS, Bench, MakeBench, axis, dictionary
 
 from canhaptic.drive.profile.fitness import Verdict, agreed_rated_torque, check_dictionary, require_fit
 from canhaptic.errors import BusBudgetError, DictionaryError, InputError, StartError
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 
 def refuse(b: Bench, step: str, *texts: str) -> StartError:

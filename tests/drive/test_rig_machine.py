@@ -23,7 +23,7 @@ from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.cycle import Cycle
 from canhaptic.errors import RigError
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 NODE, TPDO, RPDO, SYNC, SDO = 5, 0x185, 0x205, 0x080, 0x605
 LIMIT = 8.0  # [N]

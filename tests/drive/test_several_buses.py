@@ -6,13 +6,13 @@ from drive_bench import FreeMass, axis, dictionary, private_channel
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import BusBudgetError, LinkError
-from canhaptic.sim.drive.drive_node import SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 
 class Buses:

@@ -9,7 +9,7 @@ from drive_bench import Bench, MakeBench, axis
 from canhaptic.canopen.objects import NmtState
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import ControlError, DriveFaultError, LinkError, RigError
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 
 def running(make: MakeBench, **values: object) -> tuple[Bench, int]:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.bus import open_bus
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 TRAITS = REPOSITORY / "tests" / "sim_drive" / "eds"
 

@@ -1,4 +1,4 @@
-"""What `canhaptic.sim.drive.state_machine` must do, from figure 2 of IEC 61800-7-201 and the table of commands."""
+"""What `canhaptic.sim.drive.profile.state_machine` must do, from IEC 61800-7-201, figure 2 and table of commands."""
 
 from types import ModuleType
 

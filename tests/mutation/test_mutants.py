@@ -21,7 +21,7 @@ from mutator import load, mutants
 from canhaptic.canopen.objects import Controlword, StatusBit
 from canhaptic.drive.profile import limiter, link_policy, scaling
 from canhaptic.drive.profile import power_states as cia402
-from canhaptic.sim.drive import state_machine
+from canhaptic.sim.drive.profile import state_machine
 
 
 class Subject(NamedTuple):

@@ -18,7 +18,7 @@ from canhaptic.replay.replayed_run import replay
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 TWO_BUSES = REPOSITORY / "configs" / "two_buses.yaml"
 COUNT = 1e-6  # [m]

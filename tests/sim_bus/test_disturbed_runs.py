@@ -24,7 +24,7 @@ from canhaptic.errors import DriveFaultError, LinkError, RigError
 from canhaptic.scene.build import Experiment, build, build_drive_group
 from canhaptic.scene.bus import with_effects
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 GUARDED = "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N, lost_frames: 4}"

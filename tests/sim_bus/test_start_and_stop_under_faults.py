@@ -9,7 +9,7 @@ from canhaptic.cycle import run
 from canhaptic.errors import LinkError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 

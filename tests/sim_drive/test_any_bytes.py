@@ -7,8 +7,8 @@ from drive_on_bus import NODE, PERIOD, TRAITS, Rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.sim.drive.drive_group import DriveGroup
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.can.drive_group import DriveGroup
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 COB_IDS = [0x000, 0x080, 0x085, 0x205, 0x305, 0x405, 0x605, 0x705, 0x77F]
 INTERESTING = [

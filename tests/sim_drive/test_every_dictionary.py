@@ -8,7 +8,7 @@ import pytest
 from drive_on_bus import TRAITS, Rig
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 
 class Bring(NamedTuple):

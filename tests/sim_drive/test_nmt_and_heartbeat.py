@@ -3,7 +3,7 @@
 from drive_on_bus import PERIOD, Rig
 
 from canhaptic.canopen.objects import NmtState
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 MS = 1_000_000
 

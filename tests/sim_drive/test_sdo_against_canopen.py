@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.sim.drive.object_store import ObjectStore
-from canhaptic.sim.drive.sdo_server import SdoServer
+from canhaptic.sim.drive.can.sdo_server import SdoServer
+from canhaptic.sim.drive.profile.object_store import ObjectStore
 
 TEXT = """\
 [2000]

@@ -3,7 +3,7 @@
 import pytest
 from drive_on_bus import Rig
 
-from canhaptic.sim.drive.state_machine import DriveState, StateMachine
+from canhaptic.sim.drive.profile.state_machine import DriveState, StateMachine
 
 SOD, RTSO, SO, OE = (
     DriveState.SWITCH_ON_DISABLED,

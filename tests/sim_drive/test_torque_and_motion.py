@@ -7,7 +7,7 @@ from drive_on_bus import PERIOD, Mass, Rig
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 
 def torque(per_mille: int) -> str:

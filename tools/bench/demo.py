@@ -8,8 +8,8 @@ import yaml
 from canhaptic.scene.build import Experiment
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
-from canhaptic.sim.drive.drive_node import SimulatedDrive
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.can.drive_node import SimulatedDrive
+from canhaptic.sim.drive.profile.state_machine import DriveState
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 PERIOD = 1_000_000  # [ns]

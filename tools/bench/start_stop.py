@@ -12,7 +12,7 @@ from time import perf_counter
 
 from canhaptic.errors import RigError
 from canhaptic.scene.build import Experiment, build
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.state_machine import DriveState
 from tools.bench.demo import demo_of
 from tools.bench.report import Row, publish
 

@@ -22,7 +22,7 @@ from canhaptic.drive.can import sdo_transfer
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import ATTEMPTS
 from canhaptic.drive.can.sdo_transfer import ABORT, FRAME_LENGTH, ProtocolError, Transfer
-from canhaptic.drive.servo_drive import ServoDrive
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import LinkError, SdoError
 
 _MOST_WAITING: Final = 1000  # requests per bus

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from canhaptic.canopen.objects import HEARTBEAT_BASE, SYNC_FRAME_COB_ID, NmtState
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.servo_drive import ServoDrive, SyncWindow
+from canhaptic.drive.can.servo_drive import ServoDrive, SyncWindow
 from canhaptic.errors import LinkError
 
 _HEARTBEAT = bytes([NmtState.OPERATIONAL])

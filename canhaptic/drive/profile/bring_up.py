@@ -9,10 +9,10 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword, NmtCommand, NmtState
 from canhaptic.drive.can.pdo_map import is_writable
 from canhaptic.drive.can.pdo_setup import write_map
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.fitness import agreed_rated_torque
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
-from canhaptic.drive.servo_drive import ServoDrive
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 
 REMEDIES: Final = {

@@ -43,7 +43,7 @@ class SharedMechanism:
 
 
 class MechanismMotor:
-    """One motor of a mechanism, as its drive sees it (a `canhaptic.sim.drive.servo.Motor`)."""
+    """One motor of a mechanism, as its drive sees it (a `canhaptic.sim.drive.profile.servo.Motor`)."""
 
     def __init__(self, shared: SharedMechanism, axis: int) -> None:
         self.shared = shared

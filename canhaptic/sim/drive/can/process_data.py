@@ -7,12 +7,12 @@ from typing import Final
 from canopen.objectdictionary import datatypes
 
 from canhaptic.canopen.objects import COMMUNICATION_CYCLE_PERIOD, SYNC_COB_ID, SYNC_FRAME_COB_ID, SdoAbort
-from canhaptic.sim.drive import emergency as emcy
+from canhaptic.sim.drive.can import emergency as emcy
+from canhaptic.sim.drive.can.pdo import Pdo, find_pdos
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.object_store import ObjectStore
-from canhaptic.sim.drive.pdo import Pdo, find_pdos
-from canhaptic.sim.drive.servo import Servo
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.servo import Servo
+from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import Timers
 
 _NS_PER_US: Final = 1000

@@ -7,8 +7,8 @@ from typing import Protocol
 
 import can
 
-from canhaptic.sim.drive.drive_node import SimulatedDrive
-from canhaptic.sim.drive.process_data import Handler
+from canhaptic.sim.drive.can.drive_node import SimulatedDrive
+from canhaptic.sim.drive.can.process_data import Handler
 from canhaptic.sim.drive.timers import NEVER
 
 

@@ -13,7 +13,7 @@ from canhaptic.canopen.objects import (
     NmtCommand,
     SdoAbort,
 )
-from canhaptic.sim.drive.object_store import Entry, ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.timers import Timers
 
 _NS_PER_MS: Final = 1_000_000

@@ -6,7 +6,7 @@ from typing import Final
 from canopen.objectdictionary import datatypes
 
 from canhaptic.canopen.objects import COB_ID_INVALID, EMCY_BASE, EMCY_COB_ID, ERROR_CODE, ERROR_REGISTER, SdoAbort
-from canhaptic.sim.drive.object_store import Entry, ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 
 _ERROR_HISTORY: Final = 0x1003
 

@@ -7,7 +7,7 @@ from canopen.objectdictionary import datatypes
 from canhaptic.canopen.objects import MAX_TORQUE, RATED_TORQUE, TARGET_TORQUE
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.object_store import ObjectStore
+from canhaptic.sim.drive.profile.object_store import ObjectStore
 
 
 class TorqueStage:

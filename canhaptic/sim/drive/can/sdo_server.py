@@ -6,7 +6,7 @@ Frames in, frames out, no bus and no time. Block transfer is refused, as CiA 301
 from typing import Final
 
 from canhaptic.canopen.objects import SdoAbort
-from canhaptic.sim.drive.object_store import ObjectStore
+from canhaptic.sim.drive.profile.object_store import ObjectStore
 
 _SEGMENT_BYTES: Final = 7
 _MAX_DOWNLOAD: Final = 1 << 16  # [bytes] a servo drive has no object this long; a longer transfer is out of memory

@@ -26,11 +26,11 @@ from canhaptic.canopen.objects import (
 )
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.drive_torque import TorqueStage
-from canhaptic.sim.drive.object_store import ObjectStore
-from canhaptic.sim.drive.state_machine import STATUSWORD as STATUSWORDS
-from canhaptic.sim.drive.state_machine import DriveState, PowerCommand, StateMachine, command_of
-from canhaptic.sim.drive.torque_meter import TorqueMeter
+from canhaptic.sim.drive.profile.drive_torque import TorqueStage
+from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
+from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, StateMachine, command_of
+from canhaptic.sim.drive.profile.torque_meter import TorqueMeter
 
 _SENSOR_FAULT: Final = 0x7300  # error code of 0x603F: a position that is no number
 _COUNTS: Final = 1 << 32  # 0x6064 and 0x606C are 32 bits wide and wrap, as an encoder counter does

@@ -25,14 +25,14 @@ from canhaptic.canopen.objects import (
     NmtState,
 )
 from canhaptic.signals import Truth
-from canhaptic.sim.drive import emergency as emcy
+from canhaptic.sim.drive.can import emergency as emcy
+from canhaptic.sim.drive.can.nmt_slave import HeartbeatConsumer, HeartbeatProducer, command_for
+from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
+from canhaptic.sim.drive.can.sdo_server import SdoServer
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.nmt_slave import HeartbeatConsumer, HeartbeatProducer, command_for
-from canhaptic.sim.drive.object_store import ObjectStore
-from canhaptic.sim.drive.process_data import Content, Handler, ProcessData
-from canhaptic.sim.drive.sdo_server import SdoServer
-from canhaptic.sim.drive.servo import Motor, Servo
-from canhaptic.sim.drive.state_machine import DriveState
+from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.servo import Motor, Servo
+from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import Timers
 
 _COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)

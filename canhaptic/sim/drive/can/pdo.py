@@ -15,7 +15,7 @@ from canhaptic.canopen.objects import (
     TPDO_MAPPING,
     SdoAbort,
 )
-from canhaptic.sim.drive.object_store import Entry, ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 
 _PDOS: Final = 512
 _EXTENDED_FRAME: Final = 1 << 29

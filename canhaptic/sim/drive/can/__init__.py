@@ -1,0 +1,1 @@
+"""CANopen of the simulated drive: NMT, SDO server, PDOs, EMCY, process data at SYNC."""
