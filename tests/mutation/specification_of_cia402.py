@@ -43,12 +43,12 @@ EXPECTED = [(above | low, state_of(low)) for low in range(0x100) for above in BI
 
 def judge(module: ModuleType) -> None:
     """Raises when the module is not what the standard says."""
-    assert {state.name for state in module.DriveState} == set(NEXT_CONTROLWORD)
+    assert {state.name for state in module.PowerState} == set(NEXT_CONTROLWORD)
     for word, name in EXPECTED:
         assert module.drive_state(word).name == name
         assert module.is_enabled(word) is (name == "OPERATION_ENABLED")
         assert (word & module.ENABLED_MASK == module.ENABLED_VALUE) is (name == "OPERATION_ENABLED")
-    for state in module.DriveState:
+    for state in module.PowerState:
         assert module.next_controlword(state) == NEXT_CONTROLWORD[state.name]
         assert (state in module.TORQUE_FREE) is (state.name not in WITH_TORQUE)
         assert (state in module.FAULTED) is state.name.startswith("FAULT")

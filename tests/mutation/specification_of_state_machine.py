@@ -69,7 +69,7 @@ def judge(module: ModuleType) -> None:
 def _names_and_words(module: ModuleType) -> None:
     assert [state.name for state in module.DriveState] == list(STATES)
     assert [int(state) for state in module.DriveState] == list(range(8))
-    assert [command.name for command in module.Command] == list(COMMANDS)
+    assert [command.name for command in module.PowerCommand] == list(COMMANDS)
     assert {state.name: word for state, word in module.STATUSWORD.items()} == STATUSWORDS
     assert all(state_of(word) == state for state, word in STATUSWORDS.items())
     for word, _, name in WORDS:

@@ -58,10 +58,10 @@ SUBJECTS = {
         cia402,
         specification_of_cia402.judge,
         240,
-        members={"DriveState": cia402.PowerState, "Controlword": Controlword},
+        members={"PowerState": cia402.PowerState, "Controlword": Controlword},
         equivalent={
-            "module: ..DriveState.OPERATION_ENABLED), (111, 7, DriveState.QUICK_STO.. => "
-            "..DriveState.OPERATION_ENABLED), (79, 7, DriveState.QUICK_STO..": "0x27 was told apart one row earlier",
+            "module: ..PowerState.OPERATION_ENABLED), (111, 7, PowerState.QUICK_STO.. => "
+            "..PowerState.OPERATION_ENABLED), (79, 7, PowerState.QUICK_STO..": "0x27 was told apart one row earlier",
             "module: _STATES: Final = tuple((_state(low_byte) for low_byte in range(256))) => "
             "_STATES: Final = tuple((_state(low_byte) for low_byte in range(257)))": "no index reaches the last entry",
             "drive_state: return _STATES[statusword & 255] => "
@@ -99,12 +99,12 @@ SUBJECTS = {
             "_S": state_machine.DriveState,
             "DriveState": state_machine.DriveState,
             "_C": state_machine.PowerCommand,
-            "Command": state_machine.PowerCommand,
+            "PowerCommand": state_machine.PowerCommand,
             "StatusBit": StatusBit,
         },
         equivalent={
-            "Command: DISABLE_VOLTAGE = 0 => DISABLE_VOLTAGE = -1": "commands are told apart, never counted",
-            "Command: ENABLE_OPERATION = 4 => ENABLE_OPERATION = 5": "commands are told apart, never counted",
+            "PowerCommand: DISABLE_VOLTAGE = 0 => DISABLE_VOLTAGE = -1": "commands are told apart, never counted",
+            "PowerCommand: ENABLE_OPERATION = 4 => ENABLE_OPERATION = 5": "commands are told apart, never counted",
             "StateMachine.reset: self._controlword = 0 => self._controlword = 1": "only the edge of bit 7 is asked for",
         },
     ),

@@ -71,7 +71,7 @@ def _forms(rows: Rows, scene: PlantModel) -> tuple[list[Product], list[Product]]
 
 
 def _stacked(forms: list[Array], shift: Array) -> Array:
-    """Returns the matrix of `Mode.works` for one level; see `stepper.Books` for its use."""
+    """Returns the matrix of `Mode.works` for one level; see `stepper.StepBuffers` for its use."""
     count, size = len(forms), len(shift)
     blocks = []
     for i, form in enumerate(forms):

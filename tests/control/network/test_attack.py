@@ -14,7 +14,7 @@ from attack import (
     run,
 )
 
-from canhaptic.control.mechanisms.five_bar import FiveBarLinkage as FiveBarKinematics
+from canhaptic.control.mechanisms.five_bar import FiveBar as FiveBarKinematics
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties

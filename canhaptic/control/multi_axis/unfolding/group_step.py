@@ -31,8 +31,8 @@ import math
 from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Any
 from numba import njit
-from canhaptic.control.port_hamiltonian.equation import Room
-from canhaptic.control.port_hamiltonian.discrete_gradient import Matrix, Tables, Vector
+from canhaptic.control.port_hamiltonian.equation import Workspace
+from canhaptic.control.port_hamiltonian.discrete_gradient import Matrix, NetworkTables, Vector
 """
 _FUNCTIONS: Final = """
 @njit(error_model="python", cache=True)
@@ -263,7 +263,7 @@ def _constants(memory: Memory, network: SampledNetwork) -> tuple[dict[int, list[
             constants[first] = numbers
             text = f"numbers[{first}:{first + len(numbers)}]"
             parts.append(f"{text}.reshape({shapes[name]})" if name in shapes else text)
-    lines = [f"tables = Tables({', '.join(parts)})"]
+    lines = [f"tables = NetworkTables({', '.join(parts)})"]
     rooms = {}
     for block in memory.blocks.values():
         count = block.shape[0] * (block.shape[1] if len(block.shape) > 1 else 1)
@@ -271,7 +271,7 @@ def _constants(memory: Memory, network: SampledNetwork) -> tuple[dict[int, list[
         lines.append(f"{block.array.name} = {text}{f'.reshape({block.shape})' if len(block.shape) > 1 else ''}")
         if block.owner is network.room:
             rooms[block.name] = block.array.name
-    return constants, [*lines, f"room = Room({', '.join(rooms[name] for name in network.room._fields)})"]
+    return constants, [*lines, f"room = Workspace({', '.join(rooms[name] for name in network.room._fields)})"]
 
 
 def _functions() -> str:
