@@ -151,10 +151,10 @@ def test_what_two_algorithms_have_in_common_is_kept(scene):
 def test_at_rest_the_stiffness_is_that_of_the_wall_and_nothing_cycles(scene):
     leaning = scene("simulation.user={damping: 10, push: -5}", "duration=4 s")
     found = account(leaning, "direct")
-    assert found["stiffness_rendered"]["value"] == pytest.approx(1000.0, rel=1e-4)
-    assert found["stiffness_rendered"]["share"] == pytest.approx(1.0, rel=1e-4)
+    assert found["stiffness_at_rest"]["value"] == pytest.approx(1000.0, rel=1e-4)
+    assert found["stiffness_at_rest"]["share"] == pytest.approx(1.0, rel=1e-4)
     assert found["limit_cycle"] < 1e-7
-    assert account(scene(), "direct")["stiffness_rendered"] is None  # a hand that moves has no rest
+    assert account(scene(), "direct")["stiffness_at_rest"] is None  # a hand that moves has no rest
 
 
 def test_another_rate_may_be_beyond_the_bus_but_not_over_can(scene):

@@ -32,11 +32,11 @@ from canhaptic.scene.models import Scene
 from canhaptic.study.batch.cases import batch_case, check_values, why_not_batchable, why_not_beforehand
 from canhaptic.study.batch.engine import Engine
 from canhaptic.study.batch.marching import march
-from canhaptic.study.batch.meter import ALL, CONTINUOUS, METRICS
 from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.radius import spectral_radius
 from canhaptic.study.batch.scalar import run_scalar
 from canhaptic.study.batch.varied import BATCH_KEYS, scene_with
+from canhaptic.study.figures import ALL, CONTINUOUS, METRICS
 from canhaptic.study.loop import Array
 
 __all__ = [

@@ -10,10 +10,9 @@ import numpy as np
 from canhaptic.study.batch.batch_reference import ContinuousRuns, why_not_continuous
 from canhaptic.study.batch.engine import WORTH_COMPILING, ChosenEngine, Engine, chosen_engine
 from canhaptic.study.batch.layout import known_values, widened
-from canhaptic.study.batch.meter import metrics_of, sums_of
 from canhaptic.study.batch.numpy_form import BLOCK, NumpyForm
 from canhaptic.study.batch.program import INPUTS, BatchCase, Program, Structure, build_program
-from canhaptic.study.figures import last_rows
+from canhaptic.study.figures import last_rows, metrics_of, sums_of
 from canhaptic.study.loop import Array
 
 CHUNK: Final = 8192

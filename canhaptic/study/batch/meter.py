@@ -1,89 +1,17 @@
-"""The figures of one run, gathered while it runs: no trajectory is kept, so that memory does not grow with cycles.
+"""The sums behind the figures of one run, gathered while it runs: memory does not grow with cycles.
 
-Written for one axis and floats. The scalar path runs it as it stands; the batch form is made from this very source, so
-that a figure has one definition. Names are those of `canhaptic.study.figures`, flattened with dots.
+Written for one axis and floats. The batch form is made from this source. `canhaptic.study.figures` defines what each
+sum is for.
 """
-
-from collections.abc import Mapping, Sequence
-from typing import Final
-
-import numpy as np
 
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.study.loop import Array
-from canhaptic.study.reference.continuous_reference import REST
 
 _FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT = (branch.value for branch in list(Branch)[:7])
-_LEAST_EFFORT: Final = 1e-9  # [N or N*m] below which there is nothing to be rendered
-_LAST: Final = ("diverged", "continuous_travel", "continuous_rest")
-_NO_REFERENCE: Final = "NaN in a batch without a continuous run in closed form"
-
-METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
-    "diverged": ("1 where the axis left every place the user could have taken it, else 0", ("diverged",)),
-    "cycles": ("SYNCs that the figures are of: all, or those until it diverged", ("cycles",)),
-    "interaction": ("true sum(h_i) at the end [J]", ("interaction",)),
-    "least_interaction": ("least true sum(h_i) after any hold, eq. 3 [J]", ("least_interaction",)),
-    "least_covered": (
-        "least true sum(h_i) + (b / T) sum(dq^2) + f_c sum|dq| after any hold: with what damping b and Coulomb "
-        "friction f_c of the device dissipate at least; b as declared, else of the simulated plant [J]",
-        ("least_covered",),
-    ),
-    "margin": ("least true sum(h_i) less booked sum(h_r) after any hold, eq. 4 [J]", ("margin",)),
-    "believed_margin": ("the same as booked [J]", ("believed_margin",)),
-    "believed_error": ("largest |believed - true| sum(h_i) after any hold [J]", ("believed_error",)),
-    "surplus_end": ("h_dis at the end [J]", ("surplus",)),
-    "torque_peak": ("largest |torque| held [N or N*m]", ("torque_peak",)),
-    "force_variation": ("total variation of the torque held, the first step included [N or N*m]", ("variation",)),
-    "contact": ("share of the holds that ended in contact", ("contacts", "cycles")),
-    "damping_rendered.mean": ("in contact, NaN without [N*s/m or N*m*s/rad]", ("damping", "contacts")),
-    "damping_rendered.least": ("in contact, NaN without", ("damping_least", "contacts")),
-    "damping_rendered.most": ("in contact, NaN without", ("damping_most", "contacts")),
-    "stiffness_rendered.value": (
-        "mean force over mean state in contact: over whole contacts the damper averages out; NaN without contact and "
-        "where the state relaxes [N/m or N*m/rad]",
-        ("force", "state"),
-    ),
-    "stiffness_rendered.share": ("mean force in contact over the mean effort asked for there", ("force", "asked")),
-    "travel": ("largest less least true position [m or rad]", ("highest", "lowest")),
-    "certificate": ("weakest promise of any hold: 0 exact, 1 device damping, 2 hand force, 3 hand speed, 4 none",
-                    ("certificate",)),
-    "branches.free": ("holds without contact", ("free",)),
-    "branches.start": ("holds that began a contact", ("start",)),
-    "branches.exact": ("holds with the balance solved", ("exact",)),
-    "branches.sticky": ("holds that moved out while energy came in", ("sticky",)),
-    "branches.fallback": ("holds without an exact solution", ("fallback",)),
-    "branches.depleted": ("holds that took more than was stored", ("depleted",)),
-    "branches.exit": ("holds that ended a contact", ("exit",)),
-}  # fmt: skip
-"""Name -> (what it is, the sums of `Meter` that it is made of)."""
-
-CONTINUOUS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
-    "position_error.rms": (f"against the continuous environment, {_NO_REFERENCE} [m or rad]",
-                           ("position_squares", "cycles")),
-    "position_error.max": (f"the largest, {_NO_REFERENCE} [m or rad]", ("position_worst",)),
-    "force_error.rms": (f"torque held less mean of the continuous one, {_NO_REFERENCE} [N or N*m]",
-                        ("force_squares", "cycles")),
-    "force_error.max": (f"the largest, {_NO_REFERENCE} [N or N*m]", ("force_worst",)),
-    "force_variation.ratio": (f"force_variation over that of the continuous force: 1 is as calm; {_NO_REFERENCE}",
-                              ("variation", "diverged", "continuous")),
-    "limit_cycle": (f"how far it goes to and fro in the last part, where the continuous axis rests; {_NO_REFERENCE} "
-                    "[m or rad]", ("last_highest", "last_lowest", *_LAST)),
-    "stiffness_at_rest.value": (f"mean force over mean state in the last part, where the continuous axis rests (what a "
-                                f"comparison calls stiffness_rendered); {_NO_REFERENCE} [N/m or N*m/rad]",
-                                ("last_force", "last_state", "last_asked", "last", *_LAST)),
-    "stiffness_at_rest.share": (f"that over the mean effort asked for there; {_NO_REFERENCE}",
-                                ("last_force", "last_state", "last_asked", "last", *_LAST)),
-}  # fmt: skip
-"""The same, of what needs a continuous run beside each loop; a batch has one for walls with spring and damper on one or
-two sides, dampers and free space, and plants with nothing but viscous friction and tremor added."""
-
-ALL: Final = {**METRICS, **CONTINUOUS}
-"""Every metric."""
 
 
 class Meter:
-    """Running sums and extremes of one axis; energies in [J]. Its attributes are what `METRICS` are made of."""
+    """Running sums and extremes of one axis; energies in [J]. Its attributes are what `figures.ALL` names."""
 
     def __init__(
         self, environment: Environment, last_from: float = 0.0, damping_per_time: float = 0.0, friction: float = 0.0
@@ -197,41 +125,3 @@ class Meter:
             self.force -= torque
             self.state += state
             self.asked += self._environment.effort(state)
-
-
-def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:
-    """Returns the sums that some metrics are made of, each once."""
-    return tuple(dict.fromkeys(name for metric in metrics for name in ALL[metric][1]))
-
-
-def metrics_of(metrics: Sequence[str], sums: Mapping[str, Array]) -> dict[str, Array]:
-    """Returns metrics made of the sums of many runs, shape (n_runs,) each; NaN where there is nothing to measure."""
-    with np.errstate(all="ignore"):
-        return {metric: _metric(metric, sums) for metric in metrics}
-
-
-def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
-    names = ALL[metric][1]
-    first, second = sums[names[0]], sums[names[-1]]
-    if metric in ("damping_rendered.least", "damping_rendered.most"):
-        return np.where(second > 0.0, first, np.nan)
-    if metric.startswith(("limit_cycle", "stiffness_at_rest")):
-        return _at_rest(metric, sums)
-    if metric == "force_variation.ratio":
-        return np.where((sums["diverged"] == 0.0) & (second > _LEAST_EFFORT), first / second, np.nan)
-    if metric.endswith("_error.rms"):
-        return np.sqrt(first / second)
-    if metric == "travel":
-        return first - second
-    return np.array(first) if len(names) == 1 else np.where(second != 0.0, first / second, np.nan)
-
-
-def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
-    """Returns what is measured in the last part, where the continuous axis rests there."""
-    rest = sums["continuous_rest"]
-    rests = (sums["diverged"] == 0.0) & (rest <= REST * np.maximum(sums["continuous_travel"], 1e-9))
-    if metric == "limit_cycle":
-        return np.where(rests, np.maximum(0.0, sums["last_highest"] - sums["last_lowest"] - rest), np.nan)
-    state, asked = sums["last_state"], sums["last_asked"]
-    known = rests & (np.abs(asked) >= _LEAST_EFFORT * sums["last"]) & (state != 0.0)
-    return np.where(known, sums["last_force"] / (state if metric.endswith("value") else asked), np.nan)

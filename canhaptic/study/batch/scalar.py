@@ -8,8 +8,8 @@ from canhaptic.errors import ControlError
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.study.batch.axis import SampledAxis
-from canhaptic.study.batch.meter import CONTINUOUS, METRICS, Meter, metrics_of, sums_of
-from canhaptic.study.figures import last_rows
+from canhaptic.study.batch.meter import Meter
+from canhaptic.study.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of
 from canhaptic.study.loop import FURTHEST, LoopCase
 from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
 from canhaptic.study.scenes import loop_case, plant_parts

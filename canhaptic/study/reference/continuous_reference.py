@@ -34,10 +34,6 @@ class Reference(NamedTuple):
         """Largest less least position [m or rad]."""
         return float(np.ptp(self.position))
 
-    def rests(self, rows: slice) -> bool:
-        """Whether the continuous axis is at rest in these rows."""
-        return float(np.ptp(self.position[rows])) <= REST * max(self.travel, 1e-9)
-
 
 def continuous_reference(
     environment: Environment,

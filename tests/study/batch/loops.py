@@ -9,9 +9,9 @@ from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch.cases import loop_in_arrays
-from canhaptic.study.batch.meter import METRICS, metrics_of, sums_of
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.batch.scalar import axis_of
+from canhaptic.study.figures import METRICS, metrics_of, sums_of
 from canhaptic.study.loop import LoopCase
 from canhaptic.study.standard import standard_case
 

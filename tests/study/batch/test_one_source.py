@@ -6,8 +6,8 @@ from loops import COUNTED, WORLDS, in_arrays, scalar_case, with_floats
 
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.study.batch.marching import march
-from canhaptic.study.batch.meter import METRICS
 from canhaptic.study.batch.nodes import NotBatchableError
+from canhaptic.study.figures import METRICS
 
 CYCLES = 500
 NAMES = [name for name in METRICS if name not in COUNTED]

@@ -83,6 +83,9 @@ def test_the_figures_are_those_of_the_comparison(algorithm):
     for part in ("mean", "least", "most"):
         expected = of_comparison["damping_rendered"][part]
         assert found[f"damping_rendered.{part}"] == pytest.approx(expected, rel=1e-6)
+    for part in ("value", "share"):
+        expected = of_comparison["stiffness_rendered"][part]
+        assert found[f"stiffness_rendered.{part}"] == pytest.approx(expected, rel=1e-6)
     assert found["torque_peak"] == pytest.approx(float(np.abs(run.torque).max()), rel=1e-6)
     assert found["travel"] == pytest.approx(float(np.ptp(run.true_position)), rel=1e-6)
     assert found["contact"] == pytest.approx(float(np.isfinite(run.damping).mean()))

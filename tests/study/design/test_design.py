@@ -56,7 +56,7 @@ def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_t
             ],
         )
         run = compare(scene, ["guarded"], duration=4.0, repeats=0).result["axes"]["handle"]["algorithms"]["guarded"]
-        assert run["stiffness_rendered"]["share"] == pytest.approx(1.0, abs=0.05)
+        assert run["stiffness_at_rest"]["share"] == pytest.approx(1.0, abs=0.05)
         assert run["status"] == "completed"
     assert pasted["environment"]["stiffness"] == f"{designed.stiffness:g} N/m"
     assert pasted["passivity"]["algorithm"] == "guarded"
