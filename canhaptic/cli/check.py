@@ -17,12 +17,13 @@ from canhaptic.drive.can.bus_budget import BusBudget, require_budget
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict, check_dictionary
 from canhaptic.host.realtime import GRANTED, Realtime
+from canhaptic.scene.guesses import TO_SET, Guess, guesses_left, refuses_guesses
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.starter import TO_SET, guesses_left
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table_style import plain_table
 
+_TO_BE_SET: Final = 1  # exit status: a run is refused until the marked values are set
 _COLOURS: Final = {Verdict.FIT: "green", Verdict.UNKNOWN: "yellow", Verdict.REFUSED: "red"}
 
 
@@ -33,7 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Prints the configuration in effect, the bus budget, the fitness of each drive, stability hints and the host."""
+    """Prints the configuration in effect, the bus budget, the fitness of each drive, stability hints and the host.
+
+    Returns 1 when values are marked as guesses and the drives are real: a run would be refused.
+    """
     scene = scene_of(arguments)
     dictionaries = [read_dictionary(a.parameters.eds, a.parameters.node_id) for a in scene.axes]
     axes = [axis.parameters for axis in scene.axes]
@@ -52,7 +56,7 @@ def execute(arguments: argparse.Namespace) -> int:
         write_json(_as_json(scene, budgets, findings, hints))
     else:
         _print(make_console(), scene, budgets, findings, hints)
-    return 0
+    return _TO_BE_SET if guesses_left(scene) and refuses_guesses(scene) else 0
 
 
 def _as_json(
@@ -62,7 +66,7 @@ def _as_json(
     return {
         "status": "ok",
         "config_hash": scene.config_hash(),
-        "to_set": guesses_left(scene),
+        "to_set": [guess._asdict() for guess in guesses_left(scene)],
         "config": scene.resolved(),
         **({"buses": buses} if scene.bus_name else {"bus": buses[""]}),
         "drives": {
@@ -89,11 +93,9 @@ def _print(
     console: Console, scene: Scene, budgets: dict[str, BusBudget], findings: dict[str, list[Finding]], hints: list[Hint]
 ) -> None:
     console.print(f"[bold]configuration[/] {scene.config_hash()[:12]}")
-    if lines := guesses_left(scene):
-        shown = ", ".join(map(str, lines))
-        console.print(
-            f"{len(lines)} values are still marked {TO_SET}, in lines {shown}: real drives do not run on guesses"
-        )
+    if guesses := guesses_left(scene):
+        console.print(f"{len(guesses)} values are still marked {TO_SET}: real drives do not run on guesses")
+        console.print(_guess_table(guesses))
     console.print(yaml.safe_dump(_without_empty(scene.resolved()), sort_keys=False, allow_unicode=True), markup=False)
     for name, budget in budgets.items():
         console.print(_bus_table(name, budget))
@@ -106,6 +108,13 @@ def _print(
     answers = _realtime(scene)
     if answers:
         console.print(_realtime_table(answers))
+
+
+def _guess_table(guesses: list[Guess]) -> Table:
+    table = plain_table("to set", "line", "key", "guess", "what belongs there")
+    for guess in guesses:
+        table.add_row(str(guess.line), escape(guess.key), escape(guess.value), escape(guess.note))
+    return table
 
 
 def _realtime(scene: Scene) -> dict[str, str]:

@@ -17,9 +17,9 @@ from canhaptic.host.socketcan_state import require_preflight
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.guesses import require_no_guesses
 from canhaptic.scene.method import method_line
 from canhaptic.scene.plant_price import plant_prices
-from canhaptic.scene.starter import require_no_guesses
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -25,6 +25,7 @@ _TIMEOUT: Final = 5.0  # [s] for `ip`
 _ALARMING_ERRORS: Final = 96  # the error counter from which a controller warns (ISO 11898-1)
 _FRAMES_BESIDE_RPDOS: Final = 3  # SYNC, heartbeat, SDO
 _REAL_CONTROLLERS: Final = "can"  # info_kind of an interface with a controller; vcan and vxcan have none
+_VIRTUAL_KINDS: Final = ("vcan", "vxcan")
 
 
 class PreflightFinding(NamedTuple):
@@ -52,6 +53,33 @@ def preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFi
     return findings
 
 
+def all_links_are_virtual(scene: RigSettings, run: Runner | None = None) -> bool:
+    """Returns whether no bus of a scene can have a real drive, as the kernel says it.
+
+    That is so for the virtual bus of this process and for SocketCAN interfaces of the kinds vcan and vxcan. The name of
+    an interface does not count. An interface of which the kernel says nothing counts as real.
+
+    Args:
+        scene: Names the interfaces.
+        run: Runs a command and returns what it printed; `ip` itself by default.
+    """
+    return all(_is_virtual(bus.parameters, run or _run) for bus in scene.buses)
+
+
+def _is_virtual(bus: BusSettings, run: Runner) -> bool:
+    if bus.interface != "socketcan":
+        return bus.interface == "virtual"
+    try:
+        [link] = json.loads(run(_question(str(bus.channel))).stdout)
+        return link["linkinfo"]["info_kind"] in _VIRTUAL_KINDS
+    except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _question(channel: str) -> list[str]:
+    return ["ip", "-details", "-statistics", "-json", "link", "show", "dev", channel]
+
+
 def require_preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:
     """Returns the notes of a preflight in which nothing speaks against a run.
 
@@ -75,7 +103,7 @@ def inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) ->
         run: Runs a command and returns what it printed.
     """
     try:
-        done = run(["ip", "-details", "-statistics", "-json", "link", "show", "dev", channel])
+        done = run(_question(channel))
     except (OSError, subprocess.SubprocessError) as error:
         text = f"cannot be checked ({error}); install iproute2 so that a wrong bit rate is found before a run"
         return [PreflightFinding(channel, "ip", "no answer", "note", text)]

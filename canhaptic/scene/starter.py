@@ -17,19 +17,16 @@ from canhaptic.drive.can.bus_budget import round_rate
 from canhaptic.drive.can.pdo_map import is_writable
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
-from canhaptic.errors import DictionaryError, InputError
+from canhaptic.errors import DictionaryError
 from canhaptic.scene.eds_path import path_for_scene
-from canhaptic.scene.models import Scene
+from canhaptic.scene.guesses import TO_SET
 from canhaptic.scene.profiles import profile_values
 
-TO_SET: Final = "TO SET"
-"""Marks every value that the user has to replace."""
 _CAUTIOUS: Final = 0.05  # part of the rated torque that the first configuration allows
 _GUESSED_RATED_TORQUE: Final = 1.0  # [N*m]
 _GUESSED_COUNTS: Final = 65536  # per revolution
 _FEWEST_COUNTS: Final = 64  # per revolution; a dictionary that states fewer states the default of an unset object
 _COMMENT_COLUMN: Final = 30
-_MARKED: Final = re.compile(rf"\s#\s*{TO_SET}\b")
 _TRAILING_COMMENT: Final = re.compile(r"^( *[^#\s][^#\n]*?) +# ", re.MULTILINE)
 _EDS_TOKEN: Final = "@EDS@"  # put in last: nothing else may touch a path
 _FASTEST: Final = 1000.0  # [Hz]
@@ -149,26 +146,6 @@ def _axis_values(found: Survey, drive: str | None) -> dict[str, str]:
         "read_back": _read_back_lines(found),
         "watchdog": _watchdog_lines(dictionary),
     }
-
-
-def guesses_left(scene: Scene) -> list[int]:
-    """Returns the lines of a scene file that are still marked as guesses."""
-    lines = enumerate(scene.text.splitlines(), start=1)
-    return [number for number, line in lines if _MARKED.search(line) and not line.lstrip().startswith("#")]
-
-
-def require_no_guesses(scene: Scene) -> None:
-    """Returns when no value of a scene for real drives is marked as a guess.
-
-    Raises:
-        InputError: Some are; names their lines.
-    """
-    lines = guesses_left(scene)
-    if lines and not scene.simulated:
-        raise InputError(
-            f"{scene.source}: lines {', '.join(map(str, lines))}: marked {TO_SET}, and the drives are real; put the "
-            "values of your rig there and take the marks away"
-        )
 
 
 def _aligned(text: str) -> str:

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from canhaptic.cli.main import main
+from canhaptic.scene.guesses import TO_SET
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.starter import TO_SET
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OURS = REPOSITORY / "eds" / "cia402_servo.eds"
@@ -143,7 +143,7 @@ def started(path: Path, folder: Path, capsys: Captured, *options: str) -> Path:
 
 def check_and_run(path: Path, folder: Path, capsys: Captured) -> dict[str, Any]:
     rig = started(path, folder, capsys)
-    assert main(["check", str(rig)]) == 0
+    assert main(["check", str(rig)]) == 1  # values are marked, and the drives are real
     simulated = started(path, folder, capsys, "--simulate")
     assert main(["check", str(simulated)]) == 0
     capsys.readouterr()
@@ -177,20 +177,38 @@ def test_real_drives_do_not_run_on_guesses(tmp_path: Path, capsys: Captured) -> 
     scene = started(OURS, tmp_path, capsys)
     assert main(["run", str(scene)]) == 2
     lines = scene.read_text().splitlines()
-    marked = [number for number, line in enumerate(lines, 1) if f"# {TO_SET}" in line]
-    assert f"lines {', '.join(map(str, marked))}: marked TO SET" in capsys.readouterr().err
+    marked = [(n, line.split(":")[0].strip()) for n, line in enumerate(lines, 1) if f" # {TO_SET}" in line]
+    assert f"lines {', '.join(f'{n} ({key})' for n, key in marked)}: marked TO SET" in capsys.readouterr().err
     scene.write_text("\n".join(line.split(f"# {TO_SET}")[0] for line in lines))
     main(["run", str(scene), "--set", "bus.interface=virtual", "--set", "bus.channel=nobody-there"])
     assert "marked TO SET" not in capsys.readouterr().err
 
 
-def test_check_counts_the_guesses_that_are_left(tmp_path: Path, capsys: Captured) -> None:
+def test_check_says_what_is_still_to_be_set(tmp_path: Path, capsys: Captured) -> None:
     scene = started(OURS, tmp_path, capsys)
-    marked = scene.read_text().count(f" # {TO_SET}")
-    assert main(["check", str(scene)]) == 0
-    assert f"{marked} values are still marked TO SET" in " ".join(capsys.readouterr().out.split())
-    assert main(["check", str(scene), "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["to_set"]) == marked
+    lines = scene.read_text().splitlines()
+    marked = [number for number, line in enumerate(lines, 1) if f" # {TO_SET}" in line]
+    assert main(["check", str(scene)]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"{len(marked)} values are still marked TO SET" in out
+    assert "the largest torque that may ever reach the hand" in out
+    assert main(["check", str(scene), "--json"]) == 1
+    rows = json.loads(capsys.readouterr().out)["to_set"]
+    assert [row["line"] for row in rows] == marked
+    channel = next(row for row in rows if row["key"] == "channel")
+    assert (channel["value"], channel["note"]) == ("can0", "")
+    node = next(row for row in rows if row["key"] == "node_id")
+    assert (node["value"], node["note"]) == ("1", "as set in the drive")
+
+
+def test_check_of_a_scene_without_marks_or_with_simulated_drives_is_well(tmp_path: Path) -> None:
+    out = tmp_path / "rig.yaml"
+    assert main(["new", str(OURS), "--simulate", "--out", str(out)]) == 0
+    assert main(["check", str(out)]) == 0
+    out.unlink()
+    assert main(["new", str(OURS), "--out", str(out)]) == 0
+    out.write_text(out.read_text().replace(f"# {TO_SET}", "# set:"))
+    assert main(["check", str(out)]) == 0
 
 
 def test_what_a_dictionary_states_is_taken_over(tmp_path: Path, capsys: Captured) -> None:
@@ -214,7 +232,7 @@ def test_a_path_with_every_awkward_letter_survives(tmp_path: Path, capsys: Captu
     path.write_bytes(OURS.read_bytes())
     scene = started(path, tmp_path, capsys)
     assert yaml.safe_load(scene.read_text(encoding="utf-8"))["axes"][0]["eds"] == str(path)
-    assert main(["check", str(scene)]) == 0
+    assert main(["check", str(scene)]) == 1  # its values are still marked
     assert "[red]" in "".join(capsys.readouterr().out.split())
 
 

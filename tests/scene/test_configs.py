@@ -6,6 +6,7 @@ import pytest
 import yaml
 from scene_text import REPOSITORY
 
+from canhaptic.scene.guesses import guesses_left
 from canhaptic.scene.load import load_scene
 
 PROFILES = REPOSITORY / "configs" / "drives"  # keys of an axis, and no scenes
@@ -29,12 +30,31 @@ def test_the_real_rig_differs_from_the_demo_in_the_bus_and_the_simulation_only()
     assert "simulation" not in real
     del demo["simulation"]
     bus, real_bus = demo.pop("bus"), real.pop("bus")
+    assert (demo["axes"][0].pop("torque_limit"), real["axes"][0].pop("torque_limit")) == ("20 N", "0.5 N")
     assert demo == real
     assert {key for key in bus.keys() | real_bus.keys() if bus.get(key) != real_bus.get(key)} == {
         "interface",
         "channel",
         "bitrate",
     }
+
+
+REAL = [path for path in CONFIGS if load_scene(path).bus.interface != "virtual"]
+
+
+@pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
+def test_a_scene_with_a_real_interface_marks_every_value_that_only_the_rig_knows(path: Path) -> None:
+    scene = load_scene(path)
+    assert {guess.key for guess in guesses_left(scene)} == {
+        *("channel", "bitrate", "node_id", "eds", "counts_per_unit", "rated_torque", "torque_limit", "moving_mass")
+    }
+    for axis in scene.axes:
+        assert axis.parameters.rated_torque is not None
+        assert axis.parameters.torque_limit <= 0.05 * axis.parameters.rated_torque
+
+
+def test_scenes_with_a_real_interface_are_among_the_shipped_ones() -> None:
+    assert {"socketcan_example", "socketcan", "pcan", "kvaser"} <= {path.stem for path in REAL}
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from pathlib import Path
 
 import pytest
 from scene_text import REPOSITORY
@@ -10,7 +11,13 @@ from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.errors import LinkError
 from canhaptic.host import socketcan_state as preflight_module
-from canhaptic.host.socketcan_state import PreflightFinding, least_restart, preflight, require_preflight
+from canhaptic.host.socketcan_state import (
+    PreflightFinding,
+    all_links_are_virtual,
+    least_restart,
+    preflight,
+    require_preflight,
+)
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
@@ -169,6 +176,54 @@ def test_other_interfaces_are_not_looked_at() -> None:
     assert preflight(load_scene(DEMO), run_ip) == []
 
 
+# --- real drives or simulated ones ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("stdout", "is_virtual"),
+    [
+        (WELL, False),
+        (VIRTUAL, True),
+        (VIRTUAL.replace("vcan", "vxcan"), True),
+        (VIRTUAL.replace("vcan", "slcan"), False),  # a serial adapter: a real bus behind a kernel interface
+        (ETHERNET, False),
+        ("3: can0: <NOARP,UP>", False),
+        ("[]", False),
+        ('[{"link_type":"can","linkinfo":7}]', False),
+    ],
+)
+def test_a_bus_without_a_controller_is_told_by_the_kernel(stdout: str, is_virtual: bool) -> None:
+    assert all_links_are_virtual(scene(), answers(stdout)) is is_virtual
+
+
+def test_the_name_of_an_interface_says_nothing() -> None:
+    def run_ip(command: list[str]) -> "subprocess.CompletedProcess[str]":
+        return subprocess.CompletedProcess(command, 0, WELL.replace("can0", "vcan0"), "")
+
+    assert not all_links_are_virtual(scene("bus.channel=vcan0"), run_ip)
+
+
+def test_a_bus_that_the_kernel_does_not_know_counts_as_real() -> None:
+    def no_ip(command: list[str]) -> "subprocess.CompletedProcess[str]":
+        raise FileNotFoundError("ip")
+
+    assert not all_links_are_virtual(scene(), no_ip)
+    assert not all_links_are_virtual(scene(), answers("", 1, 'Device "can0" does not exist.'))
+    assert not all_links_are_virtual(scene("bus.interface=pcan"), answers(VIRTUAL))
+    assert all_links_are_virtual(load_scene(DEMO), no_ip)  # the virtual bus of this process
+
+
+def test_a_marked_scene_runs_on_a_virtual_interface_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for stdout, words in ((WELL, "marked TO SET"), (VIRTUAL, "cannot be opened")):
+        monkeypatch.setattr(preflight_module, "_run", answers(stdout))
+        assert main(["run", str(EXAMPLE), "--duration", "0.1"]) in (2, 3)
+        err = capsys.readouterr().err
+        assert ("marked TO SET" in err) is (stdout is WELL)
+        assert words in err
+
+
 # --- what follows a bus-off -----------------------------------------------------------------------------------------
 
 
@@ -215,10 +270,14 @@ def test_after_a_bus_off_for_good_the_drive_stops_by_its_own_watchdog() -> None:
 
 
 def test_run_refuses_before_it_opens_the_bus(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    without_marks = tmp_path / "rig.yaml"
+    eds = REPOSITORY / "eds" / "cia402_servo.eds"
+    text = EXAMPLE.read_text().replace("# TO SET", "# set").replace("eds: cia402_servo.eds", f"eds: {eds}")
+    without_marks.write_text(text)
     monkeypatch.setattr(preflight_module, "_run", answers(changed('"bitrate":1000000', '"bitrate":500000')))
-    assert main(["run", str(EXAMPLE), "--json"]) == 3
+    assert main(["run", str(without_marks), "--json"]) == 3
     answer = json.loads(capsys.readouterr().out)
     assert answer["error"] == "LinkError"
     assert "bit rate: got 500000, expected 1000000" in answer["faults"][0]

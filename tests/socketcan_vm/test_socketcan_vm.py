@@ -34,7 +34,7 @@ def guest() -> Results:
             raise
         pytest.skip(f"the kernel's package cannot be had: {error.stderr.strip()[-200:]}")
     results, output = boot(image, BOOT_TIMEOUT)
-    assert set(results) == {"vcan", "kvaser", "link_down", "killed"}, output[-3000:]
+    assert set(results) == {"vcan", "example", "kvaser", "link_down", "killed"}, output[-3000:]
     return results
 
 
@@ -53,6 +53,14 @@ def test_a_whole_run_of_two_processes_loses_no_frame_and_skips_no_sync(guest: Re
     port = account["ports"]["handle"]
     assert port["least_interaction"] >= -1e-9
     assert port["margin"]["value"] >= -1e-9
+
+
+def test_the_marked_example_runs_on_vcan_within_its_torque_limit(guest: Results) -> None:
+    run = guest["example"]
+    assert run.get("failed") is None
+    assert run["ends"] == [0, 143], run["error"]
+    assert run["account"]["status"] == "completed"
+    assert 0 < run["most_torque"] <= 50  # 5 % of the rated torque
 
 
 @pytest.mark.parametrize("bus", ["vcan", "kvaser"])

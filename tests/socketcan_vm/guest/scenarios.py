@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 SCENE = "/packages/configs/demo.yaml"
+EXAMPLE = "/packages/configs/socketcan_example.yaml"
 PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
 FIRST = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30)); "  # answers before anybody else runs
 HAND_IN_THE_WALL = ["--set", "simulation.user.rest=-0.2 m"]
@@ -91,13 +92,13 @@ def on_bus(channel: str) -> list[str]:
     return [word for value in values for word in ("--set", value)]
 
 
-def whole_run(master: str, drive: str, seconds: float) -> dict[str, Any]:
-    """Two processes over one bus: start, contact, stop."""
+def whole_run(master: str, drive: str, seconds: float, scene: str = SCENE) -> dict[str, Any]:
+    """Two processes over one bus: start, contact, stop. The master may have a scene of its own."""
     listener = Listener(master)
     with canhaptic("drive", SCENE, *on_bus(drive), *HAND_IN_THE_WALL, before=FIRST) as far:
         assert far.stderr is not None
         powered = far.stderr.readline()
-        command = ["run", SCENE, *on_bus(master), "--pace", "real", "--duration", str(seconds), "--json"]
+        command = ["run", scene, *on_bus(master), "--pace", "real", "--duration", str(seconds), "--json"]
         with canhaptic(*command, "--bus-log", "/tmp/run.log") as near:
             out, err = near.communicate(timeout=PATIENCE)
         far.send_signal(signal.SIGTERM)
@@ -170,13 +171,15 @@ def link(*words: str) -> None:
 def main() -> None:
     """Runs every scenario; one that fails says so and does not stop the others."""
     Path("/proc/sys/kernel/sched_rt_runtime_us").write_text("-1")  # else the kernel stalls both for 50 ms at 95 % load
-    link("add", "dev", "vcan0", "type", "vcan")
-    link("set", "vcan0", "up")
+    for name in ("vcan0", "vcan1"):
+        link("add", "dev", name, "type", "vcan")
+        link("set", name, "up")
     for name in ("can0", "can1"):
         link("set", name, "up", "txqueuelen", "128", "type", "can", "bitrate", "1000000")
     seconds = 3.0
     scenarios = {
         "vcan": lambda: whole_run("vcan0", "vcan0", seconds),
+        "example": lambda: whole_run("vcan1", "vcan1", seconds, EXAMPLE),
         "kvaser": lambda: whole_run("can0", "can1", seconds),
         "link_down": lambda: cut_off("can0", "can1", "down"),
         "killed": lambda: cut_off("can0", "can1", "killed"),
