@@ -112,11 +112,10 @@ class Cycle:
         self._log = _FailedLog(reason)
 
     def note_fault(self, error: Exception) -> None:
-        """Writes what ended the run into its log, with the SYNC that found it and the axis that it names first."""
+        """Writes what ended the run into its log, with the SYNC that found it and the axis that failed."""
         if self._log is not None:
-            text, kind = str(error), "emcy" if isinstance(error, EmergencyError) else "fault"
-            names = [drive.axis.name for drive in self.rig.drives if text.startswith(f"{drive.axis.name}:")]
-            self._log.event(self.rig.sync_index, kind, names[0] if names else "", text)
+            kind, axis = "emcy" if isinstance(error, EmergencyError) else "fault", getattr(error, "axis", "")
+            self._log.event(self.rig.sync_index, kind, axis, str(error))
 
     def _account(
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None

@@ -54,7 +54,15 @@ class InputError(CanHapticError, ValueError):
 
 
 class ParameterError(InputError):
-    """A parameter outside its physical range; names the value and the limit."""
+    """A parameter outside its physical range; names the value and the limit.
+
+    Attributes:
+        part: What refuses: the type of an effect, or a key; "" where the message is of a whole section.
+    """
+
+    def __init__(self, message: str, part: str = "") -> None:
+        self.part = part
+        super().__init__(message)
 
 
 class SceneError(InputError):
@@ -104,12 +112,14 @@ class RigError(CanHapticError, RuntimeError):
 
     Attributes:
         records: The last records before the failure, newest last; empty before the cycle starts.
+        axis: Name of the axis whose drive failed; "" where it is not one drive.
     """
 
     exit_status = 3
 
-    def __init__(self, message: str, records: Sequence[Any] = ()) -> None:
+    def __init__(self, message: str, records: Sequence[Any] = (), axis: str = "") -> None:
         self.records = tuple(records)
+        self.axis = axis
         super().__init__(message)
 
 

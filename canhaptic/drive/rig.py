@@ -136,7 +136,7 @@ class Rig:
         for drive in self.drives:
             reason = drive.fault(exchange.heard)
             if reason:
-                raise self._stopped(reason, self._describe(drive, reason))
+                raise self._stopped(reason, self._describe(drive, reason), drive.axis.name)
         return samples
 
     def write_torques(self, torques: Sequence[float]) -> None:
@@ -225,7 +225,7 @@ class Rig:
                 f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive", self.records
             )
 
-    def _stopped(self, reason: StopReason, text: str) -> RigError:
+    def _stopped(self, reason: StopReason, text: str, axis: str = "") -> RigError:
         """Stops at once and returns the exception that tells why."""
         self.stop_reason = reason
         self._is_running = False
@@ -233,7 +233,7 @@ class Rig:
         unconfirmed = self._disable(Trust.NONE if issubclass(error, LinkError) else Trust.SOME)
         if unconfirmed:
             text += f"; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
-        return error(f"{text} [{reason.name}]", self.records)
+        return error(f"{text} [{reason.name}]", self.records, axis)
 
     def _disable(self, trust: Trust) -> list[str]:
         """Sends zero and disables every drive, then gives back what the operating system granted."""

@@ -111,22 +111,21 @@ def _check_parts(
         try:
             build_plant(axis.simulation, scene.bus.sample_time_ns)
         except ParameterError as error:
-            faults.add(_place_in_simulation(axis, sections["simulation"], str(error)), str(error))
+            faults.add(_place_in_simulation(axis, sections["simulation"], error.part), str(error))
     return _check_dictionary(axis, entry, faults)
 
 
-def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, message: str) -> SourceLocation:
-    """Returns where the scene names what a plant refuses: the effect or key that the message begins with."""
-    message = message.removeprefix("effects: got ")
+def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
+    """Returns where the scene names what a plant refuses: an effect of this type, or this key."""
     axes = simulation.get("axes")
     own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
     for owner in (own, simulation):
         effects = owner.get("effects") if isinstance(owner, MarkedMapping) else None
         if isinstance(effects, MarkedList):
             for effect, at in effects.items_at():
-                if isinstance(effect, MarkedMapping) and message.startswith(str(effect.get("type"))):
+                if isinstance(effect, MarkedMapping) and part == effect.get("type"):
                     return at
-    return simulation.value_at("compiled" if message.startswith("compiled") else "plant")
+    return simulation.value_at(part if part == "compiled" else "plant")
 
 
 def _check_dictionary(axis: AxisScene, entry: MarkedMapping, faults: Diagnostics) -> AxisMap | None:

@@ -29,6 +29,7 @@ class Hint(NamedTuple):
     asked: float | None  # by the scene; None where there is nothing to compare
     unit: str
     text: str  # where the limit comes from, or what to give so that it is known
+    certificate: str = ""  # whose largest stiffness this is: "device damping", "hand force", "hand speed" or "largest"
 
     @property
     def exceeded(self) -> bool:
@@ -211,14 +212,15 @@ def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list
     hints = [
         _hint(
             axis, f"stiffness, certified by {name}", "stiffness", limit, stiffness, f"{text}{_share(limit, stiffness)}"
-        )
+        )._replace(certificate=name)
         for name, (limit, text) in held.items()
     ]
     if len(held) > 1:
         name = max(held, key=lambda entry: held[entry][0])
         limit = held[name][0]
         text = f"the largest counts: {name}{_share(limit, stiffness)}"
-        hints.append(_hint(axis, "stiffness, certified", "stiffness", limit, stiffness, text))
+        largest = _hint(axis, "stiffness, certified", "stiffness", limit, stiffness, text)
+        hints.append(largest._replace(certificate="largest"))
     return hints
 
 

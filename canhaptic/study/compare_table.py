@@ -78,8 +78,6 @@ def _remarks(axis: Account) -> list[Text]:
     lines = []
     for name, account in axis["algorithms"].items():
         words = [account["remark"]] if account["remark"] else []
-        if account["status"].startswith("stopped"):
-            words.append(account["status"])
         if account.get("diverged") is not None:
             words.append(f"diverged at {account['diverged']:.4g} s")
         if words:
@@ -108,7 +106,7 @@ def _plain(value: float, _unit: str) -> str:
 
 
 def _status(account: Account, _axis: Account) -> str:
-    return str(account["status"]).partition(":")[0]
+    return str(account["status"])
 
 
 def _word(value: str, _unit: str) -> str:

@@ -187,7 +187,7 @@ def _account(
         found = {} if run is None else figures(environment, run, axis.reference, scene.bus.sample_time)
         accounts[name] = {
             "status": "refused" if run is None else run.ended or "completed",
-            "remark": remarks.get(name, ""),
+            "remark": "; ".join(text for text in (remarks.get(name, ""), "" if run is None else run.reason) if text),
             **found,
             "microseconds_per_step": cost.get(name),
         }

@@ -65,7 +65,8 @@ class LoopRun(NamedTuple):
     damping: Array  # rendered, NaN out of contact [N*s/m or N*m*s/rad]
     summary: LedgerSummary
     residual: float  # largest residual of the identity over the largest term of its hold (A1)
-    ended: str  # "" when it ran to its end, else why it did not
+    ended: str  # "" when it ran to its end, else "diverged" or "stopped"
+    reason: str = ""  # why it was stopped, in words
 
     @property
     def least_interaction(self) -> float:
@@ -139,12 +140,17 @@ class Recorder:
         if not self._lowest < true_position < self._highest:
             raise DivergedError(f"the axis is at {true_position:g}, expected {self._lowest:g} to {self._highest:g}")
 
-    def run(self, ended: str = "") -> LoopRun:
-        """Returns everything taken so far."""
+    def run(self, ended: str = "", reason: str = "") -> LoopRun:
+        """Returns everything taken so far.
+
+        Args:
+            ended: "" at the run's end, else "diverged" or "stopped".
+            reason: Why it was stopped, in words.
+        """
         position, true, torque, interaction, believed, dissipated, damping = (np.array(c) for c in self._columns)
         summary = self._ledger.summary()
         return LoopRun(
-            position, true, torque, interaction, believed, dissipated, damping, summary, self._residual, ended
+            position, true, torque, interaction, believed, dissipated, damping, summary, self._residual, ended, reason
         )
 
 
@@ -183,5 +189,5 @@ def render(
     except DivergedError:
         return taken.run("diverged")
     except ControlError as error:
-        return taken.run(f"stopped: {error}")
+        return taken.run("stopped", str(error))
     return taken.run()

@@ -71,7 +71,7 @@ def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> l
     Raises:
         InputError: The drives are not simulated in this process.
     """
-    recorders, ended = [Recorder() for _ in scene.axes], ""
+    recorders, reason = [Recorder() for _ in scene.axes], ""
 
     def take(axis: int, sample: Sample, balance: EnergyBalance, truth: Truth) -> None:
         motor = truth.energy.motor
@@ -81,5 +81,5 @@ def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> l
     try:
         walk_over_can(scene, cycles, take)
     except RigError as error:
-        ended = f"stopped: {error}"
-    return [recorder.run(ended) for recorder in recorders]
+        reason = str(error)
+    return [recorder.run("stopped" if reason else "", reason) for recorder in recorders]

@@ -35,6 +35,13 @@ def test_a_bad_effect_is_refused_with_file_and_line(tmp_path: Path, effects: str
     assert any(re.search(expected, line) for line in lines), "\n".join(lines)
 
 
+def test_an_effect_that_does_not_fit_is_marked_although_another_is_named_first(tmp_path: Path) -> None:
+    stribeck = "{type: stribeck_friction, kinetic: 0.3 N, static: 0.5 N, stribeck_velocity: 0.1}"
+    lines = faults(tmp_path, ("simulation:\n", f"simulation:\n  effects:\n    - {COULOMB}\n    - {stribeck}\n"))
+    [line] = [line for line in lines if "expected one friction model" in line]
+    assert re.search(r"scene.yaml:19:\d+: simulation.effects.1: effects: got coulomb_friction and stribeck", line), line
+
+
 def test_a_tremor_without_a_hand_and_a_negative_mass_are_refused_with_their_line(tmp_path: Path) -> None:
     user = "  user: {stiffness: 60, damping: 5, motion: {amplitude: 0.1, frequency: 0.5}}\n"
     [line] = faults(tmp_path, (user, "  effects: [{type: tremor, amplitude: 1 mm}]\n"))

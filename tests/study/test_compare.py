@@ -157,6 +157,13 @@ def test_at_rest_the_stiffness_is_that_of_the_wall_and_nothing_cycles(scene):
     assert account(scene(), "direct")["stiffness_at_rest"] is None  # a hand that moves has no rest
 
 
+def test_a_run_that_stops_has_a_code_and_its_reason_is_a_remark(scene):
+    found = account(scene("axes.0.speed_limit=0.01 m/s"), "direct", duration=0.5, over_can=True)
+    assert found["status"] == "stopped"
+    assert "faster than the speed limit" in found["remark"]
+    assert "POSITION_JUMP" in found["remark"]
+
+
 def test_another_rate_may_be_beyond_the_bus_but_not_over_can(scene):
     assert account(scene(), "guarded", rate=8000.0, duration=0.6)["position_error"]["rms"] < 2e-5
     assert at_rate(scene(), 8000.0).axes[0].loop.sample_time == 125e-6

@@ -366,7 +366,7 @@ def _compiled_machine() -> type[HybridAutomaton]:
         from canhaptic.sim.plant.njit_stepper import CompiledMachine
     except ImportError as error:
         raise ParameterError(
-            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
+            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out", "compiled"
         ) from error
     return CompiledMachine
 
@@ -383,9 +383,17 @@ def collect(
     parameters.add_to(scene)
     ranked = sorted(effects, key=lambda effect: effect.rank)
     for effect in (effect for effect in ranked if effect.rank == 0):
-        effect.add_to(scene)
+        _add(effect, scene)
     if user:
         user.add_to(scene)
     for effect in (effect for effect in ranked if effect.rank > 0):
-        effect.add_to(scene)
+        _add(effect, scene)
     return scene
+
+
+def _add(effect: Effect, scene: PlantModel) -> None:
+    try:
+        effect.add_to(scene)
+    except ParameterError as error:
+        error.part = effect.type
+        raise

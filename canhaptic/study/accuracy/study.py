@@ -165,7 +165,7 @@ class AccuracyStudy:
             "group": variant.group,
             "setting": variant.setting,
             "is_scene": variant.is_scene,
-            "remark": variant.remark,
+            "remark": variant.remark or row.run.reason,
             "status": "ok" if stable else "unstable" if row.run.ended == "diverged" else row.run.ended,
             "position_error": row.position_error if stable else None,
             "force_error": row.force_error if stable else None,

@@ -157,7 +157,7 @@ class Trial:
         if (result.status == REFUSED).all():
             raise InputError(f"{self.scene.source}: no wall can be tried: {result.texts[0]}")
         self.engine = ENGINES[int(result.engine.max())]
-        self.remark = next((text for text in result.texts if "told" in text), self.remark)
+        self.remark = result.of_plant or self.remark
 
 
 def _furthest(first: Array, second: Array) -> Array:

@@ -205,7 +205,6 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
     [axis] = wall.axes
     axes = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["axes"]
     run = axes[axis.parameters.name]["algorithms"][ALGORITHM]
-    hints = [hint for hint in stability_hints(axis) if hint.what.startswith("stiffness, certified")]
     return {
         "scene": trial.scene.source,
         "unit": axis.parameters.unit,
@@ -216,9 +215,7 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
         "least_interaction": float(verdict.least_interaction[0]),
         "least_judged": float(verdict.least_judged[0]),
         "certificate": run.get("certificate"),
-        "certified": {
-            hint.what.removeprefix("stiffness, certified").strip() or "largest": hint.limit for hint in hints
-        },
+        "certified": {hint.certificate: hint.limit for hint in stability_hints(axis) if hint.certificate},
         "engine": trial.engine,
         "told": trial.remark,
         "loop": {key: getattr(axis.loop, key) for key in ("moving_mass", "device_damping", "device_damping_bound")},

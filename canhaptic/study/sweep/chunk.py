@@ -56,6 +56,7 @@ class ChunkResult(NamedTuple):
     engine: NDArray[np.uint8]  # index in ENGINES
     remark: NDArray[np.uint8]  # 0 for none, else one more than the index in texts
     texts: tuple[str, ...]
+    of_plant: str = ""  # which properties an algorithm took from the simulated plant, in words; "" for none
 
 
 def run_chunk(recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
@@ -88,6 +89,7 @@ class _Chunk:
         self._engine = np.zeros(self._count, dtype=np.uint8)
         self._remark = np.zeros(self._count, dtype=np.uint8)
         self._texts: list[str] = []
+        self._of_plant = ""
 
     def run(self) -> ChunkResult:
         """Runs every scene."""
@@ -98,7 +100,7 @@ class _Chunk:
         permitted = self._permitted()
         for rows in self._groups(apart, permitted):
             self._run_group(rows, tuple(sorted(batched)))
-        return ChunkResult(self._figures, self._status, self._engine, self._remark, tuple(self._texts))
+        return ChunkResult(self._figures, self._status, self._engine, self._remark, tuple(self._texts), self._of_plant)
 
     def _permitted(self) -> _Rows:
         """Returns the rows whose values go together; the others are noted as refused."""
@@ -130,6 +132,7 @@ class _Chunk:
     def _run_group(self, rows: _Rows, batched: Sequence[str]) -> None:
         built = scene_of(self._recipe, self._row(int(rows[0])))
         assert built.scene is not None
+        self._of_plant = built.remark if built.told else self._of_plant
         not_linear = self._closed_form(built, rows, batched) if RADIUS in self._recipe.metrics else ""
         if self._recipe.metrics == (RADIUS,):
             self._note_all(rows, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, built.remark))
