@@ -184,7 +184,11 @@ def _account(
     accounts: dict[str, Any] = {}
     for name in names:
         run = axis.runs.get(name)
-        found = {} if run is None else figures(environment, run, axis.reference, scene.bus.sample_time)
+        found = (
+            {}
+            if run is None or not run.position.size
+            else figures(environment, run, axis.reference, scene.bus.sample_time)
+        )
         accounts[name] = {
             "status": "refused" if run is None else run.ended or "completed",
             "remark": "; ".join(text for text in (remarks.get(name, ""), "" if run is None else run.reason) if text),

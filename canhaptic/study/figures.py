@@ -159,15 +159,16 @@ def sums_of_run(
         "damping_most": float(damping.max(initial=0.0)),
         **_forces(environment, run.position[touching], run.torque[touching]),
     }
-    return sums if reference is None else sums | _against(environment, run, reference, sample_time)
+    if reference is None:
+        return sums
+    at_rest = {} if run.ended else _in_last_part(environment, run, reference, sample_time)
+    return sums | _errors(run, reference) | at_rest
 
 
-def _against(environment: Environment, run: LoopRun, reference: Reference, sample_time: float) -> dict[str, float]:
+def _errors(run: LoopRun, reference: Reference) -> dict[str, float]:
     shown = min(len(run.position), len(reference.position))
     moved = run.true_position[:shown] - reference.position[:shown]
     force = run.torque[:shown] - reference.torque[:shown]
-    rows = last_rows(len(run.position), sample_time)
-    position = run.true_position[rows]
     return {
         "cycles": float(shown),
         "position_squares": float(np.sum(moved * moved)),
@@ -175,6 +176,13 @@ def _against(environment: Environment, run: LoopRun, reference: Reference, sampl
         "force_squares": float(np.sum(force * force)),
         "force_worst": float(np.abs(force).max(initial=0.0)),
         "continuous": reference.variation,
+    }
+
+
+def _in_last_part(environment: Environment, run: LoopRun, reference: Reference, sample_time: float) -> dict[str, float]:
+    rows = last_rows(len(run.position), sample_time)
+    position = run.true_position[rows]
+    return {
         "continuous_travel": reference.travel,
         "continuous_rest": float(np.ptp(reference.position[rows])),
         "last_highest": float(position.max()),
@@ -199,7 +207,7 @@ def _forces(environment: Environment, position: Array, torque: Array) -> dict[st
 def last_rows(cycles: int, sample_time: float) -> slice:
     """Returns the rows of the last part of a run."""
     length = min(LAST_PART * cycles, LONGEST_LAST / sample_time)
-    return slice(cycles - max(2, round(length)), cycles)
+    return slice(max(0, cycles - max(2, round(length))), cycles)
 
 
 def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final
 
+from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.textbook.reference_elements import (
@@ -32,6 +33,10 @@ MOTOR_WORK, USER_WORK = -2, -1
 Modes = tuple[str, ...]
 _DRY: Final = ("coulomb_friction", "stribeck_friction")
 _COMMANDS: Final = ("torque_saturation", "torque_quantisation", "thermal_derating")
+_ONCE: Final = ("current_loop", "shaft_compliance", "backlash", "lugre_friction", "thermal_derating", *_DRY)
+_OFTEN: Final = ("torque_ripple", "viscous_friction", "cogging", "hard_stop", "grasp_change", "tremor", *_COMMANDS[:2])
+_OF_THE_ENCODER: Final = ("encoder_noise", "encoder_quantisation")
+"""Effects on what is measured, which the motion does not depend on."""
 
 
 class Model:
@@ -41,6 +46,9 @@ class Model:
         parameters: Mass and bearings.
         user: The hand; None when nobody holds the handle.
         effects: As for `Plant`.
+
+    Raises:
+        ParameterError: An effect has no equations here, or is given twice and has them once.
 
     Attributes:
         names: Of the states.
@@ -55,6 +63,7 @@ class Model:
         self._effects: dict[str, list[Any]] = {}
         for effect in effects:
             self._effects.setdefault(effect.type, []).append(effect)
+            _require_known(effect.type, len(self._effects[effect.type]))
         self._commands: list[Any] = sorted((e for e in effects if e.type in _COMMANDS), key=lambda e: e.rank)
         self.names = ["position", "velocity"]
         self.start = [parameters.initial_position, parameters.initial_velocity]
@@ -231,3 +240,18 @@ class Model:
     def dynamic_size(self) -> int:
         """States without the works, on which nothing depends."""
         return len(self.names) - 2
+
+
+def _require_known(effect: str, number: int) -> None:
+    """Refuses what the equations would leave out: a judge that ignores an effect would blame the plant for it.
+
+    Raises:
+        ParameterError: The effect has no equations here, or as the `number`-th of its type.
+    """
+    if effect in _OF_THE_ENCODER or effect in _OFTEN or (effect in _ONCE and number == 1):
+        return
+    known = ", ".join(sorted({*_ONCE, *_OFTEN, *_OF_THE_ENCODER}))
+    got = f"{effect} for the {number}. time" if effect in _ONCE else repr(effect)
+    raise ParameterError(
+        f"effects: got {got}, for which the textbook plant has no equations; it has them for: {known}", effect
+    )

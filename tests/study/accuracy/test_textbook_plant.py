@@ -1,14 +1,18 @@
 """The plant and its textbook twin agree: equations written twice, solved by methods that share nothing."""
 
 import math
+from typing import Literal
 
 import pytest
 from accuracy_scenes import EFFECTS, EXACT, PERIOD, PLANT, WARM, random_torques, simulation, smooth_torques
 
-from canhaptic.errors import InputError
+from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.accuracy_choice import observed, textbook_model
 from canhaptic.scene.parts import build_plant
+from canhaptic.sim.plant.effects import EFFECTS as ALL_EFFECTS
 from canhaptic.sim.plant.effects import read_effect
+from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.textbook.event_location import located, reference
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
 from canhaptic.sim.textbook.reference_model import Model
@@ -144,3 +148,28 @@ def test_closed_forms_of_a_slide_to_rest_and_of_an_elastic_bounce():
     contact = math.pi * math.sqrt(0.25 / 1e6)  # half a period of mass and spring
     assert bounce.velocity[-1] == pytest.approx(-0.3, rel=1e-10)
     assert bounce.position[-1] == pytest.approx(0.01 - 0.3 * (0.06 - 0.01 / 0.3 - contact), rel=1e-9)
+
+
+class Eddies(ViscousFriction):
+    """An effect that the plant takes and the textbook has never heard of."""
+
+    type: Literal["eddies"] = "eddies"  # type: ignore[assignment]
+
+
+def test_an_effect_without_textbook_equations_is_refused_by_name():
+    unknown = Eddies(damping=2.0)
+    plant = Plant(PLANT, None, [unknown], PERIOD)  # the plant itself simulates it
+    plant.begin(0)
+    plant.advance_to(PERIOD, 1.0)
+    with pytest.raises(ParameterError, match="got 'eddies', for which the textbook plant has no equations") as refused:
+        Model(PLANT, None, [unknown])
+    assert refused.value.part == "eddies"
+    shaft = read_effect({"type": "shaft_compliance", "load_mass": 1.0, "stiffness": 1e4})
+    with pytest.raises(ParameterError, match=r"shaft_compliance for the 2\. time"):
+        Model(PLANT, None, [shaft, shaft])
+
+
+def test_every_effect_of_the_plant_has_textbook_equations():
+    compared = {effect["type"] for effects in EFFECTS.values() for effect in effects}
+    apart = {"thermal_derating", "encoder_noise", "encoder_quantisation"}  # a test of its own, and not of the motion
+    assert compared | apart == set(ALL_EFFECTS)
