@@ -158,10 +158,15 @@ def test_at_rest_the_stiffness_is_that_of_the_wall_and_nothing_cycles(scene):
 
 
 def test_a_run_that_stops_has_a_code_and_its_reason_is_a_remark(scene):
-    found = account(scene("axes.0.speed_limit=0.01 m/s"), "direct", duration=0.5, over_can=True)
+    fine = "axes.0.counts_per_unit=1e6", "bus.rpdo=synchronous", "axes.0.speed_limit=0.01 m/s"
+    found = account(scene(*fine, "axes.0.rated_torque=10 N"), "direct", duration=0.5, over_can=True)
     assert found["status"] == "stopped"
     assert "faster than the speed limit" in found["remark"]
-    assert "POSITION_JUMP" in found["remark"]
+    assert found["position_error"]["max"] > 0.0
+    found = account(scene(*fine, "axes.0.rated_torque=1 uN"), "direct", duration=0.5, over_can=True)  # never starts
+    assert found["status"] == "stopped"
+    assert "torque limit" in found["remark"]
+    assert "position_error" not in found
 
 
 def test_another_rate_may_be_beyond_the_bus_but_not_over_can(scene):
