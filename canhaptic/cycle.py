@@ -19,7 +19,7 @@ from canhaptic.histogram import DurationHistogram
 from canhaptic.signals import CycleTiming, Sample, Truth
 
 
-class CycleLog(Protocol):
+class _CycleLog(Protocol):
     """Where cycles are written to; `append` must not block the control thread."""
 
     def append(
@@ -60,7 +60,7 @@ class Cycle:
         self,
         rig: Rig,
         controllers: Sequence[Controller],
-        log: CycleLog | None = None,
+        log: _CycleLog | None = None,
         truths: Callable[[], Sequence[Truth]] | None = None,
         groups: Sequence[AxisGroup] = (),
     ) -> None:

@@ -192,10 +192,10 @@ class _ParametersMeta(_ModelMetaclass):
         try:
             return super().__call__(*args, **values)
         except ValidationError as error:
-            raise ParameterError(describe(self.__name__, error)) from error
+            raise ParameterError(_describe(self.__name__, error)) from error
 
 
-def describe(owner: str, error: ValidationError) -> str:
+def _describe(owner: str, error: ValidationError) -> str:
     """Returns one line per fault of a pydantic error: where, the value seen, what was expected."""
     lines = []
     for fault in error.errors():

@@ -13,7 +13,7 @@ from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.result import part_in_group
 from canhaptic.signals import CycleTiming
 
-Array = NDArray[Any]
+_Array = NDArray[Any]
 
 _QUANTILES: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 
@@ -48,16 +48,16 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     }
 
 
-def _sum(values: Array) -> float:
+def _sum(values: _Array) -> float:
     """Sum in extended precision: the terms are many and of both signs."""
     return float(values.sum(dtype=np.longdouble))
 
 
-def _running(values: Array) -> Array:
+def _running(values: _Array) -> _Array:
     return np.cumsum(values, dtype=np.longdouble)
 
 
-def _least(running: Array) -> tuple[float, int]:
+def _least(running: _Array) -> tuple[float, int]:
     """Returns the least value of a running sum that starts at 0, and the row where it is reached."""
     if not len(running) or running.min() >= 0.0:
         return 0.0, 0
@@ -68,7 +68,7 @@ def _least(running: Array) -> tuple[float, int]:
 def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
     """The account of one port; columns are read one after the other, an hour of them at once would not fit."""
 
-    def column(name: str) -> Array:
+    def column(name: str) -> _Array:
         return port.read(name, rows.start, rows.stop)
 
     return {"unit": port.unit("position")} | _flows(log, column, rows) | _use(column)
@@ -84,7 +84,7 @@ def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
     return accounts
 
 
-def _flows(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> dict[str, Any]:
+def _flows(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> dict[str, Any]:
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
     cycle = int(log.timing["sync_index"][rows.start + margin_row]) if len(h_i) else 0
@@ -105,7 +105,7 @@ def _flows(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> dict[
     }
 
 
-def _use(column: Callable[[str], Array]) -> dict[str, Any]:
+def _use(column: Callable[[str], _Array]) -> dict[str, Any]:
     branch = column("branch")
     return {
         "certificate": Certificate(int(column("certificate").max(initial=0))).name.lower(),
@@ -116,11 +116,11 @@ def _use(column: Callable[[str], Array]) -> dict[str, Any]:
     }
 
 
-def _last(values: Array) -> float:
+def _last(values: _Array) -> float:
     return float(values[-1]) if len(values) else 0.0
 
 
-def _range(values: Array) -> dict[str, float]:
+def _range(values: _Array) -> dict[str, float]:
     if not len(values):
         return {"least": 0.0, "most": 0.0}
     return {"least": float(values.min()), "most": float(values.max())}
@@ -153,10 +153,10 @@ def _timing(log: EnergyLog, rows: slice) -> dict[str, Any]:
     cycle_time = parts["sync_to_last_tpdo"] + parts["compute"] + parts["send"]
     late = parts["wakeup_lateness"] + cycle_time > log.sample_time_ns
     result: dict[str, Any] = {"deadlines_missed": int(late.sum())}
-    return result | {name: quantiles(values) for name, values in {**parts, "cycle_time": cycle_time}.items()}
+    return result | {name: _quantiles(values) for name, values in {**parts, "cycle_time": cycle_time}.items()}
 
 
-def quantiles(durations: Array) -> dict[str, float]:
+def _quantiles(durations: _Array) -> dict[str, float]:
     """Returns p50, p99, p99.9 and the maximum [s] of durations [ns]."""
     if not len(durations):
         return dict.fromkeys((*_QUANTILES, "max"), 0.0)
@@ -166,7 +166,7 @@ def quantiles(durations: Array) -> dict[str, float]:
     }
 
 
-def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, Any]:
+def _link(log: EnergyLog, rows: slice, sync_index: _Array) -> dict[str, Any]:
     fresh = [port.read("fresh", rows.start, rows.stop) for n, port in log.ports.items() if n not in log.groups]
     expected = sum(len(values) for values in fresh)
     received = int(sum(values.sum(dtype=np.int64) for values in fresh))
@@ -184,7 +184,7 @@ def _link(log: EnergyLog, rows: slice, sync_index: Array) -> dict[str, Any]:
 def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[dict[str, float]]:
     """Every stretch in contact: start [s], duration [s], depth [m or rad], peak torque [N or N*m], energy taken [J]."""
 
-    def column(name: str) -> Array:
+    def column(name: str) -> _Array:
         return port.read(name, rows.start, rows.stop)
 
     stretches = contacts(column("branch"))

@@ -100,7 +100,7 @@ class _ListenedAxis:
         return self._last
 
 
-def samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
+def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
     """Yields the samples of every cycle, from the first SYNC that all axes answered in OPERATION ENABLED to the last.
 
     The stop's ramp is included: the frames do not tell it from the run.
@@ -150,7 +150,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     ledgers = [Ledger() for _ in names]
     judges = [] if log is None else [_Judge(log, name) for name in names]
     cycles = 0
-    for samples in samples_of(bus_log, scene):
+    for samples in _samples_of(bus_log, scene):
         if log is not None and cycles == log.rows:
             break
         balances = [*controllers.step(samples), *(group.balance.account for group in groups)]

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-SDO_ABORT_TEXTS: Final = {  # CiA 301, table 22
+_SDO_ABORT_TEXTS: Final = {  # CiA 301, table 22
     0x05030000: "toggle bit not alternated",
     0x05040000: "SDO protocol timed out",
     0x05040001: "client/server command specifier not valid or unknown",
@@ -36,7 +36,7 @@ SDO_ABORT_TEXTS: Final = {  # CiA 301, table 22
     0x08000024: "no data available",
 }
 
-EMCY_TEXTS: Final = {  # CiA 301, table 26, and IEC 61800-7-201, table of error codes
+_EMCY_TEXTS: Final = {  # CiA 301, table 26, and IEC 61800-7-201, table of error codes
     0x0000: "error reset or no error",
     0x1000: "generic error",
     0x2000: "current",
@@ -115,7 +115,7 @@ NMT_COMMAND_TEXTS: Final = {
 
 NMT_STATE_TEXTS: Final = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 
-CONTROLWORD_TEXTS: Final = (  # (mask, value, command), IEC 61800-7-201, table 28
+_CONTROLWORD_TEXTS: Final = (  # (mask, value, command), IEC 61800-7-201, table 28
     (0x80, 0x80, "fault reset"),
     (0x87, 0x06, "shutdown"),
     (0x8F, 0x07, "switch on"),
@@ -128,19 +128,19 @@ CONTROLWORD_TEXTS: Final = (  # (mask, value, command), IEC 61800-7-201, table 2
 def emcy_text(code: int) -> str:
     """Returns words for an EMCY error code: its own, else those of its group (0x8611 -> 0x8600 -> 0x8000)."""
     for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
-        if code & mask in EMCY_TEXTS and (code & mask or not code):
-            return EMCY_TEXTS[code & mask]
+        if code & mask in _EMCY_TEXTS and (code & mask or not code):
+            return _EMCY_TEXTS[code & mask]
     return "unknown error code"
 
 
 def sdo_abort_text(code: int) -> str:
     """Returns words for an SDO abort code."""
-    return SDO_ABORT_TEXTS.get(code, "unknown abort code")
+    return _SDO_ABORT_TEXTS.get(code, "unknown abort code")
 
 
 def controlword_text(controlword: int) -> str:
     """Returns the command that a controlword (0x6040) gives."""
-    for mask, value, command in CONTROLWORD_TEXTS:
+    for mask, value, command in _CONTROLWORD_TEXTS:
         if controlword & mask == value:
             return command
     return "no command"

@@ -9,7 +9,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.units import Unit
 
-PICTURES: Final = (".png", ".svg", ".pdf")
+_PICTURES: Final = (".png", ".svg", ".pdf")
 """Suffixes of a picture."""
 
 
@@ -51,8 +51,8 @@ def check_picture(path: Path) -> None:
     Raises:
         InputError: An unknown suffix, or a folder that is not there.
     """
-    if path.suffix not in PICTURES:
-        raise InputError(f"{path}: expected a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}")
+    if path.suffix not in _PICTURES:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
     check_folder(path)
 
 

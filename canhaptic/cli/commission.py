@@ -80,10 +80,10 @@ def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
         return Unattended(write_note)
     if not sys.stdin.isatty():
         raise InputError("commission asks before every torque and needs a terminal; --yes is for simulated drives")
-    return Terminal()
+    return _Terminal()
 
 
-class Terminal:
+class _Terminal:
     """A person at a terminal; questions go to standard error, so that the report can be redirected.
 
     What was typed before a question was asked is no answer to it: nobody agrees to a torque that he has not read of.

@@ -33,13 +33,13 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: The log or the scene cannot be used.
     """
     scene = None if arguments.config is None else load_scene(arguments.config)
-    for frame in decode_log(arguments.bus_log, scene, arguments.start, arguments.stop):
+    for frame in _decode_log(arguments.bus_log, scene, arguments.start, arguments.stop):
         if not arguments.only or frame["kind"].lower() in {kind.lower() for kind in arguments.only}:
             write_line(json.dumps(frame) if arguments.json else line(frame))
     return 0
 
 
-def decode_log(
+def _decode_log(
     path: Path, scene: Scene | None = None, start: float | None = None, stop: float | None = None
 ) -> Iterator[dict[str, Any]]:
     """Yields `{time, channel, direction, id, data, kind, node, text}` of every frame between two times [s].

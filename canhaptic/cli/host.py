@@ -9,7 +9,7 @@ from typing import NamedTuple
 _UNLIMITED = "unlimited"
 
 
-class HostSetting(NamedTuple):
+class _HostSetting(NamedTuple):
     """One setting of the host."""
 
     name: str
@@ -17,26 +17,26 @@ class HostSetting(NamedTuple):
     advice: str  # what to do about it; empty when nothing
 
 
-def host_settings() -> list[HostSetting]:
+def host_settings() -> list[_HostSetting]:
     """Returns the settings that matter for a cycle at wall-clock pace; what cannot be read is left out."""
     settings = [
-        HostSetting("kernel", f"{platform.system()} {platform.release()}", _kernel_advice()),
-        HostSetting("processors", str(len(_affinity())), _processor_advice()),
+        _HostSetting("kernel", f"{platform.system()} {platform.release()}", _kernel_advice()),
+        _HostSetting("processors", str(len(_affinity())), _processor_advice()),
         _limit("real-time priority", "RLIMIT_RTPRIO", "rtprio"),
         _limit("locked memory", "RLIMIT_MEMLOCK", "memlock"),
     ]
     runtime = _read("/proc/sys/kernel/sched_rt_runtime_us")
     if runtime:
         settings.append(
-            HostSetting("real-time share", "all" if runtime == "-1" else f"{runtime} us of each second", "")
+            _HostSetting("real-time share", "all" if runtime == "-1" else f"{runtime} us of each second", "")
         )
     governor = _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
     if governor:
         advice = "" if governor == "performance" else "cpupower frequency-set -g performance keeps the clock up"
-        settings.append(HostSetting("frequency governor", governor, advice))
+        settings.append(_HostSetting("frequency governor", governor, advice))
     source = _read("/sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source:
-        settings.append(HostSetting("clock source", source, "" if source != "jiffies" else "too coarse for a cycle"))
+        settings.append(_HostSetting("clock source", source, "" if source != "jiffies" else "too coarse for a cycle"))
     return settings
 
 
@@ -52,14 +52,14 @@ def _processor_advice() -> str:
     return "" if len(_affinity()) > 1 else "the log writer shares the only processor with the cycle"
 
 
-def _limit(name: str, key: str, item: str) -> HostSetting:
+def _limit(name: str, key: str, item: str) -> _HostSetting:
     number = getattr(resource, key, None)  # not on every system
     if number is None:
-        return HostSetting(name, "not on this system", "")
+        return _HostSetting(name, "not on this system", "")
     soft, _ = resource.getrlimit(number)
     granted = soft == resource.RLIM_INFINITY or soft > 0
     advice = "" if granted else f"not permitted; grant `{item}` in /etc/security/limits.conf"
-    return HostSetting(name, _UNLIMITED if soft == resource.RLIM_INFINITY else str(soft), advice)
+    return _HostSetting(name, _UNLIMITED if soft == resource.RLIM_INFINITY else str(soft), advice)
 
 
 def _read(path: str) -> str:

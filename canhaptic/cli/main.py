@@ -14,7 +14,7 @@ from typing import Final
 from canhaptic.cli.output import print_failure
 from canhaptic.errors import CanHapticError
 
-COMMANDS: Final = {
+_COMMANDS: Final = {
     "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
     "run": "run a scene: bring the drives up, render, print the energy account",
     "check": "say what a scene would do: configuration, bus load, fitness of the drives, stability",
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="canhaptic", description="Passive haptic rendering on CiA 402 servo drives.")
     parser.add_argument("--version", action="version", version=f"canhaptic {version('canhaptic')}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for known, text in COMMANDS.items():
+    for known, text in _COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
         if known == name:  # only what is used is imported
             command = importlib.import_module(f"canhaptic.cli.{known.replace('-', '_')}")

@@ -21,11 +21,13 @@ _FIRST: Final = 1_000_000_000  # [ns]
 _INTERVAL: Final = {"real": 500_000_000, "free": 100_000_000}  # [ns]
 
 
-Pace = Literal["real", "free"]
+_Pace = Literal["real", "free"]
 
 
 @contextmanager
-def run_progress(cycles: int | None, sample_time: float, pace: Pace, every: int = 64) -> Iterator["RunProgress | None"]:
+def run_progress(
+    cycles: int | None, sample_time: float, pace: _Pace, every: int = 64
+) -> Iterator["RunProgress | None"]:
     """Yields the progress of a run where somebody can see it; None where standard error is no terminal.
 
     The arguments are those of `RunProgress`.
@@ -47,7 +49,7 @@ class RunProgress:
         every: Which counts are looked at, at free pace: one of so many.
     """
 
-    def __init__(self, cycles: int | None, sample_time: float, pace: Pace, every: int = 64) -> None:
+    def __init__(self, cycles: int | None, sample_time: float, pace: _Pace, every: int = 64) -> None:
         self._cycles = cycles
         self._every = every
         self._sample_time = sample_time

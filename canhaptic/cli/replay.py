@@ -37,14 +37,14 @@ def execute(arguments: argparse.Namespace) -> int:
         write_json(result)
     else:
         console = make_console()
-        for line in replay_report(result):
+        for line in _replay_report(result):
             console.print(line, soft_wrap=True)
         if arguments.account:
             console.print(energy_report(result["account"]))
     return 0 if result["status"] == "identical" else 1
 
 
-def replay_report(result: dict[str, Any]) -> list[Text]:
+def _replay_report(result: dict[str, Any]) -> list[Text]:
     """Returns the outcome of a replay as lines."""
     difference, frames = result["difference"], result["frames"]
     start = "from the boot of the drives" if result["start"] == "boot" else "from the first SYNC with all axes enabled"

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+_Array = NDArray[np.float64]
 
 _FEWEST_EQUATIONS: Final = 20
 _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0
@@ -29,7 +29,7 @@ class Dynamics(NamedTuple):
     residual: float  # rms of what the four do not explain [N or N*m]
 
 
-def estimate(positions: Array, applied: Array, sample_time: float, half_base: int) -> Dynamics | None:
+def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> Dynamics | None:
     """Returns the least-squares estimate, or None when too little moved to tell.
 
     Args:
@@ -52,13 +52,13 @@ def estimate(positions: Array, applied: Array, sample_time: float, half_base: in
     return _solve(matrix, applied[1:][window] @ holds)
 
 
-def _triangle(half_base: int) -> Array:
+def _triangle(half_base: int) -> _Array:
     """Returns the mean weight of each hold under a triangle that rises and falls over `half_base` holds each."""
     rising = np.arange(half_base) + 0.5
     return np.concatenate([rising, rising[::-1]]) / half_base**2
 
 
-def _solve(matrix: Array, torque: Array) -> Dynamics | None:
+def _solve(matrix: _Array, torque: _Array) -> Dynamics | None:
     """Returns the least-squares solution, or None where the columns of the matrix do not tell the unknowns apart."""
     scale = np.linalg.norm(matrix, axis=0)
     used = scale > 0.0

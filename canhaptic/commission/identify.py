@@ -19,7 +19,7 @@ _PATIENCE: Final = 300_000_000  # [ns] for the last of them
 _MODES: Final = ("pp", "vl", "pv", "tq", "", "hm", "ip", "csp", "csv", "cst")
 
 
-def scan(link: Link, known: Sequence[int], master: int) -> list[int]:
+def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
     """Returns the node IDs that answer on a bus besides those of the configuration, by asking every one for 0x1000.
 
     Args:
@@ -58,7 +58,7 @@ def identify(session: Session) -> None:
     for link in session.rig.links:
         on_link = [n for n, drive in enumerate(session.drives) if drive.link is link]
         known = [session.drives[n].axis.node_id for n in on_link]
-        strangers = scan(link, known, session.scene.bus.master_id)
+        strangers = _scan(link, known, session.scene.bus.master_id)
         found = ", ".join(str(node) for node in sorted([*known, *strangers]))
         text = f"node {', '.join(map(str, strangers))} is not in the configuration: what is it, and who feeds it?"
         expected = ", ".join(map(str, sorted(known)))

@@ -50,7 +50,7 @@ class Session:
         Args:
             with_hand: Whether the simulated hand is on the handle; a real one was asked to be, or not to be.
         """
-        scene = self.scene if with_hand else without_hand(self.scene)
+        scene = self.scene if with_hand else _without_hand(self.scene)
         try:
             with build(scene) as self._experiment:
                 yield
@@ -166,7 +166,7 @@ class Session:
         self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 
 
-def without_hand(scene: Scene) -> Scene:
+def _without_hand(scene: Scene) -> Scene:
     """Returns the scene with nobody at its simulated handles."""
     axes = [
         dataclasses.replace(axis, simulation=axis.simulation and dataclasses.replace(axis.simulation, user=None))

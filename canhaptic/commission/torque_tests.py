@@ -24,7 +24,7 @@ _SCALE_TOLERANCE: Final = 0.1
 _MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
 
 
-def largest_torque(session: Session, axis: int, part: float | None = None) -> float:
+def _largest_torque(session: Session, axis: int, part: float | None = None) -> float:
     """Returns the torque beyond which commissioning does not go [N or N*m].
 
     Args:
@@ -46,12 +46,12 @@ def pulse(session: Session, axis: int) -> float | None:
         RigError: Drive or link failed.
     """
     parameters = session.axes[axis].parameters
-    unit, most = effort_unit(parameters.unit), largest_torque(session, axis)
+    unit, most = effort_unit(parameters.unit), _largest_torque(session, axis)
     asked = f"{parameters.name}: let go of the handle. Pulses of at most {most:.3g} {unit} and {4 * _PULSE:g} s now?"
     if not session.agreed(asked, "torque sign", [axis]):
         return None
     cycles = session.cycles(_PULSE)
-    torque = min(most, largest_torque(session, axis, _FIRST))
+    torque = min(most, _largest_torque(session, axis, _FIRST))
     while True:
         law = session.play(axis, doublet(torque, cycles), 4 * cycles + session.cycles(_REST))
         moved = _first_motion(law, cycles)
@@ -79,7 +79,7 @@ def time_the_read_back(session: Session) -> None:
     if any(drive.map.read_back == "none" for drive in session.drives):
         session.not_tried(item, axes)
         return
-    amplitude = min(largest_torque(session, axis) for axis in axes)
+    amplitude = min(_largest_torque(session, axis) for axis in axes)
     asked = f"all axes: hands off. A rattle of {amplitude:.3g} N or N*m that moves nothing, {_RATTLE} cycles, now?"
     if not session.agreed(asked, item, axes):
         return
@@ -116,7 +116,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     parameters = session.axes[axis].parameters
     lowest, highest, duration = _SWEEP
     swing = rough_mass * (2.0 * math.pi * lowest) ** 2 * session.limits.travel / 4.0
-    amplitude, limit = min((largest_torque(session, axis), "--torque"), (swing, "--travel"))
+    amplitude, limit = min((_largest_torque(session, axis), "--torque"), (swing, "--travel"))
     unit = effort_unit(parameters.unit)
     asked = f"{parameters.name}: hands off. A sweep of {amplitude:.3g} {unit}, {lowest:g} to {highest:g} Hz, now?"
     if not session.agreed(asked, "moving mass", [axis]):

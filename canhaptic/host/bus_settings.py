@@ -32,7 +32,7 @@ class BusSettings(Protocol):
         """Missed cycles after which the rig stops."""
 
 
-class NamedBusSettings(Protocol):
+class _NamedBusSettings(Protocol):
     """A bus with the name by which axes refer to it."""
 
     @property
@@ -44,7 +44,7 @@ class NamedBusSettings(Protocol):
         """Its settings."""
 
 
-class AxisPlace(Protocol):
+class _AxisPlace(Protocol):
     """The bus of one axis."""
 
     @property
@@ -56,9 +56,9 @@ class RigSettings(Protocol):
     """All buses of a rig and the axes on them."""
 
     @property
-    def buses(self) -> Sequence[NamedBusSettings]:
+    def buses(self) -> Sequence[_NamedBusSettings]:
         """All buses."""
 
     @property
-    def axes(self) -> Sequence[AxisPlace]:
+    def axes(self) -> Sequence[_AxisPlace]:
         """All axes."""

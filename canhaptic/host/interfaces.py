@@ -25,7 +25,7 @@ _OF_EVERY_BUS: Final = frozenset({"can_filters"})
 _TIMING: Final = frozenset({"f_clock", "brp", "tseg1", "tseg2", "sjw", "nof_samples"})
 """From these `can.Bus` makes the `timing` of a backend that takes one."""
 
-REMEDIES: Final[Mapping[str, str]] = {
+_REMEDIES: Final[Mapping[str, str]] = {
     "socketcan": "load the modules (modprobe can can_raw and the adapter's own) and bring the interface up: "
     "ip link set {channel} up type can bitrate {bitrate}; see `ip link`",
     "pcan": "install PEAK's driver with the PCAN-Basic library; on Linux the kernel offers the same adapter as "
@@ -46,13 +46,13 @@ REMEDIES: Final[Mapping[str, str]] = {
 logging.getLogger("can").addHandler(logging.NullHandler())  # drivers that are missing are told by our error, once
 
 
-def known_interfaces() -> list[str]:
+def _known_interfaces() -> list[str]:
     """Returns the names of all interfaces that python-can offers here, plugins included."""
     return sorted(BACKENDS)
 
 
 @cache
-def accepted_options(interface: str) -> frozenset[str] | None:
+def _accepted_options(interface: str) -> frozenset[str] | None:
     """Returns the keyword arguments that a backend reads, beside those of the scene; None when it cannot be told.
 
     Args:
@@ -110,9 +110,9 @@ def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
 def interface_faults(bus: BusSettings) -> list[tuple[str, str]]:
     """Returns (key of `bus`, what is wrong) for an interface or option that python-can would not take or would drop."""
     if bus.interface not in BACKENDS:
-        known = ", ".join(known_interfaces())
+        known = ", ".join(_known_interfaces())
         return [("interface", f"got {bus.interface!r}, expected one of: {known}{nearest(bus.interface, BACKENDS)}")]
-    accepted = accepted_options(bus.interface)
+    accepted = _accepted_options(bus.interface)
     faults = []
     for key in bus.options:
         if key in _OF_THE_SCENE:
@@ -129,7 +129,7 @@ def opening_error(bus: BusSettings, channel: str | int | None, error: Exception)
     Bad input where python-can lacks the interface, its driver or library; a link fault where the device fails.
     """
     place = f"bus {bus.interface!r}, channel {channel!r}"
-    remedy = REMEDIES.get(bus.interface, "install what python-can needs for this interface, and plug the device in")
+    remedy = _REMEDIES.get(bus.interface, "install what python-can needs for this interface, and plug the device in")
     remedy = remedy.format(channel=channel, bitrate=bus.bitrate)
     seen = " ".join(str(error).split()) or type(error).__name__
     is_device = isinstance(error, can.CanError | OSError) and not isinstance(error, can.CanInterfaceNotImplementedError)

@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, NamedTuple
 from canhaptic.errors import LinkError
 from canhaptic.host.bus_settings import BusSettings, RigSettings
 
-Severity = Literal["well", "note", "refused"]
+_Severity = Literal["well", "note", "refused"]
 Runner = Callable[[list[str]], "subprocess.CompletedProcess[str]"]
 
 _TIMEOUT: Final = 5.0  # [s] for `ip`
@@ -34,7 +34,7 @@ class PreflightFinding(NamedTuple):
     interface: str  # channel, as can0
     item: str
     seen: str
-    severity: Severity
+    severity: _Severity
     text: str  # what is expected and what to do; empty when all is well
 
 
@@ -49,7 +49,7 @@ def preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFi
     for bus in scene.buses:
         if bus.parameters.interface == "socketcan":
             axes = sum(axis.bus == bus.name for axis in scene.axes)
-            findings += inspect_interface(str(bus.parameters.channel), bus.parameters, axes, run or _run)
+            findings += _inspect_interface(str(bus.parameters.channel), bus.parameters, axes, run or _run)
     return findings
 
 
@@ -93,7 +93,7 @@ def require_preflight(scene: RigSettings, run: Runner | None = None) -> list[Pre
     return [f for f in findings if f.severity == "note"]
 
 
-def inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -> list[PreflightFinding]:
+def _inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -> list[PreflightFinding]:
     """Returns what the kernel says of one interface.
 
     Args:
@@ -112,14 +112,14 @@ def inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) ->
         return [PreflightFinding(channel, "interface", "none", "refused", text)]
     try:
         [link] = json.loads(done.stdout)
-        return judge_link(channel, link, bus, axes)
+        return _judge_link(channel, link, bus, axes)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         seen = " ".join((done.stderr or done.stdout or repr(error)).split())[:80]
         text = "cannot be checked; this `ip` prints no JSON (that of busybox does not), install iproute2"
         return [PreflightFinding(channel, "ip", seen, "note", text)]
 
 
-def judge_link(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> list[PreflightFinding]:
+def _judge_link(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> list[PreflightFinding]:
     """Returns what one entry of `ip -json` says of an interface, judged."""
     judged = _Judged(channel)
     if link.get("link_type") != "can":
@@ -158,7 +158,7 @@ class _Judged:
         """Takes one that forbids a run."""
         self._add(item, seen, "refused", text)
 
-    def _add(self, item: str, seen: object, severity: Severity, text: str) -> None:
+    def _add(self, item: str, seen: object, severity: _Severity, text: str) -> None:
         self.findings.append(PreflightFinding(self.channel, item, str(seen), severity, text))
 
 
@@ -216,7 +216,7 @@ def _judge_modes(modes: list[str], judged: _Judged) -> None:
             judged.refuse("mode", mode, text)
 
 
-def least_restart(bus: BusSettings) -> int:
+def _least_restart(bus: BusSettings) -> int:
     """Returns the shortest automatic restart after a bus-off [ms] that finds the rig stopped."""
     return math.ceil(bus.stop_cycles * bus.sample_time * 1e3)
 
@@ -227,10 +227,10 @@ def _judge_restart(restart: object, bus: BusSettings, judged: _Judged) -> None:
         return
     if restart == 0:
         judged.well("restart-ms", "0 (by hand)")
-    elif restart < least_restart(bus):
+    elif restart < _least_restart(bus):
         text = (
-            f"expected 0, or at least {least_restart(bus)} ms ({bus.stop_cycles} sample times, after which the rig has "
-            "stopped), so that a bus-off ends the run and does not go unseen; "
+            f"expected 0, or at least {_least_restart(bus)} ms ({bus.stop_cycles} sample times, after which the rig "
+            "has stopped), so that a bus-off ends the run and does not go unseen; "
             f"ip link set {judged.channel} type can restart-ms 0"
         )
         judged.refuse("restart-ms", f"{restart} ms", text)

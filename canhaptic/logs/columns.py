@@ -36,7 +36,7 @@ class PortDescription(NamedTuple):
     state_unit: Motion | None = None  # of the storage's displacement; None: the same
 
 
-class Column(NamedTuple):
+class _Column(NamedTuple):
     """One quantity of the log."""
 
     path: str  # of its dataset; empty when the ring carries it but the file does not
@@ -78,16 +78,16 @@ class LogSchema:
     synchronise: bool  # after each chunk the file is forced to the disk
     attributes: dict[str, Attribute]
 
-    def columns(self) -> list[Column]:
+    def columns(self) -> list[_Column]:
         """Returns the columns in the order in which the ring's record holds them."""
-        columns = [Column("timing/dropped_before", "1", "u4"), Column("timing/sync_index", "1", "i8")]
-        columns += [Column(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
+        columns = [_Column("timing/dropped_before", "1", "u4"), _Column("timing/sync_index", "1", "i8")]
+        columns += [_Column(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
         for port in self.ports:
             columns += _sample_columns(port) + _balance_columns(port)
         if self.with_truth:
             for port in self.ports:
-                columns.append(Column(f"truth/{port.name}/position", port.unit, "f8"))
-                columns += [Column(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
+                columns.append(_Column(f"truth/{port.name}/position", port.unit, "f8"))
+                columns += [_Column(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
         return columns
 
     def ring(self, capacity: int) -> RingShape:
@@ -111,17 +111,17 @@ class LogSchema:
         return LogSchema(**fields)
 
 
-def _sample_columns(port: PortDescription) -> list[Column]:
+def _sample_columns(port: PortDescription) -> list[_Column]:
     units = {"position": port.unit, "torque_applied": effort_unit(port.unit)}
     return [
-        Column("", "1", "i8")  # the SYNC index is in /timing, once for all ports
+        _Column("", "1", "i8")  # the SYNC index is in /timing, once for all ports
         if name == "sync_index"
-        else Column(f"ports/{port.name}/{name}", units.get(name, "1"), _INTEGERS.get(name, "f8"))
+        else _Column(f"ports/{port.name}/{name}", units.get(name, "1"), _INTEGERS.get(name, "f8"))
         for name in Sample._fields
     ]
 
 
-def _balance_columns(port: PortDescription) -> list[Column]:
+def _balance_columns(port: PortDescription) -> list[_Column]:
     units = {
         "torque": effort_unit(port.unit),
         "damping_rendered": damping_unit(port.unit),
@@ -130,6 +130,6 @@ def _balance_columns(port: PortDescription) -> list[Column]:
         "certificate": "1",
     }
     return [
-        Column(f"ports/{port.name}/{_BALANCE_NAMES.get(name, name)}", units.get(name, "J"), _INTEGERS.get(name, "f8"))
+        _Column(f"ports/{port.name}/{_BALANCE_NAMES.get(name, name)}", units.get(name, "J"), _INTEGERS.get(name, "f8"))
         for name in EnergyBalance._fields
     ]

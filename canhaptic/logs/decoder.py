@@ -44,7 +44,7 @@ class NodeDescription:
     bus: int = 0  # its place among several
 
 
-class Decoded(NamedTuple):
+class _Decoded(NamedTuple):
     """One frame in words."""
 
     kind: str  # "NMT", "SYNC", "EMCY", "SDO", "RPDO1", "TPDO1", "heartbeat", "unknown"
@@ -66,18 +66,18 @@ class BusDecoder:
         for node_id in self._described:
             self._node(node_id)
 
-    def decode(self, can_id: int, data: bytes) -> Decoded:
+    def decode(self, can_id: int, data: bytes) -> _Decoded:
         """Returns one frame in words."""
         if can_id == od.NMT_COB_ID:
             return self._nmt(data)
         if can_id in (od.SYNC_FRAME_COB_ID, _TIME_COB_ID):
-            return Decoded("SYNC" if can_id == od.SYNC_FRAME_COB_ID else "TIME", "", data.hex(" "))
+            return _Decoded("SYNC" if can_id == od.SYNC_FRAME_COB_ID else "TIME", "", data.hex(" "))
         base, node_id = can_id & 0x780, can_id & 0x7F
         if can_id > 0x7FF or not node_id:
-            return Decoded("unknown", "", data.hex(" "))
+            return _Decoded("unknown", "", data.hex(" "))
         if base in (od.EMCY_BASE, od.HEARTBEAT_BASE):
             name = self._node(node_id).name
-            return Decoded("EMCY", name, _emcy(data)) if base == od.EMCY_BASE else _heartbeat(name, data)
+            return _Decoded("EMCY", name, _emcy(data)) if base == od.EMCY_BASE else _heartbeat(name, data)
         if base in (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE):
             return self._sdo(self._node(node_id), data, is_request=base == od.SDO_REQUEST_BASE)
         return self._pdo(can_id, node_id, data)
@@ -95,29 +95,29 @@ class BusDecoder:
             for cob_id, name, mapping in node.maps.cob_ids()
         }
 
-    def _nmt(self, data: bytes) -> Decoded:
+    def _nmt(self, data: bytes) -> _Decoded:
         if len(data) != 2:
-            return Decoded("NMT", "", f"malformed: {len(data)} bytes instead of 2")
+            return _Decoded("NMT", "", f"malformed: {len(data)} bytes instead of 2")
         command = NMT_COMMAND_TEXTS.get(data[0], f"unknown command 0x{data[0]:02X}")
-        return Decoded("NMT", self._node(data[1]).name if data[1] else "all", command)
+        return _Decoded("NMT", self._node(data[1]).name if data[1] else "all", command)
 
-    def _sdo(self, node: "_Node", data: bytes, is_request: bool) -> Decoded:
+    def _sdo(self, node: "_Node", data: bytes, is_request: bool) -> _Decoded:
         if is_request:
-            return Decoded("SDO", node.name, node.sdo.request(data))
+            return _Decoded("SDO", node.name, node.sdo.request(data))
         text, access = node.sdo.response(data)
         if access is not None and node.maps.learn(access):
             self._collect_pdos()
-        return Decoded("SDO", node.name, text)
+        return _Decoded("SDO", node.name, text)
 
-    def _pdo(self, can_id: int, node_id: int, data: bytes) -> Decoded:
+    def _pdo(self, can_id: int, node_id: int, data: bytes) -> _Decoded:
         if can_id not in self._pdos:
             self._node(node_id)
         if can_id not in self._pdos:
-            return Decoded("unknown", "", data.hex(" "))
+            return _Decoded("unknown", "", data.hex(" "))
         node, name, mapping = self._pdos[can_id]
         fields = node.maps.fields(mapping, data)
         text = fields if isinstance(fields, str) else ", ".join(node.field(field) for field in fields)
-        return Decoded(name, node.name, text)
+        return _Decoded(name, node.name, text)
 
 
 class _Node:
@@ -176,7 +176,7 @@ def _emcy(data: bytes) -> str:
     return f"0x{code:04X} {emcy_text(code)}, error register 0x{data[2]:02X}, vendor {data[3:].hex(' ') or '-'}{short}"
 
 
-def _heartbeat(name: str, data: bytes) -> Decoded:
+def _heartbeat(name: str, data: bytes) -> _Decoded:
     if len(data) != 1:
-        return Decoded("heartbeat", name, f"malformed: {len(data)} bytes instead of 1")
-    return Decoded("heartbeat", name, NMT_STATE_TEXTS.get(data[0] & 0x7F, f"unknown state 0x{data[0]:02X}"))
+        return _Decoded("heartbeat", name, f"malformed: {len(data)} bytes instead of 1")
+    return _Decoded("heartbeat", name, NMT_STATE_TEXTS.get(data[0] & 0x7F, f"unknown state 0x{data[0]:02X}"))

@@ -10,7 +10,7 @@ from canhaptic.logs.columns import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogS
 from canhaptic.logs.writer_process import WriterProcess
 from canhaptic.signals import CycleTiming, Sample, Truth
 
-RING_ROWS: Final = 16_384  # 16 s at 1 kHz, longer than a disk stalls
+_RING_ROWS: Final = 16_384  # 16 s at 1 kHz, longer than a disk stalls
 _FLUSH_TIME_NS: Final = 200_000_000  # a chunk holds this much of the run, at real pace
 _FREE_CHUNK: Final = 4096  # rows; without a wall clock only throughput counts
 
@@ -46,7 +46,7 @@ class EnergyLogWriter:
         sample_time_ns: int,
         with_truth: bool = False,
         pace: Literal["real", "free"] = "real",
-        ring_rows: int = RING_ROWS,
+        ring_rows: int = _RING_ROWS,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
         _check_names(ports)

@@ -34,7 +34,7 @@ def export(log: EnergyLog, path: str | Path) -> None:
         raise InputError(f"{path}: the table cannot be written ({error}); name another file") from error
 
 
-def columns(log: EnergyLog) -> Iterator[tuple[str, str, Quantities, str]]:
+def _columns(log: EnergyLog) -> Iterator[tuple[str, str, Quantities, str]]:
     """Yields (title, unit, group, name) of every quantity, the timing first."""
     for name in log.timing:
         yield name, log.timing.unit(name), log.timing, name
@@ -45,7 +45,7 @@ def columns(log: EnergyLog) -> Iterator[tuple[str, str, Quantities, str]]:
 
 
 def _write_csv(log: EnergyLog, path: Path) -> None:
-    described = list(columns(log))
+    described = list(_columns(log))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(f"{title} [{unit}]" if unit != "1" else title for title, unit, _, _ in described)
@@ -58,7 +58,7 @@ def _write_parquet(log: EnergyLog, path: Path) -> None:
     pa: Any = importlib.import_module("pyarrow")
     parquet: Any = importlib.import_module("pyarrow.parquet")
 
-    described = list(columns(log))
+    described = list(_columns(log))
     fields = [
         pa.field(title, pa.from_numpy_dtype(group.read(name, 0, 0).dtype), metadata={"unit": unit})
         for title, unit, group, name in described

@@ -10,7 +10,7 @@ from typing import Final
 from canhaptic.logs.bus_sink import FRAME_RING, format_frames
 from canhaptic.logs.ring import SharedArea
 
-GOOD_ENDINGS: Final = frozenset({"complete", "completed", "stopped"})
+_GOOD_ENDINGS: Final = frozenset({"complete", "completed", "stopped"})
 _BLOCK: Final = 1024  # frames taken or dropped at a time
 _TIMESTAMP: Final = struct.Struct("=q")
 _SIZE: Final = struct.calcsize(FRAME_RING.record)
@@ -56,7 +56,7 @@ class FaultSink:
 
     def finish(self, status: str) -> None:
         """Writes what was kept, unless the run ended well."""
-        if status in GOOD_ENDINGS or not self._blocks:
+        if status in _GOOD_ENDINGS or not self._blocks:
             return
         oldest = self._oldest()
         frames = b"".join(self._blocks)

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from canhaptic.logs.hdf5 import Dataset, Hdf5File
 
-PACKED_CHUNK: Final = 16_384  # rows
-_BLOCK: Final = 16 * PACKED_CHUNK  # rows copied at a time
+_PACKED_CHUNK: Final = 16_384  # rows
+_BLOCK: Final = 16 * _PACKED_CHUNK  # rows copied at a time
 _EVENTS: Final = "events/"
 
 
@@ -55,7 +55,7 @@ def repack(source: Path, target: Path, attributes: dict[str, Any], lengths: tupl
 
 
 def _copy_column(dataset: Dataset, new: Hdf5File, path: str, rows: int) -> None:
-    copy = new.create(path, dataset.dtype, max(1, min(rows, PACKED_CHUNK)))
+    copy = new.create(path, dataset.dtype, max(1, min(rows, _PACKED_CHUNK)))
     for name, value in dataset.attributes.items():
         copy.set_attribute(name, value)
     for start in range(0, rows, _BLOCK):

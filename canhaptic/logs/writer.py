@@ -20,7 +20,7 @@ _PAUSE: Final = 0.01  # [s] between two looks at the ring
 _INTERRUPTED: Final = "interrupted: the controlling process ended without closing the log"
 
 
-class Sink(Protocol):
+class _Sink(Protocol):
     """Where the records of an area go."""
 
     def open(self, restart: bool) -> None:
@@ -33,7 +33,7 @@ class Sink(Protocol):
         """Completes and closes the file."""
 
 
-def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, Sink]:
+def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, _Sink]:
     """Returns the shared area and the sink that a job describes; imports only what it needs."""
     area = SharedArea(descriptor, [RingShape(*shape) for shape in job["shapes"]])
     if job["kind"] == "energy":
@@ -53,7 +53,7 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, Sink]:
     )
 
 
-def serve(area: SharedArea, sink: Sink, parent: int) -> None:
+def _serve(area: SharedArea, sink: _Sink, parent: int) -> None:
     """Writes until the producer closes or is gone.
 
     A head is acted on one look after it was first seen: by then the record behind it has reached this processor too,
@@ -74,7 +74,7 @@ def serve(area: SharedArea, sink: Sink, parent: int) -> None:
     sink.finish(area.text("status") or (_INTERRUPTED if gone else "complete"))
 
 
-def become_ordinary(patient: bool) -> None:
+def _become_ordinary(patient: bool) -> None:
     """Gives up real-time priority and processor pinning inherited from the controlling process.
 
     Args:
@@ -90,13 +90,13 @@ def become_ordinary(patient: bool) -> None:
 def main() -> None:
     """Reads the job, says `ready` once the file is open, and serves."""
     job = json.load(sys.stdin)
-    become_ordinary(patient=job["pace"] == "real")
+    _become_ordinary(patient=job["pace"] == "real")
     area, sink = make_sink(job, int(sys.argv[1]))
     try:
         sink.open(job["restart"])
         sys.stdout.write("ready\n")
         sys.stdout.flush()
-        serve(area, sink, job["parent"])
+        _serve(area, sink, job["parent"])
     except (OSError, ValueError, RuntimeError) as error:  # h5py raises all three for one full disk
         area.set_text("failure", f"{job['path']}: {error}")
         os._exit(FAILED)  # the library would try to write again while closing, and can hang on a full disk

@@ -18,7 +18,7 @@ class ReplayOverError(BaseException):
     """
 
 
-class Departure(NamedTuple):
+class _Departure(NamedTuple):
     """The first frame in which the master departs from the recording."""
 
     place: int  # index of the recorded frame
@@ -58,7 +58,7 @@ class RecordedSide:
         self._is_over = False
         self.compared = 0
         self.played = 0
-        self.departure: Departure | None = None
+        self.departure: _Departure | None = None
 
     def _collect(self) -> None:
         for bus, sent in zip(self._buses, self._sent, strict=True):
@@ -120,7 +120,7 @@ class RecordedSide:
         bus = place if self._sent[place] else next(n for n, sent in enumerate(self._sent) if sent)
         message = self._sent[bus].popleft()
         if bus != place or message.arbitration_id != frame.can_id or message.data != frame.data:
-            self.departure = Departure(self._next, bus, message.arbitration_id, bytes(message.data))
+            self.departure = _Departure(self._next, bus, message.arbitration_id, bytes(message.data))
             raise self._over()
         self._offset = now - frame.timestamp_ns
         self._next += 1

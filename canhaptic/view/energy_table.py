@@ -12,8 +12,8 @@ from rich.text import Text
 from canhaptic.units import damping_unit
 from canhaptic.view.si import si
 
-PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
-PORTS_PER_TABLE: Final = 4
+_PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
+_PORTS_PER_TABLE: Final = 4
 _WIDTHS: Final = (34, 18)  # of a column, where there are few ports and where there are many
 _NOTHING: Final = "-   "
 PASSIVE_TOLERANCE: Final = 1e-6  # [J] below zero that still counts as zero
@@ -22,17 +22,17 @@ _ROUNDING: Final = 1e-9
 """Part of the largest damping below which the least is none."""
 _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
 
-Result = Mapping[str, Any]
-_Row = tuple[str, Callable[[Result], str | Text]]
+_Result = Mapping[str, Any]
+_Row = tuple[str, Callable[[_Result], str | Text]]
 
 
 def make_console(**options: Any) -> Console:
     """Returns a console on standard output; 100 columns wide where there is no terminal."""
     console = Console(highlight=False, **options)
-    return console if console.is_terminal else Console(highlight=False, width=PLAIN_WIDTH, **options)
+    return console if console.is_terminal else Console(highlight=False, width=_PLAIN_WIDTH, **options)
 
 
-def print_energy(result: Result, console: Console | None = None) -> None:
+def print_energy(result: _Result, console: Console | None = None) -> None:
     """Prints the account of a run.
 
     Args:
@@ -42,19 +42,19 @@ def print_energy(result: Result, console: Console | None = None) -> None:
     (console or make_console()).print(energy_report(result))
 
 
-def energy_report(result: Result) -> RenderableType:
+def energy_report(result: _Result) -> RenderableType:
     """Returns energy table, timing line, link line and method line of a run."""
     names = _ordered(result.get("ports", {}))
     parts: list[RenderableType] = [_heading(result)]
-    for start in range(0, len(names), PORTS_PER_TABLE):
-        parts.append(_energy_table(result, names[start : start + PORTS_PER_TABLE]))
+    for start in range(0, len(names), _PORTS_PER_TABLE):
+        parts.append(_energy_table(result, names[start : start + _PORTS_PER_TABLE]))
     for name in ("timing", "link", "method"):
         if result.get(name):
             parts.append(_line(name, result[name]))
     return Group(*parts)
 
 
-def _ordered(ports: Mapping[str, Result]) -> list[str]:
+def _ordered(ports: Mapping[str, _Result]) -> list[str]:
     """Returns the names of the ports, each group before its axes."""
     names: dict[str, None] = {}
     for name, port in ports.items():
@@ -64,7 +64,7 @@ def _ordered(ports: Mapping[str, Result]) -> list[str]:
     return list(names)
 
 
-def _heading(result: Result) -> Text:
+def _heading(result: _Result) -> Text:
     status = str(result.get("status", "unknown"))
     text = Text(" ")
     text.append(status, style="bold green" if status in {"ok", "complete", "completed"} else "bold yellow")
@@ -75,10 +75,10 @@ def _heading(result: Result) -> Text:
     return text
 
 
-def _energy_table(result: Result, names: list[str]) -> Table:
+def _energy_table(result: _Result, names: list[str]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=True)
     table.add_column("energy account", no_wrap=True)
-    width = _WIDTHS[len(names) > PORTS_PER_TABLE // 2]
+    width = _WIDTHS[len(names) > _PORTS_PER_TABLE // 2]
     for name in names:
         table.add_column(Text(name), justify="right", no_wrap=True, max_width=width, overflow="ellipsis")
     for label, cell in _PORT_ROWS:
@@ -102,26 +102,26 @@ def _energy_table(result: Result, names: list[str]) -> Table:
     return table
 
 
-def _cell(cell: Callable[[Result], str | Text], port: Result) -> str | Text:
+def _cell(cell: Callable[[_Result], str | Text], port: _Result) -> str | Text:
     try:
         return cell(port)
     except (KeyError, TypeError):  # an axis in a group, another version, or a quantity that this run did not have
         return _NOTHING
 
 
-def _branch_names(result: Result, names: list[str]) -> list[str]:
+def _branch_names(result: _Result, names: list[str]) -> list[str]:
     return list(dict.fromkeys(branch for port in names for branch in result["ports"][port].get("branches", {})))
 
 
-def _count(result: Result, port: str, branch: str) -> int:
+def _count(result: _Result, port: str, branch: str) -> int:
     return int(result["ports"][port].get("branches", {}).get(branch, 0))
 
 
-def _count_text(result: Result, port: str, branch: str) -> str:
+def _count_text(result: _Result, port: str, branch: str) -> str:
     return f"{_count(result, port, branch)}   " if "branches" in result["ports"][port] else "-   "
 
 
-def _limits(result: Result, port: str) -> Mapping[str, int]:
+def _limits(result: _Result, port: str) -> Mapping[str, int]:
     limits: Mapping[str, int] = result["ports"][port].get("limits", {})
     return limits
 
@@ -132,21 +132,21 @@ def energy(value: float) -> str:
     return f"{number} {unit:<2}"
 
 
-def _margin(port: Result) -> Text:
+def _margin(port: _Result) -> Text:
     margin = port["margin"]
     return Text(energy(margin["value"]), style="green" if margin["value"] >= -PASSIVE_TOLERANCE else "red")
 
 
-def _margin_place(port: Result) -> str:
+def _margin_place(port: _Result) -> str:
     margin = port["margin"]
     return f"{margin['time']:.4g} s " if margin["value"] < 0.0 else "never below 0  "
 
 
-def _longest_hold(port: Result) -> str:
+def _longest_hold(port: _Result) -> str:
     return f"{port['longest_hold']} T   " if "longest_hold" in port else "-   "
 
 
-def _passive(port: Result) -> Text:
+def _passive(port: _Result) -> Text:
     """Returns yes, NO, or that only the energy in doubt, booked at its worst, lies between them."""
     least = port["least_interaction"]
     if least >= -PASSIVE_TOLERANCE:
@@ -156,7 +156,7 @@ def _passive(port: Result) -> Text:
     return Text("NO   ", style="bold red")
 
 
-def _damping(port: Result) -> str:
+def _damping(port: _Result) -> str:
     rendered = port["damping_rendered"]
     unit = damping_unit(port["unit"])
     least, most = f"{rendered['least']:.3g}", f"{rendered['most']:.3g}"
@@ -165,15 +165,15 @@ def _damping(port: Result) -> str:
     return f"{most} {unit}" if least == most else f"{least}..{most} {unit}"
 
 
-def _surplus(which: str) -> Callable[[Result], str]:
+def _surplus(which: str) -> Callable[[_Result], str]:
     return lambda port: energy(port["surplus"][which])
 
 
-def _plain(name: str) -> Callable[[Result], str]:
+def _plain(name: str) -> Callable[[_Result], str]:
     return lambda port: energy(port[name])
 
 
-def _known_to(port: Result) -> str:
+def _known_to(port: _Result) -> str:
     """Returns the bound that a measured torque leaves to the energy; nothing to say where the demand is read back."""
     return {"demand": "exact   ", "none": "believed   "}.get(port["read_back"]) or energy(port["read_back_bound"])
 

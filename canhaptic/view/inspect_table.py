@@ -12,13 +12,13 @@ from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
 from canhaptic.view.table_style import plain_table
 
-CONTACTS_SHOWN: Final = 8
+_CONTACTS_SHOWN: Final = 8
 _EVENTS_SHOWN: Final = 20
 
-Result = Mapping[str, Any]
+_Result = Mapping[str, Any]
 
 
-def inspection_report(result: Result) -> RenderableType:
+def inspection_report(result: _Result) -> RenderableType:
     """Returns everything that `inspect` found, for a terminal of 100 columns."""
     parts: list[RenderableType] = [_header(result), energy_report(result)]
     for name, contacts in result.get("contacts", {}).items():
@@ -36,13 +36,13 @@ def inspection_report(result: Result) -> RenderableType:
     return Group(*parts)
 
 
-def _header(result: Result) -> Text:
+def _header(result: _Result) -> Text:
     return Text(f" {result['file']}   {si(result['rate'], 'Hz', 3)}   {result['from']:.6g} s to {result['to']:.6g} s")
 
 
-def _contacts_table(name: str, contacts: list[Result], unit: str, depth_unit: str) -> Table:
-    hardest = sorted(contacts, key=lambda contact: -float(contact["peak_torque"]))[:CONTACTS_SHOWN]
-    shown = f", the {CONTACTS_SHOWN} hardest" if len(contacts) > CONTACTS_SHOWN else ""
+def _contacts_table(name: str, contacts: list[_Result], unit: str, depth_unit: str) -> Table:
+    hardest = sorted(contacts, key=lambda contact: -float(contact["peak_torque"]))[:_CONTACTS_SHOWN]
+    shown = f", the {_CONTACTS_SHOWN} hardest" if len(contacts) > _CONTACTS_SHOWN else ""
     table = plain_table(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}")
     for column in ("start", "duration", "depth", "peak", "energy taken in"):
         table.add_column(column, justify="right", no_wrap=True)
@@ -57,7 +57,7 @@ def _contacts_table(name: str, contacts: list[Result], unit: str, depth_unit: st
     return table
 
 
-def _events_table(events: list[Result]) -> Table:
+def _events_table(events: list[_Result]) -> Table:
     more = f", the first {_EVENTS_SHOWN}" if len(events) > _EVENTS_SHOWN else ""
     table = plain_table(f" {len(events)} event{'s' if len(events) != 1 else ''}{more}")
     table.add_column("time", justify="right", no_wrap=True)
@@ -70,7 +70,7 @@ def _events_table(events: list[Result]) -> Table:
     return table
 
 
-def checks_table(checks: list[Result]) -> Table:
+def checks_table(checks: list[_Result]) -> Table:
     """Returns the outcome of every check."""
     table = plain_table(" checks", "check", "value of", "is", "")
     for check in checks:
@@ -79,7 +79,7 @@ def checks_table(checks: list[Result]) -> Table:
     return table
 
 
-def _recomputed_line(recomputed: Result) -> Text:
+def _recomputed_line(recomputed: _Result) -> Text:
     mismatch = recomputed["mismatch"]
     if mismatch is None:
         return Text(f" {recomputed['port']}: recomputed, every output equal bit for bit", style="green")
@@ -90,7 +90,7 @@ def _recomputed_line(recomputed: Result) -> Text:
     return Text(words, style="bold red")
 
 
-def _rederived_line(rederived: Result) -> Text:
+def _rederived_line(rederived: _Result) -> Text:
     if not rederived["differences"]:
         words = f" from the frames alone: {rederived['cycles']} cycles, samples and account equal bit for bit"
         return Text(words, style="green")
@@ -102,7 +102,7 @@ def _rederived_line(rederived: Result) -> Text:
     return Text("\n".join(lines), style="bold red")
 
 
-def comparison_report(comparison: Result) -> RenderableType:
+def comparison_report(comparison: _Result) -> RenderableType:
     """Returns the difference of two runs as `compare` found it."""
     first, second = comparison["rows"]
     if comparison["identical"]:
@@ -116,7 +116,7 @@ def comparison_report(comparison: Result) -> RenderableType:
     return Group(*parts)
 
 
-def _differences_table(title: str, comparison: Result) -> Table:
+def _differences_table(title: str, comparison: _Result) -> Table:
     table = plain_table(title, "quantity")
     for column in ("first at cycle", "first log", "second log", "largest difference"):
         table.add_column(column, justify="right", no_wrap=True)

@@ -14,7 +14,7 @@ from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
 
-Array = NDArray[Any]
+_Array = NDArray[Any]
 
 _MOST_AT_ONCE: Final = 200_000  # rows; a viewer that comes late takes the past in pieces
 _PORT_COLUMNS: Final = ("position", "torque_command", "torque_applied", "h_i", "h_r", "h_dis", "statusword", "fresh")
@@ -26,9 +26,9 @@ class News(NamedTuple):
     status: str
     rows: int  # in the log, so far
     restarted: bool  # another run has begun in this file: what was drawn is past
-    time: Array  # of the new rows [s]
-    cycle_time: Array  # [s]
-    ports: dict[str, dict[str, Array]]  # new rows, with energies summed from the beginning
+    time: _Array  # of the new rows [s]
+    cycle_time: _Array  # [s]
+    ports: dict[str, dict[str, _Array]]  # new rows, with energies summed from the beginning
     units: dict[str, str]  # of each port's position
     events: list[Event]  # all so far
     fresh_share: float  # TPDOs that came, of all expected, since the beginning
@@ -92,7 +92,7 @@ class LiveLog:
             log.group_of,
         )
 
-    def _port(self, log: EnergyLog, name: str, start: int, stop: int) -> dict[str, Array]:
+    def _port(self, log: EnergyLog, name: str, start: int, stop: int) -> dict[str, _Array]:
         rows = {column: log.ports[name].read(column, start, stop) for column in _PORT_COLUMNS}
         before_in, before_dissipated = self._sums.get(name, (0.0, 0.0))
         taken_in = before_in + np.cumsum(rows.pop("h_i"))

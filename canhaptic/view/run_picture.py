@@ -33,7 +33,7 @@ _LEGEND: Final[Any] = {
     "columnspacing": 1.2,
 }
 
-Array = NDArray[Any]
+_Array = NDArray[Any]
 
 
 def draw_energy(
@@ -122,14 +122,14 @@ class _PortPicture:
                 self._line(axes, line, scale, color="black", linewidth=0.7, linestyle=(0, (3, 2)), label=label)
             axes.legend(**_LEGEND)
 
-    def _column(self, name: str) -> Array:
+    def _column(self, name: str) -> _Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
 
-    def _of_movers(self, name: str) -> list[Array]:
+    def _of_movers(self, name: str) -> list[_Array]:
         """Returns a quantity of the axis, or of each axis of the group."""
         return [port.read(name, self._rows.start, self._rows.stop) for port in self._movers]
 
-    def _line(self, axes: Any, values: Array, scale: float, **style: Any) -> None:
+    def _line(self, axes: Any, values: _Array, scale: float, **style: Any) -> None:
         shown = decimate(values, _BUCKETS)
         axes.plot(self._time[shown], values[shown] / scale, **style)
 
@@ -197,7 +197,7 @@ class _PortPicture:
             axes.set_ylim(-0.05, 1.0)
         _finish(axes, "surplus", f"{prefix}J")
 
-    def _prefix(self, *lines: Array) -> tuple[float, str]:
+    def _prefix(self, *lines: _Array) -> tuple[float, str]:
         """Returns the scale and SI prefix of the panel that shows all of these lines."""
         largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
         scale, prefix = axis_scale(largest)

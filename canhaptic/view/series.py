@@ -11,9 +11,9 @@ from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view.decimate import decimate
 
-Array = NDArray[Any]
+_Array = NDArray[Any]
 
-FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
+_FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
 """Kinds of events that are marked."""
 _BUCKETS: Final = 400  # per quantity; about twice as many rows
 _FULL_SPAN: Final = 0.25  # [s] drawn row by row on either side of the worst margin and of each fault
@@ -52,7 +52,7 @@ class PortSeries:
         self.faults = faults_of(log, name, index)
         self.contacts = self._contacts(time, full)
         shown = self._shown(full, [worst, *(int(np.searchsorted(index, fault.sync_index)) for fault in self.faults)])
-        self.columns: dict[str, Array] = {"time": time[shown]} | {key: values[shown] for key, values in full.items()}
+        self.columns: dict[str, _Array] = {"time": time[shown]} | {key: values[shown] for key, values in full.items()}
         effort = self._port.unit("torque_applied")
         self.units = dict.fromkeys(("taken_in", "dissipated", "margin", "surplus"), "J") | {
             "time": "s",
@@ -62,10 +62,10 @@ class PortSeries:
             "damping": self._port.unit("damping_rendered"),
         }
 
-    def _read(self, name: str) -> Array:
+    def _read(self, name: str) -> _Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
 
-    def _columns(self) -> dict[str, Array]:
+    def _columns(self) -> dict[str, _Array]:
         """Every row of what is drawn, in single precision: an hour of doubles would take half a gigabyte."""
         taken_in = np.cumsum(self._read("h_i"), dtype=np.longdouble)
         dissipated = np.cumsum(self._read("h_r"), dtype=np.longdouble)
@@ -84,7 +84,7 @@ class PortSeries:
         }
         return columns | {key: self._read(name).astype(np.float32) for key, name in names.items()}
 
-    def _contacts(self, time: Array, full: dict[str, Array]) -> dict[str, list[float]]:
+    def _contacts(self, time: _Array, full: dict[str, _Array]) -> dict[str, list[float]]:
         found = [] if self.is_member else contacts(self._read("branch"))
         before = [max(0, first - 1) for first, _ in found]
         return {
@@ -97,7 +97,7 @@ class PortSeries:
             ],
         }
 
-    def _shown(self, full: dict[str, Array], places: Sequence[int]) -> Array:
+    def _shown(self, full: dict[str, _Array], places: Sequence[int]) -> _Array:
         count = len(full["position"])
         picks = [decimate(values, _BUCKETS) for values in full.values()]
         span = min(_FULL_ROWS // 2, round(_FULL_SPAN / self.sample_time))
@@ -105,7 +105,7 @@ class PortSeries:
         return np.unique(np.concatenate(picks))
 
 
-def faults_of(log: EnergyLog, port: str, index: Array) -> list[Event]:
+def faults_of(log: EnergyLog, port: str, index: _Array) -> list[Event]:
     """Returns the events to mark that concern a port and lie within the SYNCs of `index`.
 
     The fault that ended a run came with a SYNC that has no row any more; it is moved to the last one that has.
@@ -117,7 +117,7 @@ def faults_of(log: EnergyLog, port: str, index: Array) -> list[Event]:
     return [
         event._replace(sync_index=min(event.sync_index, last))
         for event in log.events
-        if event.kind in FAULTS
+        if event.kind in _FAULTS
         and event.port in {"", port}
         and first <= event.sync_index
         and (event.sync_index <= last or is_end)

@@ -11,7 +11,7 @@ import pytest
 
 from canhaptic.cli import drive as drive_command
 from canhaptic.cli.arguments import seconds
-from canhaptic.cli.main import COMMANDS, main
+from canhaptic.cli.main import _COMMANDS, main
 from canhaptic.cli.progress import RunProgress
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
@@ -40,7 +40,7 @@ def test_only_the_module_of_the_subcommand_is_imported() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
-    assert all(name in done.stdout for name in COMMANDS)
+    assert all(name in done.stdout for name in _COMMANDS)
 
 
 def test_nothing_unknown_is_accepted(capsys: Captured) -> None:

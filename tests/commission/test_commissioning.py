@@ -9,7 +9,7 @@ import pytest
 
 from canhaptic.commission.dialogue import Unattended
 from canhaptic.commission.findings import Report, StepFinding, StepVerdict
-from canhaptic.commission.identify import scan
+from canhaptic.commission.identify import _scan
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
@@ -199,8 +199,8 @@ def test_a_stranger_on_the_bus_is_found(node: int) -> None:
         can.Bus(interface="virtual", channel=f"stranger-{node}") as near,
     ):
         link = Link(near, VirtualClock([Stranger(far, node)]))
-        assert scan(link, [1], 126) == [node]
-        assert scan(link, [1, node], 126) == []  # what is known is not asked
+        assert _scan(link, [1], 126) == [node]
+        assert _scan(link, [1, node], 126) == []  # what is known is not asked
 
 
 def test_a_drive_that_does_not_answer_ends_it_before_anything_is_enabled() -> None:

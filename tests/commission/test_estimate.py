@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.commission.estimate import Array, estimate
+from canhaptic.commission.estimate import _Array, estimate
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
 from canhaptic.errors import ControlError
 
 TIME = 1e-3
 
 
-def moved(mass: float, damping: float, torques: Array) -> Array:
+def moved(mass: float, damping: float, torques: _Array) -> _Array:
     """Positions of a mass with viscous damping under held torques, each hold in closed form."""
     position = velocity = 0.0
     positions = [position]

@@ -5,7 +5,7 @@ import re
 
 from documents import ROOT
 
-from canhaptic.cli.main import COMMANDS
+from canhaptic.cli.main import _COMMANDS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.bus.bus_effects import BusEffects
@@ -21,7 +21,7 @@ def section(title: str) -> str:
 
 def test_every_command_has_a_row() -> None:
     rows = re.findall(r"^\| `canhaptic ([\w-]+)", section("Commands"), re.MULTILINE)
-    assert sorted(rows) == sorted(COMMANDS)
+    assert sorted(rows) == sorted(_COMMANDS)
 
 
 def test_the_algorithms_and_environments_are_counted_and_named() -> None:

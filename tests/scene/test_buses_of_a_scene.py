@@ -9,7 +9,7 @@ import pytest
 from scene_text import REPOSITORY
 
 from canhaptic.audit.rederive import rederive
-from canhaptic.cli.decode import decode_log
+from canhaptic.cli.decode import _decode_log
 from canhaptic.cycle import run
 from canhaptic.errors import LogFormatError, RigError, SceneError
 from canhaptic.logs.bus_reader import read_bus_log
@@ -124,7 +124,7 @@ def test_the_bus_log_names_the_bus_of_each_frame(recorded: tuple[Path, Path]) ->
 
 def test_the_frames_of_each_bus_are_decoded_for_their_own_axes(recorded: tuple[Path, Path]) -> None:
     scene = load_scene(TWO_BUSES)
-    nodes = {(f["channel"], f["id"]): f["node"] for f in decode_log(recorded[1], scene) if f["kind"] == "TPDO1"}
+    nodes = {(f["channel"], f["id"]): f["node"] for f in _decode_log(recorded[1], scene) if f["kind"] == "TPDO1"}
     assert nodes == {
         ("left", 0x181): "left_x",
         ("left", 0x182): "left_y",

@@ -11,7 +11,7 @@ from scene_text import REPOSITORY, faults
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError, InputError, LinkError
-from canhaptic.host.interfaces import REMEDIES, accepted_options, interface_faults, opening_error
+from canhaptic.host.interfaces import _REMEDIES, _accepted_options, interface_faults, opening_error
 from canhaptic.scene.load import load_scene
 
 EXAMPLES = sorted((REPOSITORY / "configs" / "interfaces").glob("*.yaml"))
@@ -34,7 +34,7 @@ def test_every_example_is_a_whole_scene_whose_options_its_backend_takes(path: Pa
     assert scene.bus.channel is not None
     assert not scene.simulated
     assert interface_faults(scene.bus) == []
-    accepted = accepted_options(scene.bus.interface)
+    accepted = _accepted_options(scene.bus.interface)
     assert accepted is not None
     assert scene.bus.options.keys() <= accepted
 
@@ -52,7 +52,7 @@ def test_the_options_read_from_the_source_are_those_of_the_signature(name: str) 
         for parameter in inspect.signature(backend.__init__).parameters.values()
         if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
     }
-    accepted = accepted_options(name)
+    accepted = _accepted_options(name)
     assert accepted is not None
     assert {n for n in named if not n.startswith("_")} - {"self", "channel", "bitrate"} <= accepted
 
@@ -70,7 +70,7 @@ def test_the_options_read_from_the_source_are_those_of_the_signature(name: str) 
     ],
 )
 def test_options_hidden_in_keyword_arguments_are_found_without_the_driver(name: str, options: set[str]) -> None:
-    accepted = accepted_options(name)
+    accepted = _accepted_options(name)
     assert accepted is not None
     assert options <= accepted
     assert not accepted & {"self", "kwargs", "bitrate", "channel"}
@@ -105,8 +105,8 @@ def test_an_interface_without_driver_or_device_gives_one_error_of_ours(name: str
     message = str(caught.value)
     assert message.startswith(f"bus {name!r}, channel 'nowhere0': ")
     assert "\n" not in message
-    if name in REMEDIES:
-        assert REMEDIES[name].format(channel="nowhere0", bitrate=1_000_000) in message
+    if name in _REMEDIES:
+        assert _REMEDIES[name].format(channel="nowhere0", bitrate=1_000_000) in message
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 from canhaptic.control.balance import Branch
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema, PortDescription
 from canhaptic.logs.hdf5 import Hdf5File
-from canhaptic.logs.packing import PACKED_CHUNK
+from canhaptic.logs.packing import _PACKED_CHUNK
 
 HOUR = 3_600_000
 SPIKE = 0.7
@@ -58,7 +58,7 @@ def write_hour(path: Path, rows: int = HOUR) -> None:
             file.set_attribute(name, value)
         for column in schema.columns():
             if column.path:
-                dataset = file.create(column.path, column.dtype, PACKED_CHUNK)
+                dataset = file.create(column.path, column.dtype, _PACKED_CHUNK)
                 dataset.set_attribute("unit", column.unit)
                 dataset.append(columns.get(column.path, np.zeros(rows)).astype(column.dtype))
         file.create("events/sync_index", "i8", 1).append(np.array([rows // 4]))

@@ -8,7 +8,7 @@ import pytest
 import typed
 from synthetic_run import write_run, write_troubled_run
 
-from canhaptic.audit.inspection import inspect, quantiles
+from canhaptic.audit.inspection import _quantiles, inspect
 from canhaptic.audit.log_difference import compare
 from canhaptic.audit.user_checks import check
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance, Ledger
@@ -80,7 +80,7 @@ def test_contacts_are_found_with_depth_peak_and_energy(log: Path) -> None:
 
 
 def test_quantiles_are_values_that_occurred() -> None:
-    assert quantiles(np.arange(1, 1001) * 1000) == pytest.approx(
+    assert _quantiles(np.arange(1, 1001) * 1000) == pytest.approx(
         {"p50": 501e-6, "p99": 991e-6, "p99.9": 1000e-6, "max": 1000e-6}, rel=1e-9
     )
 
