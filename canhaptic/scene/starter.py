@@ -20,12 +20,14 @@ from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError
 from canhaptic.scene.eds_path import path_for_scene
 from canhaptic.scene.guesses import TO_SET
+from canhaptic.scene.missing_values import missing_values
 from canhaptic.scene.profiles import profile_values
 
 _CAUTIOUS: Final = 0.05  # part of the rated torque that the first configuration allows
 _GUESSED_RATED_TORQUE: Final = 1.0  # [N*m]
 _GUESSED_COUNTS: Final = 65536  # per revolution
 _FEWEST_COUNTS: Final = 64  # per revolution; a dictionary that states fewer states the default of an unset object
+_PER_MILLE: Final = 1e-3  # one count of 0x6072
 _COMMENT_COLUMN: Final = 30
 _TRAILING_COMMENT: Final = re.compile(r"^( *[^#\s][^#\n]*?) +# ", re.MULTILINE)
 _EDS_TOKEN: Final = "@EDS@"  # put in last: nothing else may touch a path
@@ -105,7 +107,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
         raise DictionaryError(f"{found.path} is not fit for cyclic torque: {reasons}")
     rated = _stated_torque(found.dictionary, drive) or _GUESSED_RATED_TORQUE
-    limit = _round(_CAUTIOUS * rated)
+    limit = _torque_limit(found.dictionary, rated)
     text = _TEXT.substitute(
         to_set=TO_SET,
         title=_plain(f"{found.vendor} {found.product}".strip() or "A CiA 402 drive"),
@@ -117,7 +119,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         **_axis_values(found, drive),
         limit=f"{limit:g}",
         **_scaled(limit),
-        simulation=_simulation(found.dictionary, rated, limit) if simulate else "",
+        simulation=_simulation(found, rated, limit) if simulate else "",
     )
     return _aligned(text).replace(_EDS_TOKEN, json.dumps(path_for_scene(found.path, out), ensure_ascii=False))
 
@@ -182,7 +184,7 @@ def _identity(found: Survey, drive: str | None) -> str:
     lines = []
     if drive is not None:
         lines.append(f"    drive: {drive}            # profile in configs/drives: what is known of this make")
-    if found.vendor_id:
+    if found.vendor_id and found.dictionary.get_variable(od.IDENTITY, 1) is not None:
         lines.append(f"    vendor_id: {found.vendor_id:#x}         # 0x1018:01; the start refuses any other make")
     return "".join(f"{line}\n" for line in lines)
 
@@ -233,6 +235,16 @@ def _rated_lines(dictionary: ObjectDictionary, stated: float | None) -> str:
     )
 
 
+def _torque_limit(dictionary: ObjectDictionary, rated: float) -> float:
+    """Returns a cautious torque limit [N*m] that a 0x6072 with limits of its own takes."""
+    variable = dictionary.get_variable(od.MAX_TORQUE, 0)
+    limit = _CAUTIOUS * rated
+    if variable is not None and variable.writable:
+        least, most = variable.min or 0, math.inf if variable.max is None else variable.max
+        limit = min(max(limit, least * _PER_MILLE * rated), most * _PER_MILLE * rated)
+    return _round(limit)
+
+
 def _limit_note(dictionary: ObjectDictionary) -> str:
     if is_writable(dictionary, od.MAX_TORQUE, 0):
         return "\n                              # also written to 0x6072"
@@ -253,9 +265,9 @@ def _read_back_lines(found: Survey) -> str:
 
 
 def _watchdog_lines(dictionary: ObjectDictionary) -> str:
-    if dictionary.get_variable(od.CONSUMER_HEARTBEAT_TIME, 1) is not None:
+    if is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1):
         return ""
-    return "    watchdog: false         # the drive has no 0x1016: a killed master leaves the torque on\n"
+    return "    watchdog: false         # the drive has no writable 0x1016: a killed master leaves the torque on\n"
 
 
 def _scaled(limit: float) -> dict[str, str]:
@@ -267,13 +279,12 @@ def _scaled(limit: float) -> dict[str, str]:
     }
 
 
-def _simulation(dictionary: ObjectDictionary, rated: float, limit: float) -> str:
-    objects = {}
-    if not (stated_value(dictionary, od.SUPPORTED_DRIVE_MODES) or 0) & od.CYCLIC_SYNC_TORQUE_BIT:
-        objects["0x6502"] = "0x200"
-    if stated_value(dictionary, od.DEVICE_TYPE) is None:
-        objects["0x1000"] = "0x00020192"
-    lines = "".join(f"      {key}: {value}          # the dictionary gives none\n" for key, value in objects.items())
+def _simulation(found: Survey, rated: float, limit: float) -> str:
+    objects = missing_values(found, 1.0 / _rate(found))
+    lines = "".join(
+        f"      {key}: {value}          # the dictionary gives none, or that of another rig\n"
+        for key, value in objects.items()
+    )
     return _SIMULATION.substitute(
         rated=f"{rated:g}",
         objects=f"    objects:\n{lines}" if objects else "",

@@ -23,7 +23,8 @@ REMEDIES: Final = {
     "drive modes": "this drive has no cyclic synchronous torque mode; choose another drive or firmware",
     "drive state": "find and remove the cause, then reset the fault (reset_fault: true or the vendor's tool)",
     "rated torque": "correct rated_torque and transmission, or the drive's 0x6076 (quirks: rated_torque_...)",
-    "torque limit": "lower torque_limit, or raise the drive's own with the vendor's tool (quirks: max_torque_absent)",
+    "torque limit": "raise torque_limit where the drive calls it too low, reduce it where too high, or change the "
+    "drive's own limit with the vendor's tool (quirks: max_torque_absent)",
     "watchdog": "see the quirks abort_... for 0x6007; watchdog: false only if a killed master may leave the torque on",
     "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
     "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers; quirks: "

@@ -11,6 +11,7 @@ from canhaptic.canopen.objects import (
     CONTROLWORD,
     CURRENT_ACTUAL,
     CYCLIC_SYNC_TORQUE,
+    CYCLIC_SYNC_TORQUE_BIT,
     MODES_OF_OPERATION,
     MODES_OF_OPERATION_DISPLAY,
     POSITION_ACTUAL,
@@ -102,7 +103,7 @@ class Servo:
         self._statusword = store.entry(STATUSWORD, datatypes.UNSIGNED16)
         self._mode = store.entry(MODES_OF_OPERATION, datatypes.INTEGER8)
         self._mode_display = store.entry(MODES_OF_OPERATION_DISPLAY, datatypes.INTEGER8)
-        self._supported_modes = store.entry(SUPPORTED_DRIVE_MODES, datatypes.UNSIGNED32)
+        self._supported_modes = store.find(SUPPORTED_DRIVE_MODES)
         self._quick_stop_option = store.entry(QUICK_STOP_OPTION, datatypes.INTEGER16)
         self._target: Any = store.entry(TARGET_TORQUE, datatypes.INTEGER16)
         self._torque_demand = store.entry(TORQUE_DEMAND, datatypes.INTEGER16)
@@ -278,8 +279,9 @@ class Servo:
         return (counts + _HALF) % _COUNTS - _HALF
 
     def _check_mode(self, mode: int) -> SdoAbort | None:
-        """Refuses what 0x6502 does not list; mode m is its bit m - 1, and 0 is no mode."""
-        if mode == 0 or (mode > 0 and self._supported_modes.number >> (mode - 1) & 1):
+        """Refuses what 0x6502 does not list: mode m is its bit m - 1, and 0 is no mode. A drive without it has 10."""
+        listed = CYCLIC_SYNC_TORQUE_BIT if self._supported_modes is None else self._supported_modes.number
+        if mode == 0 or (mode > 0 and listed >> (mode - 1) & 1):
             return None
         return SdoAbort.VALUE_RANGE
 
