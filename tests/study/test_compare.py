@@ -163,7 +163,7 @@ def test_a_run_that_stops_has_a_code_and_its_reason_is_a_remark(scene):
     assert found["status"] == "stopped"
     assert "faster than the speed limit" in found["remark"]
     assert found["position_error"]["max"] > 0.0
-    found = account(scene(*fine, "axes.0.rated_torque=1 uN"), "direct", duration=0.5, over_can=True)  # never starts
+    found = account(scene(*fine), "direct", duration=0.5, over_can=True)  # never starts: the rated torque is 1 mN
     assert found["status"] == "stopped"
     assert "torque limit" in found["remark"]
     assert "position_error" not in found
