@@ -5,99 +5,22 @@ codecs and its record of the run take no part, so the account can be held agains
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
+from canhaptic.audit.listened_axis import DeclaredDrive, ListenedAxis
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.balance import Ledger
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
-from canhaptic.drive.axis_parameters import AxisParameters
-from canhaptic.drive.profile.fitness import agreed_rated_torque
-from canhaptic.drive.profile.power_states import is_enabled
-from canhaptic.drive.profile.quirks import quirks_of
-from canhaptic.drive.profile.scaling import AxisScaling, axis_scaling
 from canhaptic.errors import InputError
-from canhaptic.logs.bus_reader import Frame, read_bus_log
+from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.pdo_decoder import PdoMaps
-from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.result import part_in_group
 from canhaptic.scene.channels import Channels
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
 from canhaptic.signals import Sample
-
-_TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
-
-
-class _ListenedAxis:
-    """What the frames tell of one axis."""
-
-    def __init__(self, axis: AxisParameters) -> None:
-        self.axis = axis
-        self._sdo = SdoDecoder(lambda index, subindex: f"0x{index:04X}.{subindex}")
-        self._maps = PdoMaps(axis.node_id, read_dictionary(axis.eds, axis.node_id))
-        self._tpdos = self._map()
-        self._rated_counts: int | None = None
-        self._scaling: AxisScaling | None = None
-        self._reported = 0
-        self._stage: dict[int, int] = {}
-        self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
-
-    def _map(self) -> dict[int, int]:
-        return {cob_id: mapping for cob_id, name, mapping in self._maps.cob_ids() if name.startswith("TPDO")}
-
-    def take(self, frame: Frame) -> None:
-        """Takes any frame of the bus."""
-        if frame.can_id == od.SDO_REQUEST_BASE + self.axis.node_id:
-            self._sdo.request(frame.data)
-        elif frame.can_id == od.SDO_RESPONSE_BASE + self.axis.node_id:
-            _, access = self._sdo.response(frame.data)
-            if access is not None and access[:2] == (od.RATED_TORQUE, 0):
-                self._rated_counts = int.from_bytes(access.value, "little")
-            if access is not None and self._maps.learn(access):
-                self._tpdos = self._map()
-        elif frame.can_id in self._tpdos:
-            fields = self._maps.fields(self._tpdos[frame.can_id], frame.data)
-            for field in [] if isinstance(fields, str) else fields:
-                self._stage.setdefault(field.object_index, field.raw)
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether statusword, position and torque of the last SYNC have come."""
-        return {od.STATUSWORD, od.POSITION_ACTUAL} <= set(self._stage) and any(t in self._stage for t in _TORQUES)
-
-    @property
-    def is_enabled(self) -> bool:
-        """Whether the last SYNC was answered in OPERATION ENABLED."""
-        return self.is_complete and is_enabled(self._stage[od.STATUSWORD])
-
-    @property
-    def has_left(self) -> bool:
-        """Whether the last SYNC was answered in another state."""
-        return self.is_complete and not self.is_enabled
-
-    def forget(self) -> None:
-        """Clears what was heard, at the next SYNC."""
-        self._stage.clear()
-
-    def sample(self, sync_index: int) -> Sample:
-        """Returns what was heard since the last SYNC."""
-        if not self.is_complete:
-            self._last = self._last._replace(sync_index=sync_index, fresh=False)
-            return self._last
-        if self._scaling is None:
-            resolution = quirks_of(self.axis.quirks).rated_torque_resolution
-            rated = agreed_rated_torque(self.axis, self._rated_counts, resolution)
-            self._scaling = axis_scaling(self.axis, rated)
-        reported = next(self._stage[torque] for torque in _TORQUES if torque in self._stage)
-        if self.axis.demand_reported == "after":
-            reported, self._reported = self._reported, reported
-        position = self._scaling.position(self._stage[od.POSITION_ACTUAL])
-        torque = self._scaling.torque(reported)
-        self._last = Sample(sync_index, position, torque, self._stage[od.STATUSWORD], fresh=True)
-        return self._last
 
 
 def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
@@ -108,7 +31,7 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
     Raises:
         LogFormatError: The bus log cannot be read.
     """
-    axes = [_ListenedAxis(axis.parameters) for axis in scene.axes]
+    axes = [ListenedAxis(_declared(axis)) for axis in scene.axes]
     on_bus = [[a for a, of in zip(axes, scene.axes, strict=True) if of.bus == bus.name] for bus in scene.buses]
     place_of = Channels(scene).place_of
     cycle = -1
@@ -127,6 +50,11 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
             yield [axis.sample(cycle) for axis in axes]
         for axis in axes:
             axis.forget()
+
+
+def _declared(axis: AxisScene) -> DeclaredDrive:
+    given = axis.parameters
+    return DeclaredDrive(**{field.name: getattr(given, field.name) for field in fields(DeclaredDrive)})
 
 
 def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> dict[str, Any]:

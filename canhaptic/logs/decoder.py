@@ -11,9 +11,9 @@ from typing import Any, Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
-from canhaptic.drive.profile.power_states import drive_state
 from canhaptic.logs.pdo_decoder import PdoField, PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
+from canhaptic.logs.statusword import state_text
 from canhaptic.units import effort_unit
 
 _TORQUES: Final = {
@@ -158,7 +158,7 @@ class _Node:
     def _meaning(self, field: PdoField) -> str:
         known = self._description
         if field.object_index == od.STATUSWORD:
-            return drive_state(field.raw).value
+            return state_text(field.raw)
         if field.object_index == od.CONTROLWORD:
             return controlword_text(field.raw)
         if field.object_index == od.POSITION_ACTUAL and known.counts_per_unit:

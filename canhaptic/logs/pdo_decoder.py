@@ -76,6 +76,10 @@ class PdoMaps:
                 if first + number not in told:
                     yield base + self._node_id, _name(first + number), first + number + 0x200
 
+    def tpdos(self) -> dict[int, int]:
+        """Returns COB-ID -> mapping index of every PDO that the node sends."""
+        return {cob_id: mapping for cob_id, _, mapping in self.cob_ids() if mapping >= od.TPDO_MAPPING}
+
     def fields(self, mapping_index: int, data: bytes) -> list[PdoField] | str:
         """Returns the fields of a frame, or words for why it cannot be taken apart."""
         entries = self._entries.get(mapping_index, {})

@@ -1,0 +1,145 @@
+"""One axis as its frames show it: PDO fields -> position, torque and state, without a line of the master's code.
+
+Scaling and state decoding are written here a second time on purpose. A position is the unwrapped counter times
+(direction / counts_per_unit), a torque is the field times (direction * torque of 1000 counts / 1000), each rounded as
+IEEE 754 has it, so that the audit may ask for equal bits.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.eds import read_dictionary
+from canhaptic.errors import InputError
+from canhaptic.logs.bus_reader import Frame
+from canhaptic.logs.pdo_decoder import PdoMaps
+from canhaptic.logs.sdo_decoder import SdoDecoder
+from canhaptic.logs.statusword import ENABLED, state_text
+from canhaptic.signals import Sample
+
+RATED_TORQUE_COUNTS: Final[Mapping[str, float]] = {"rated_torque_micro": 1e-6}
+"""Quirk -> newton metres (or newtons) per count of 0x6076 instead of 1e-3."""
+TORQUE_COUNTS: Final[Mapping[str, float]] = {"torque_per_cent": 1e-2, "torque_per_ten_thousand": 1e-4}
+"""Quirk -> part of the rated torque per count of 0x6074 and 0x6077 instead of 1e-3."""
+_TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
+_DISAGREES: Final = 0.01
+"""Part of the rated torque by which frames and scene may differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredDrive:
+    """What a scene says of a drive, as far as its frames need it to be understood."""
+
+    name: str
+    node_id: int
+    eds: str | Path
+    counts_per_unit: float
+    direction: int  # 1 or -1
+    transmission: float  # torque of the axis over torque of the motor
+    rated_torque: float | None  # of the axis [N*m or N]; None: as the drive states it
+    quirks: Sequence[str]
+    demand_reported: str  # "before" or "after" the RPDO of the same SYNC
+
+
+class ListenedAxis:
+    """What the frames tell of one axis.
+
+    Raises:
+        DictionaryError: Its dictionary cannot be read.
+    """
+
+    def __init__(self, drive: DeclaredDrive) -> None:
+        self._drive = drive
+        self._sdo = SdoDecoder(lambda index, subindex: f"0x{index:04X}.{subindex}")
+        self._maps = PdoMaps(drive.node_id, read_dictionary(drive.eds, drive.node_id))
+        self._tpdos = self._maps.tpdos()
+        self._rated_counts = 0
+        self._per_torque_count = 0.0  # not known before the first sample
+        self._counts = self._reported = 0
+        self._fields: dict[int, int] = {}
+        self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
+
+    def take(self, frame: Frame) -> None:
+        """Takes any frame of the bus."""
+        if frame.can_id == od.SDO_REQUEST_BASE + self._drive.node_id:
+            self._sdo.request(frame.data)
+        elif frame.can_id == od.SDO_RESPONSE_BASE + self._drive.node_id:
+            _, access = self._sdo.response(frame.data)
+            if access is not None and access[:2] == (od.RATED_TORQUE, 0):
+                self._rated_counts = int.from_bytes(access.value, "little")
+            if access is not None and self._maps.learn(access):
+                self._tpdos = self._maps.tpdos()
+        elif frame.can_id in self._tpdos:
+            fields = self._maps.fields(self._tpdos[frame.can_id], frame.data)
+            for field in [] if isinstance(fields, str) else fields:
+                self._fields.setdefault(field.object_index, field.raw)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether statusword, position and torque of the last SYNC have come."""
+        return {od.STATUSWORD, od.POSITION_ACTUAL} <= set(self._fields) and any(t in self._fields for t in _TORQUES)
+
+    @property
+    def is_enabled(self) -> bool:
+        """Whether the last SYNC was answered in OPERATION ENABLED."""
+        return self.is_complete and state_text(self._fields[od.STATUSWORD]) == ENABLED
+
+    @property
+    def has_left(self) -> bool:
+        """Whether the last SYNC was answered in another state."""
+        return self.is_complete and not self.is_enabled
+
+    def forget(self) -> None:
+        """Clears what was heard, at the next SYNC."""
+        self._fields.clear()
+
+    def sample(self, sync_index: int) -> Sample:
+        """Returns what was heard since the last SYNC.
+
+        Raises:
+            InputError: Frames and scene disagree on the rated torque, or neither says it.
+        """
+        if not self.is_complete:
+            self._last = self._last._replace(sync_index=sync_index, fresh=False)
+            return self._last
+        if not self._per_torque_count:
+            self._per_torque_count = self._torque_of_a_count()
+        reported = next(self._fields[torque] for torque in _TORQUES if torque in self._fields)
+        if self._drive.demand_reported == "after":
+            reported, self._reported = self._reported, reported
+        position = self._unwrapped(self._fields[od.POSITION_ACTUAL]) * (
+            self._drive.direction / self._drive.counts_per_unit
+        )
+        torque = reported * self._per_torque_count
+        self._last = Sample(sync_index, position, torque, self._fields[od.STATUSWORD], fresh=True)
+        return self._last
+
+    def _unwrapped(self, counts: int) -> int:
+        """Returns the position counter [counts], which is an INTEGER32 that wraps, as one that goes on."""
+        self._counts += (counts - self._counts + (1 << 31)) % (1 << 32) - (1 << 31)
+        return self._counts
+
+    def _torque_of_a_count(self) -> float:
+        drive = self._drive
+        rated = drive.rated_torque
+        if self._rated_counts:
+            stated = self._rated_counts * _of(RATED_TORQUE_COUNTS, drive.quirks) * drive.transmission
+            if rated is not None and abs(rated - stated) > _DISAGREES * stated:
+                raise InputError(
+                    f"{drive.name}: the frames state a rated torque (0x6076) of {stated:g} and the scene {rated:g}; "
+                    "it is not the scene of these frames"
+                )
+            rated = stated
+        if rated is None:
+            raise InputError(
+                f"{drive.name}: neither the frames nor the scene say the rated torque; record the bring-up too, or "
+                "set rated_torque of the axis"
+            )
+        of_1000_counts = rated * round(1000.0 * _of(TORQUE_COUNTS, drive.quirks), 9)
+        return drive.direction * of_1000_counts / 1000.0
+
+
+def _of(table: Mapping[str, float], quirks: Sequence[str]) -> float:
+    return next((table[name] for name in quirks if name in table), 1e-3)
