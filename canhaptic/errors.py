@@ -10,6 +10,7 @@
     |  `- LogFormatError                     2   an energy log or bus log that cannot be read
     |- LogWriteError (OSError)              2   a log that cannot be written where it was asked for
     |- CheckFailedError                      1   a comparison or check the user asked for failed
+    |- EventLimitError (RuntimeError)        1   a simulated plant changed its mode more often than is allowed
     |- WorkersLostError (RuntimeError)       1   the processes of a sweep died again and again
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
        |- StartError                         3   a step of the fail-closed start was not confirmed
@@ -101,6 +102,22 @@ class LogWriteError(CanHapticError, OSError):
 
 class CheckFailedError(CanHapticError):
     """A check or comparison that the user asked for did not hold."""
+
+
+class EventLimitError(CanHapticError, RuntimeError):
+    """A simulated plant had more events in one sample time than `accuracy.max_events`; it cannot be moved on.
+
+    Attributes:
+        most: Events that are allowed.
+        state: Modes and states of the plant, as text.
+    """
+
+    def __init__(self, most: int, state: str, where: str = "plant") -> None:
+        self.most, self.state = most, state
+        super().__init__(
+            f"{where}: got more than {most} changes of mode in one sample time, expected at most accuracy.max_events "
+            f"{most}; give the contact damping, widen a gap, or raise accuracy.max_events. State: {state}"
+        )
 
 
 class WorkersLostError(CanHapticError, RuntimeError):

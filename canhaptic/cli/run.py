@@ -101,7 +101,7 @@ def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, A
     )
     names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
     result["plants"] = {
-        name: {"events": plant.events, "products": plant.products, "capped_holds": plant.capped_holds}
+        name: {"events": plant.events, "products": plant.products}
         for name, plant in zip(names, experiment.plants, strict=False)
     }
     # In lock-step virtual time stands still within a cycle: its durations say nothing.

@@ -51,11 +51,6 @@ def _priced(prices: Sequence[PlantPrice]) -> str:
 
 
 def _spent(plants: Sequence[Plant], periods: int) -> str:
-    """Returns events, products and capped holds of all plants together; products are those of one plant on average."""
-    events, capped = sum(plant.events for plant in plants), sum(plant.capped_holds for plant in plants)
-    products = sum(plant.products for plant in plants) / len(plants) / periods
-    text = f"{events} event{'' if events == 1 else 's'}, {products:.2g} products per period"
-    if capped:
-        most = max(plant.accuracy.max_events for plant in plants)
-        text += f", {capped} holds with more than {most} events ran on without guards (raise accuracy.max_events)"
-    return text
+    """Returns events and products of all plants together; products are those of one plant on average."""
+    events, products = sum(plant.events for plant in plants), sum(plant.products for plant in plants)
+    return f"{events} event{'' if events == 1 else 's'}, {products / len(plants) / periods:.2g} products per period"

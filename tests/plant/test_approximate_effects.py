@@ -115,7 +115,6 @@ def test_a_stribeck_slider_on_a_slow_hand_sticks_and_slips_in_a_limit_cycle():
     still = np.diff(positions) == 0.0
     slips = int(np.sum(still[:-1] & ~still[1:]))
     assert slips >= 5
-    assert plant.capped_holds == 0
     assert plant.events <= 4 * slips + 4
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from plant_scenes import DAMPING, MASS, MS, ReferenceMode, Way, hand, largest_flow, make_plant, reference, residual, run
 
+from canhaptic.errors import EventLimitError
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 CURRENT = {"type": "current_loop", "time_constant": 5e-5}
@@ -128,20 +130,47 @@ def test_backlash_chatter_stays_under_the_cap_and_loses_energy():
     plant = make_plant(shaft, {"type": "backlash", "gap": 1e-5}, user=None, initial_velocity=0.3)
     run(plant, [3.0 if k % 3 else -4.0 for k in range(300)])
     assert plant.events > 100
-    assert plant.capped_holds == 0
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
-def test_more_events_than_the_cap_are_counted_and_never_hang():
+STOPS = [
+    {"type": "hard_stop", "position": 1e-9, "stiffness": 1e10},
+    {"type": "hard_stop", "position": -1e-9, "side": "lower", "stiffness": 1e10},
+]
+
+
+def test_more_events_than_the_cap_end_the_run_with_state_and_remedy():
     """An elastic ball between two stops 2 nm apart: a million impacts in one hold."""
-    stops = [
-        {"type": "hard_stop", "position": 1e-9, "stiffness": 1e10},
-        {"type": "hard_stop", "position": -1e-9, "side": "lower", "stiffness": 1e10},
-    ]
-    plant = make_plant(*stops, user=None, damping=0.0, initial_velocity=10.0, mass=1e-6)
-    run(plant, [0.0] * 2)
-    assert plant.capped_holds == 2
-    assert 2 * 1000 <= plant.events <= 2 * 1001
+    plant = make_plant(*STOPS, user=None, damping=0.0, initial_velocity=10.0, mass=1e-6)
+    with pytest.raises(EventLimitError, match=r"before 0\.001 s: got more than 1000 changes of mode") as caught:
+        run(plant, [0.0] * 2)
+    assert "raise accuracy.max_events" in str(caught.value)
+    assert "upper_stop touching, lower_stop apart; position 1." in str(caught.value)
+    assert plant.events == 1001
+    with pytest.raises(EventLimitError):
+        make_plant(*STOPS, user=None, damping=0.0, initial_velocity=10.0, mass=1e-6).run(np.zeros(2))
+
+
+def test_the_cap_counts_per_sample_time_however_it_is_cut():
+    """Eight impacts a millisecond, 16 changes of mode: 20 are enough for it whole, in pieces, and ten at a time."""
+    stops = [dict(stop, position=1e-3 * (1 if stop["position"] > 0 else -1)) for stop in STOPS]
+
+    def ball(most: int) -> Plant:
+        plant = make_plant(
+            *stops, user=None, damping=0.0, initial_velocity=16.0, mass=1e-6, accuracy={"max_events": most}
+        )
+        plant.begin(0)
+        return plant
+
+    def fly(plant: Plant, pieces: list[int]) -> int:
+        for now in pieces:
+            plant.advance_to(now, 0.0)
+        return plant.events
+
+    for pieces in ([k * MS for k in range(1, 21)], [k * MS // 7 for k in range(1, 141)], [10 * MS, 20 * MS]):
+        assert 300 < fly(ball(20), pieces) < 340
+        with pytest.raises(EventLimitError, match="more than 10 changes"):
+            fly(ball(10), pieces)
 
 
 def test_a_force_at_the_very_edge_of_stiction_holds_and_a_hair_more_slides():

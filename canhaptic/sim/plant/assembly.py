@@ -17,6 +17,8 @@ from canhaptic.sim.plant.propagator import Array
 Account = Literal["motor", "user", "dissipated"]
 
 MOTOR: Final = 0  # index of the body that carries motor and encoder
+LEAST_MASS: Final = 1e-12
+"""Of a body [kg or kg*m^2]: below it, forces that are allowed would accelerate it beyond what floats tell apart."""
 
 
 class Body(NamedTuple):

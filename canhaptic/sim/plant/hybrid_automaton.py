@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from canhaptic.errors import EventLimitError
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.mode_matrices import Exit, Mode, compile_mode, first_key, initial_state
 from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.sim.plant.stepper import (
-    CAPPED,
     COUNTS,
     EVENTS,
     LIMIT,
@@ -35,7 +35,6 @@ class Snapshot(NamedTuple):
     mode: int
     totals: Array
     events: int
-    capped: int
 
 
 class HybridAutomaton:
@@ -79,10 +78,11 @@ class HybridAutomaton:
         self.totals.fill(0.0)
         self._sums, self._carries = self.totals.tolist(), self.totals.tolist()
         counts = self._counts
-        counts[MODE], counts[MISSING], counts[LIMIT] = self._first, NONE, 0
+        counts[MODE], counts[MISSING], counts[EVENTS] = self._first, NONE, 0
+        self.allow_events(0, TICKS)
         self.run(0)  # a body that starts beyond a stop starts with the stop's energy
         self.totals.fill(0.0)
-        counts[EVENTS] = counts[CAPPED] = counts[PRODUCTS] = 0
+        counts[EVENTS] = counts[PRODUCTS] = 0
 
     @property
     def mode(self) -> Mode:
@@ -100,11 +100,6 @@ class HybridAutomaton:
         return int(self._counts[EVENTS])
 
     @property
-    def capped(self) -> int:
-        """Holds in which the cap on events was reached."""
-        return int(self._counts[CAPPED])
-
-    @property
     def products(self) -> int:
         """Steps of flows tried since the start, a machine-independent price."""
         return int(self._counts[PRODUCTS])
@@ -112,14 +107,14 @@ class HybridAutomaton:
     def save(self) -> Snapshot:
         """Returns a copy of everything that a hold changes."""
         counts = self._counts
-        return Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS], counts[CAPPED])
+        return Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS])
 
     def restore(self, saved: Snapshot) -> None:
         """Goes back to a copy."""
         np.copyto(self.state, saved.state)
         np.copyto(self.totals, saved.totals)
         counts = self._counts
-        counts[MODE], counts[EVENTS], counts[CAPPED] = saved.mode, saved.events, saved.capped
+        counts[MODE], counts[EVENTS] = saved.mode, saved.events
 
     @property
     def totals(self) -> Array:
@@ -187,10 +182,43 @@ class HybridAutomaton:
             self._tables, self.state, self._moved, self._books, self._counts, ticks
         )
 
+    def allow_events(self, begin: int, end: int) -> None:
+        """Allows `max_events` for each sample time that begins in [begin, end), in ticks; else what is left of them."""
+        begun = -(-end // TICKS) - -(-begin // TICKS)
+        if begun:
+            self._most = int(self._counts[EVENTS]) + self._settings.max_events * begun
+
     def run(self, ticks: int) -> None:
-        """Moves by `ticks` under constant inputs, through every event on the way."""
-        self._counts[LIMIT] = self._counts[EVENTS] + self._settings.max_events
-        self._run_on(ticks)
+        """Moves by `ticks` under constant inputs, through every event on the way.
+
+        Raises:
+            EventLimitError: There are more events than `allow_events` allowed.
+        """
+        self._counts[LIMIT] = self._most + 1
+        self.check_limit(self._run_on(ticks))
+
+    def run_to_event(self, ticks: int) -> int:
+        """Moves by `ticks` at most, through the first event; returns the ticks left."""
+        self._counts[LIMIT] = self._counts[EVENTS] + 1
+        return self._run_on(ticks)
+
+    def check_limit(self, left: int) -> None:
+        """Refuses to go on when time is left in a hold that has had too many events.
+
+        Raises:
+            EventLimitError: It has.
+        """
+        if left and self.events > self._most:
+            raise EventLimitError(self._settings.max_events, self._described())
+
+    def _described(self) -> str:
+        """Returns parts with their modes, and the states."""
+        modes = [f"{part.name} {mode}" for part, mode in zip(self.scene.parts, self.mode.key, strict=True)
+                 if len(part.modes) > 1]  # fmt: skip
+        states = [
+            f"{name} {value:.6g}" for name, value in zip(self.scene.names[:-1], self.state.tolist(), strict=False)
+        ]
+        return f"{', '.join(modes)}; {', '.join(states)}"
 
     def run_holds(self, torques: Array, positions: Array) -> None:
         """Takes one sample time under each torque and writes the position after it.
@@ -198,21 +226,26 @@ class HybridAutomaton:
         Args:
             torques: Shape (n_holds,) [N or N*m].
             positions: Written, shape (n_holds,) [m or rad].
+
+        Raises:
+            EventLimitError: One of them has more events than are allowed.
         """
         done = 0
         while done < len(torques):
             self.state, self._moved, begun, left = self._step_holds(torques[done:], positions[done:])
             done += begun
+            self._most = int(self._counts[LIMIT]) - 1
             if self._counts[MISSING] != NONE:
                 self._enter_missing()
-                self._run_on(left)
+                left = self._run_on(left)
                 positions[done - 1] = self.state[0]
+            self.check_limit(left)
 
-    def _run_on(self, ticks: int) -> None:
+    def _run_on(self, ticks: int) -> int:
         while True:
             self.state, self._moved, ticks = self._step(ticks)
             if self._counts[MISSING] == NONE:
-                return
+                return ticks
             self._enter_missing()
 
     def _step(self, ticks: int) -> tuple[Array, Array, int]:
@@ -251,9 +284,12 @@ class HybridAutomaton:
         self._modes.append(mode)
         self._stored.append(stored_by(mode.storage))
         resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
+        bounds = mode.bounds
         row = ModeTables(
-            mode.flows, mode.works, mode.base, mode.guards, len(mode.exits), [NONE] * len(mode.exits),
-            [bool(leaving.resets) for leaving in mode.exits], resets, [leaving.work for leaving in mode.exits],
+            mode.flows, mode.works, mode.base, mode.guards, len(mode.exits),
+            bounds.slack.tolist(), bounds.chord.tolist(), bounds.bend.tolist(), bounds.spread.tolist(),
+            [NONE] * len(mode.exits), [bool(leaving.resets) for leaving in mode.exits], resets,
+            [leaving.work for leaving in mode.exits],
             mode.storage,
         )  # fmt: skip
         for table, entry in zip(self._tables, row, strict=True):

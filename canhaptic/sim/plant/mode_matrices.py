@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.sim.plant.assembly import PlantModel, Rows
+from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
 from canhaptic.sim.plant.propagator import LEVELS, Array, dyadic_flows
 
 Product = Callable[[Array, Array], object]
@@ -29,7 +30,8 @@ class Mode(NamedTuple):
     flows: list[Product]  # by level: z -> z after T / 2^level
     works: list[Product]  # by level: z -> for each work [form times shifted z, unit row]; then the shifted z
     base: int  # largest step whose guards are near parabolas, as a level
-    guards: Array  # values and rates of the guards as rows, shape (2 n_guards, n)
+    guards: Array  # values and rates of the guards, and the scaled rates of the state as rows, shape (2 c + m, n)
+    bounds: GuardBounds
     exits: list[Exit]
     storage: Array  # P with z'Pz the stored energy
 
@@ -52,7 +54,9 @@ def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
     values = np.array(guards).reshape(len(guards), rows.size)
     flows, works = _forms(rows, scene)
     base = _base_level(rows.rates, scene.sample_time) if exits else 0
-    return Mode(key, flows, works, base, np.concatenate([values, values @ rows.rates]), exits, rows.storage)
+    bounds = guard_bounds(values, rows.rates, scene.sample_time, base)
+    guarded = np.concatenate([values, values @ rows.rates, bounds.scaled])
+    return Mode(key, flows, works, base, guarded, bounds, exits, rows.storage)
 
 
 def _forms(rows: Rows, scene: PlantModel) -> tuple[list[Product], list[Product]]:

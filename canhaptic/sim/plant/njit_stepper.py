@@ -1,10 +1,11 @@
 """The functions of `stepper.py` compiled by numba, and the machine that runs them; needs the extra `fast`.
 
-The logic is the same source: each function of the stepper is compiled as it stands. Only the five that touch numbers in
+The logic is the same source: each function of the stepper is compiled as it stands. Only the six that touch numbers in
 bulk are written again here, as loops over arrays (for a dozen states a call into BLAS costs more than the product).
 Matrices are stored by columns, so that the inner loop runs over rows and needs no sum to be reordered.
 """
 
+import math
 from collections.abc import Callable
 from functools import cache
 from types import FunctionType
@@ -20,7 +21,18 @@ from canhaptic.sim.plant.mode_matrices import Mode
 from canhaptic.sim.plant.propagator import LEVELS, Array
 from canhaptic.sim.plant.stepper import COUNTS, NONE, ModeTables
 
-_LOGIC: Final = ("first_broken", "dips", "leave", "settle", "judge", "run_free", "run", "free_holds", "run_holds")
+_LOGIC: Final = (
+    "first_broken",
+    "least",
+    "may_dip",
+    "leave",
+    "settle",
+    "judge",
+    "run_free",
+    "run",
+    "free_holds",
+    "run_holds",
+)
 """Functions of the stepper, each after those that it calls."""
 
 
@@ -41,13 +53,21 @@ def move(columns: Array, state: Array, moved: Array) -> None:
 
 
 def evaluate(guards: Array, state: Array, values: Array) -> Array:
-    """Writes and returns the values and rates of the guards, rows of the table."""
+    """Writes and returns all rows of the guards times the state."""
     for row in range(guards.shape[0]):
         total = 0.0
         for column in range(guards.shape[1]):
             total += guards[row, column] * state[column]
         values[row] = total
     return values
+
+
+def pace(values: Array, first: int) -> float:
+    """Returns the length of the scaled rates of the state, the values from `first` on."""
+    total = 0.0
+    for row in range(first, len(values)):
+        total += values[row] * values[row]
+    return math.sqrt(total)
 
 
 def largest_term(guards: Array, guard: int, state: Array) -> float:
@@ -80,7 +100,7 @@ def book(columns: Array, state: Array, books: Any) -> None:
         only.totals[work] += total
 
 
-_BULK: Final = (move, evaluate, largest_term, stored, book)
+_BULK: Final = (move, evaluate, pace, largest_term, stored, book)
 
 
 @cache
@@ -168,11 +188,17 @@ def flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> Mode
         works: Number of works.
     """
     size, count = len(modes[0].storage), max(len(mode.exits) for mode in modes)
-    guards = np.zeros((len(modes), 2 * count, size))
+    guards = np.zeros((len(modes), 2 * count + size, size))
+    slack = np.zeros((len(modes), LEVELS + 1, count))
+    chord, spread = np.zeros((2, len(modes), LEVELS + 1, count, size))
+    bend = np.zeros((len(modes), count, size))
     target, loss = np.full((len(modes), count), NONE), np.zeros((len(modes), count), dtype=np.int64)
     jumps, resets = np.zeros((len(modes), count), dtype=bool), np.zeros((len(modes), count, size, size))
     for i, mode in enumerate(modes):
-        guards[i, : 2 * len(mode.exits)] = mode.guards
+        guards[i, : len(mode.guards)] = mode.guards
+        exits, rates = mode.bounds.bend.shape
+        slack[i, :, :exits], bend[i, :exits, :rates] = mode.bounds.slack, mode.bounds.bend
+        chord[i, :, :exits, :rates], spread[i, :, :exits, :rates] = mode.bounds.chord, mode.bounds.spread
         for j, leaving in enumerate(mode.exits):
             target[i, j], loss[i, j], jumps[i, j] = targets[i][j], leaving.work, bool(leaving.resets)
             resets[i, j] = reset_matrix(leaving, size).T
@@ -180,7 +206,7 @@ def flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> Mode
     forms = np.array([[_columns(matrix_of(work), size, works) for work in mode.works] for mode in modes])
     return ModeTables(
         flows, forms, np.array([mode.base for mode in modes]), guards, np.array([len(mode.exits) for mode in modes]),
-        target, jumps, resets, loss, np.array([mode.storage for mode in modes]),
+        slack, chord, bend, spread, target, jumps, resets, loss, np.array([mode.storage for mode in modes]),
     )  # fmt: skip
 
 

@@ -12,9 +12,9 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import model_validator
 
-from canhaptic.errors import ParameterError
+from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
 from canhaptic.sim.plant.mode_matrices import Mode, initial_state
@@ -33,7 +33,7 @@ _TIDY: Final = TICKS << 10
 class PlantParameters(Parameters):
     """The moving mass of one axis, as seen by the encoder."""
 
-    mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
+    mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
     """Mass (linear axis) or inertia (rotary axis) that moves with the encoder."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Viscous friction of the bearings."""
@@ -72,7 +72,7 @@ class AccuracyParameters(Parameters):
     substeps: Annotated[int, quantity("count", ge=1, le=1024)] = 1
     """Substeps in one sample time for effects that are not exact; a power of two."""
     max_events: Annotated[int, quantity("count", ge=1, le=1_000_000)] = 1000
-    """Events in one hold; beyond it the rest of the hold runs without guards, counted in `Plant.capped_holds`."""
+    """Events in one sample time; a plant that has more is not moved on, and the run ends with its state."""
 
     @model_validator(mode="after")
     def _substeps_divide_the_ticks(self) -> "AccuracyParameters":
@@ -193,11 +193,6 @@ class Plant:
         return self._machine.events
 
     @property
-    def capped_holds(self) -> int:
-        """Holds that had more events than the cap."""
-        return self._machine.capped
-
-    @property
     def products(self) -> int:
         """Steps of the core tried since the start: the price, independent of the machine it runs on."""
         return self._machine.products
@@ -240,6 +235,7 @@ class Plant:
 
         Raises:
             ParameterError: `now` lies before the last call.
+            EventLimitError: More events in one sample time than `accuracy.max_events`.
         """
         if now == self._next_period:
             self._tick += TICKS
@@ -267,6 +263,7 @@ class Plant:
 
         Raises:
             ParameterError: The plant is inside a sample time.
+            EventLimitError: More events in one sample time than `accuracy.max_events`.
         """
         self.begin(0)
         if self._next_period < 0:
@@ -328,7 +325,13 @@ class Plant:
         for command in self.scene.commands:
             torque = command.apply(torque, ticks * machine.tick_time)
         machine.state[-2] = torque
-        self._run(ticks)
+        machine.allow_events(self._tick - ticks, self._tick)
+        try:
+            self._run(ticks)
+        except EventLimitError as error:
+            raise EventLimitError(
+                error.most, error.state, f"plant before {self._tick * machine.tick_time:.9g} s"
+            ) from None
         self.position = machine.state.item(0)
 
     def _ticks_until(self, now: int, epoch: int) -> int:

@@ -62,7 +62,7 @@ def taylor_work(rates: Array, power: Array, step: float) -> Array:
     return total * step
 
 
-def _halvings(rates: Array, sample_time: float, levels: int) -> int:
+def halvings_of(rates: Array, sample_time: float, levels: int) -> int:
     """Returns how often T is halved: `levels`, and more where the fastest mode needs it for the series."""
     needed = levels
     while float(np.abs(rates).sum(axis=0).max()) * sample_time * 0.5**needed > _LARGEST_STEP:
@@ -85,7 +85,7 @@ def dyadic_flows(
         Flows by j, and for each j the list of Q by kind.
     """
     identity = np.eye(len(rates))
-    halvings = _halvings(rates, sample_time, levels)
+    halvings = halvings_of(rates, sample_time, levels)
     step = sample_time * 0.5**halvings
     change = taylor_flow(rates, step)
     works = [taylor_work(rates, power, step) for power in powers]

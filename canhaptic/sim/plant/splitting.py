@@ -2,8 +2,9 @@
 
 All such forces act on the motor's body. Over a substep their sum F is constant for the core, which stays exact; F is
 the mean of each force along the travel that it causes itself (a discrete gradient where the force has a potential),
-found by a bracketed secant. Order 2 in the substep, order 1 in a substep with an event. The work booked is
-F times travel, so that the balance of energies closes whatever the step (Gonzalez, J. Nonlinear Science 6, 1996).
+found by a bracketed secant. A substep ends at its first event, and what is left of it is solved anew: a force that
+belongs to sliding never acts while the body sticks, and the order in the substep is 2 with events too. The work booked
+is F times travel, so that the balance of energies closes whatever the step (Gonzalez, J. Nonlinear Science 6, 1996).
 """
 
 import math
@@ -47,6 +48,7 @@ class Splitting:
         self._slope = -1.0
         self._start = 0.0
         self._duration = 0.0
+        self._passed = 0
         self._held = 0.0
 
     def stored(self, position: float) -> float:
@@ -54,16 +56,19 @@ class Splitting:
         return sum(effort.stored(position) for effort in self._efforts)
 
     def run(self, ticks: int) -> None:
-        """Moves by `ticks`, in substeps."""
-        while ticks:
-            piece = min(ticks, self._substep_ticks)
-            self._substep(piece)
-            ticks -= piece
+        """Moves by `ticks`, in substeps that end at their first event at the latest.
 
-    def _substep(self, ticks: int) -> None:
+        Raises:
+            EventLimitError: There are more events than are allowed.
+        """
+        while ticks:
+            ticks -= self._substep(min(ticks, self._substep_ticks))
+            self._machine.check_limit(ticks)
+
+    def _substep(self, ticks: int) -> int:
+        """Moves by `ticks` or to the first event; returns the ticks that passed."""
         state = self._machine.state
         self._start, self._held = float(state[0]), float(state[self._torque])
-        self._duration = ticks * self._tick_time
         force = self._solve(ticks)
         travel = float(self._machine.state[self._travel])
         rest = force
@@ -76,6 +81,7 @@ class Splitting:
             self._book(effort.account, share * travel + (stored if effort.account == "dissipated" else 0.0))
         self._book("dissipated", rest * travel)  # what the solution of the scalar equation left over
         self._force = force
+        return self._passed
 
     def _book(self, account: Account | None, work: float) -> None:
         if account is not None:
@@ -89,7 +95,8 @@ class Splitting:
             self._machine.restore(saved)
             state = self._machine.state
             state[self._effort], state[self._travel] = force, 0.0
-            self._machine.run(ticks)
+            self._passed = ticks - self._machine.run_to_event(ticks)
+            self._duration = self._passed * self._tick_time
             travel = float(self._machine.state[self._travel])
             self._held = mean_torque(begin, float(self._machine.state[self._torque]), float(state[-2]))
             return sum(e.force(self._start, travel, self._duration, self._held) for e in self._efforts) - force

@@ -1,14 +1,14 @@
 """The one stepper as pure functions on tables: interpreted as it stands, or compiled by numba (`compiled.py`).
 
-A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or may have
-dipped below it inside (its rate changed sign and the two tangents meet below zero), the step is halved, down to one
-tick; there the mode changes. No root finder and no adaptive step; at most `max_events` events a hold, the excess is
-counted, and the rest of that hold runs on without guards.
+A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
+strict bound of `guard_bounds.py` does not exclude that it was inside, the step is halved, down to one tick; there the
+mode changes. No root finder and no adaptive step. It stops at a number of events that the caller sets.
 
-The first five functions are all that touches numbers in bulk. Interpreted, a table holds bound products of NumPy
-(`flow.dot`: half the cost of `numpy.dot`); compiled, it holds arrays, and these five are replaced.
+The first six functions are all that touches numbers in bulk. Interpreted, a table holds bound products of NumPy
+(`flow.dot`: half the cost of `numpy.dot`); compiled, it holds arrays, and these six are replaced.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -23,11 +23,10 @@ _DOUBTFUL: Final = -2  # a guard may have dipped below zero inside the step
 
 MODE: Final = 0  # places in `counts`: the mode the machine is in,
 EVENTS: Final = 1  # mode changes since the start,
-CAPPED: Final = 2  # holds in which the cap on events was reached,
-PRODUCTS: Final = 3  # steps tried since the start,
-LIMIT: Final = 4  # events at which this hold is capped,
-MISSING: Final = 5  # guard that leads to a mode not compiled yet, or NONE: the caller compiles it and runs on
-COUNTS: Final = 6
+PRODUCTS: Final = 2  # steps tried since the start,
+LIMIT: Final = 3  # events at which it stops,
+MISSING: Final = 4  # guard that leads to a mode not compiled yet, or NONE: the caller compiles it and runs on
+COUNTS: Final = 5
 
 
 class ModeTables(NamedTuple):
@@ -36,8 +35,12 @@ class ModeTables(NamedTuple):
     flows: Any  # by level: z -> z after T / 2^level
     works: Any  # by level: z -> what `book` needs
     base: Any  # largest step whose guards are near parabolas, as a level
-    guards: Any  # values and then rates of the guards as rows
+    guards: Any  # values of the guards, their rates, and the scaled rates of the state as rows
     guard_counts: Any
+    slack: Any  # these four as in `guard_bounds.GuardBounds`
+    chord: Any
+    bend: Any
+    spread: Any
     targets: Any  # by guard: the mode it leads to, or NONE when that is not compiled yet
     jumps: Any  # by guard: whether the state jumps there
     resets: Any  # by guard: z -> z after the jump
@@ -48,7 +51,7 @@ class ModeTables(NamedTuple):
 class Settings(NamedTuple):
     """What a stepper spends."""
 
-    max_events: int
+    max_events: int  # in one hold
     event_level: int
     tick_time: float  # [s]
 
@@ -89,8 +92,13 @@ def move(product: Any, state: Array, moved: Array) -> None:
 
 
 def evaluate(guards: Any, state: Array, values: Any) -> Any:
-    """Returns the values and rates of the guards; `values` may be written to."""
+    """Returns all rows of the guards times the state; `values` may be written to."""
     return guards.dot(state).tolist()
+
+
+def pace(values: Any, first: int) -> float:
+    """Returns the length of the scaled rates of the state, the values from `first` on."""
+    return math.hypot(*values[first:])
 
 
 def largest_term(guards: Any, guard: int, state: Array) -> float:
@@ -119,13 +127,37 @@ def first_broken(guards: Any, count: int, values: Any, state: Array) -> int:
     return NONE
 
 
-def dips(before: Any, after: Any, guard: int, count: int, step: float) -> bool:
-    """True when the tangents at both ends of the step meet below zero: a bound for a convex guard."""
-    falling, rising = before[count + guard], after[count + guard]
-    if not falling < 0.0 < rising:
+def may_dip(
+    tables: ModeTables, mode: int, level: int, before: Any, after: Any, guard: int, step: float, rounding: float
+) -> bool:
+    """True when the bounds do not exclude that a guard was below `rounding` inside the step.
+
+    With `low` a lower bound of its second derivative, the guard less low t^2 / 2 is convex: it lies above its tangents
+    at both ends, and so does the guard above the two parabolas of curvature `low`.
+    """
+    count = tables.guard_counts[mode]
+    chord, spread, bend = tables.chord[mode][level][guard], tables.spread[mode][level][guard], tables.bend[mode][guard]
+    off, low = 0.0, 0.0
+    for j in range(len(bend)):
+        rate = before[2 * count + j]
+        size = abs(rate)
+        off += size * chord[j]
+        low += rate * bend[j] - size * spread[j]
+    begin, end, falling, rising = before[guard], after[guard], before[count + guard], after[count + guard]
+    if min(begin, end) - off >= rounding:
         return False
-    meeting = (after[guard] - before[guard] - rising * step) / (falling - rising)
-    return bool(before[guard] + falling * meeting < 0.0)
+    turning = rising - falling - low * step
+    meeting = 0.5 * step
+    if turning > 0.0:
+        meeting = min(step, max(0.0, (begin - end + (rising - 0.5 * low * step) * step) / turning))
+    return bool(min(least(begin, falling, low, meeting), least(end, -rising, low, step - meeting)) < rounding)
+
+
+def least(value: float, rate: float, curvature: float, length: float) -> float:
+    """Returns the least value of a parabola on [0, length]."""
+    if curvature > 0.0 and -curvature * length < rate < 0.0:
+        return value - 0.5 * rate * rate / curvature
+    return min(value, value + (rate + 0.5 * curvature * length) * length)
 
 
 def leave(tables: ModeTables, state: Array, moved: Array, books: Any, counts: Any, guard: int) -> tuple[Array, Array]:
@@ -151,7 +183,7 @@ def settle(
         guards = tables.guards[mode]
         values = evaluate(guards, state, values)
         guard = first_broken(guards, tables.guard_counts[mode], values, state)
-        if guard == NONE:
+        if guard == NONE or counts[EVENTS] >= counts[LIMIT]:
             return state, moved, values
         if tables.targets[mode][guard] < 0:
             counts[MISSING] = guard
@@ -161,13 +193,16 @@ def settle(
     return state, moved, values
 
 
-def judge(tables: ModeTables, mode: int, before: Any, after: Any, moved: Array, step: float) -> int:
+def judge(
+    tables: ModeTables, mode: int, level: int, before: Any, after: Any, state: Array, moved: Array, step: float
+) -> int:
     """Returns the guard that a step broke, NONE, or _DOUBTFUL; a step of 0 is one that is not halved any more."""
-    count = tables.guard_counts[mode]
-    broken = first_broken(tables.guards[mode], count, after, moved)
+    count, guards = tables.guard_counts[mode], tables.guards[mode]
+    broken = first_broken(guards, count, after, moved)
     if broken == NONE and step > 0.0:
         for i in range(count):
-            if dips(before, after, i, count, step):
+            rounding = -_ROUNDING * max(largest_term(guards, i, state), largest_term(guards, i, moved))
+            if may_dip(tables, mode, level, before, after, i, step, rounding):
                 return _DOUBTFUL
     return broken
 
@@ -201,43 +236,41 @@ def run(
     """Moves by `ticks` under constant inputs, through every event on the way.
 
     Returns:
-        State, spare state, and the ticks left: above zero only with counts[MISSING] set.
+        State, spare state, and the ticks left: above zero with counts[MISSING] set or at counts[LIMIT] only.
     """
     before, after = values[0], values[1]
     state, moved, before = settle(tables, state, moved, books, counts, before)
     mode = counts[MODE]
     flows, guards, count, base = tables.flows[mode], tables.guards[mode], tables.guard_counts[mode], tables.base[mode]
-    level, window, event_level, tried = base, -1, settings.event_level, 0
-    while ticks and counts[MISSING] == NONE:
-        while TICKS >> level > ticks:
+    level, window, known, event_level, tried = base, -1, -1, settings.event_level, 0
+    while ticks and counts[MISSING] == NONE and counts[EVENTS] < counts[LIMIT]:
+        while TICKS >> level > ticks or (ticks - (TICKS >> level) == known and level < event_level):
             level += 1
         tried += 1
         move(flows[level], state, moved)
         after = evaluate(guards, moved, after)
-        broken = NONE
+        slack, speed, broken = tables.slack[mode][level], pace(before, 2 * count), NONE
         for i in range(count):
-            if after[i] < 0.0 or before[count + i] < 0.0 < after[count + i]:
+            near = slack[i] * speed
+            if after[i] < near or before[i] < near:
                 step = settings.tick_time * (TICKS >> level) if level < event_level else 0.0
-                broken = judge(tables, mode, before, after, moved, step)
+                broken = judge(tables, mode, level, before, after, state, moved, step)
                 break
         if broken != NONE and level < event_level:
-            window, level = ticks - (TICKS >> level), level + 1
+            window = ticks - (TICKS >> level)
+            known = known if broken == _DOUBTFUL else window  # a guard is below zero there, however one comes to it
+            level += 1
             continue
         book(tables.works[mode][level], state, books)
         state, moved = moved, state
         ticks -= TICKS >> level
         before, after = after, before
         if broken != NONE:
-            if counts[EVENTS] >= counts[LIMIT]:
-                counts[CAPPED] += 1
-                state, moved = run_free(tables, state, moved, books, counts, ticks)
-                ticks = 0
-                break
             state, moved, before = settle(tables, state, moved, books, counts, before)
             mode = counts[MODE]
             flows, guards, count = tables.flows[mode], tables.guards[mode], tables.guard_counts[mode]
             base = level = tables.base[mode]
-            window = -1
+            window = known = -1
         elif ticks <= window:
             level, window = base, -1
     counts[PRODUCTS] += tried
@@ -251,17 +284,17 @@ def run_holds(
     """Takes one sample time under each torque and writes the position after it.
 
     Returns:
-        State, spare state, sample times begun, and the ticks left of the last one: above zero, or zero with
-        counts[MISSING] set, when a mode has to be compiled first.
+        State, spare state, sample times begun, and the ticks left of the last one: above zero at the limit of events;
+        above zero, or zero, with counts[MISSING] set, when a mode has to be compiled first.
     """
     if not tables.guard_counts[counts[MODE]]:
         state, moved = free_holds(tables, state, moved, books, counts, torques, positions)
         return state, moved, len(torques), 0
     for k in range(len(torques)):
         state[-2] = torques[k]
-        counts[LIMIT] = counts[EVENTS] + settings.max_events
+        counts[LIMIT] = counts[EVENTS] + settings.max_events + 1
         state, moved, left = run(tables, settings, state, moved, books, counts, values, TICKS)
-        if counts[MISSING] != NONE:
+        if left or counts[MISSING] != NONE:
             return state, moved, k + 1, left
         positions[k] = state[0]
     return state, moved, len(torques), 0

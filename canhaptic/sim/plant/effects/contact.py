@@ -65,8 +65,8 @@ class Contact:
         index = rows.index[self.depth]
         beyond = sum((factor * rows.position(body) for body, factor in self._sides), -rows.row(one=self._limit))
         if mode == "touching":
-            resets = () if self._damping > 0.0 else ((index, np.zeros(rows.size)),)
-            return (Guard(self._force(rows), "apart", resets),)
+            depth = beyond if self._damping > 0.0 else np.zeros(rows.size)  # where it is, but for gathered rounding
+            return (Guard(self._force(rows), "apart", ((index, depth),)),)
         return (Guard(rows.row(**{self.depth: 1.0}) - beyond, "touching", ((index, beyond),)),)
 
     def _approach(self, rows: Rows) -> Array:

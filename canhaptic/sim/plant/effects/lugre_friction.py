@@ -71,6 +71,8 @@ class Bristle:
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Returns the mean friction [N or N*m] of the substep."""
         p = self._friction
+        if duration == 0.0:
+            return -p.bristle_stiffness * self.deflection
         end, mean = self._bend(travel, duration)
         bending = p.bristle_damping * (end - self.deflection) / duration
         return -(p.bristle_stiffness * mean + bending + p.viscous * travel / duration)

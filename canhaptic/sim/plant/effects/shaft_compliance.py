@@ -7,7 +7,7 @@ Typical: 1e3..1e6 N/m. Source: Ellis, "Control System Design Guide", 2012, ch. 1
 
 from typing import Annotated, ClassVar, Literal
 
-from canhaptic.sim.plant.assembly import MOTOR, Body, LinearPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
 LOAD = 1
@@ -25,7 +25,7 @@ class ShaftCompliance(Parameters):
     """Of the shaft."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Of the shaft."""
-    load_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
+    load_mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
     """Of the handle's side; `plant.mass` is then the motor's side."""
 
     def add_to(self, scene: PlantModel) -> None:

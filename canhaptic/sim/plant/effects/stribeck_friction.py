@@ -2,7 +2,7 @@
 
 F = -[kinetic + (static - kinetic) exp(-(v / stribeck_velocity)^2)] sign(v); stuck up to `static`. The constant part
 and stiction are modes of the exact core; the falling part is an effort of the mean velocity of a substep.
-States added: none (travel and effort of the splitting). Order 2 while it slides, 1 in a substep with an event.
+States added: none (travel and effort of the splitting). Order 2, sticking and breakaway included.
 Energy: friction times path is dissipated. Typical stribeck velocity: 1..50 mm/s.
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 """

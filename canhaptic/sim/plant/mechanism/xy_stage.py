@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Final
 
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.assembly import Body, LinearPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
@@ -30,9 +30,9 @@ class XYStage(Parameters):
     axes: ClassVar[int] = 2
     order: ClassVar[int | None] = None
 
-    mass_x: Annotated[float, quantity("kg", gt=0.0, le=1e6)]
+    mass_x: Annotated[float, quantity("kg", ge=LEAST_MASS, le=1e6)]
     """What moves in x: bridge, carriage and handle."""
-    mass_y: Annotated[float, quantity("kg", gt=0.0, le=1e6)]
+    mass_y: Annotated[float, quantity("kg", ge=LEAST_MASS, le=1e6)]
     """What moves in y: carriage and handle."""
     damping_x: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
     """Viscous friction of the guide in x."""
@@ -110,6 +110,7 @@ class XYMotion:
 
         Raises:
             ParameterError: `now` lies before the last call.
+            EventLimitError: More than 1000 events in one sample time.
         """
         before = self._clock.tick
         ticks = self._clock.pass_until(now)
@@ -117,6 +118,7 @@ class XYMotion:
             machine = self._machine
             for place, force in zip(self._forces, torques, strict=True):
                 machine.state[place] = force
+            machine.allow_events(before, before + ticks)
             self._run(ticks)
             if before // _TIDY != self._clock.tick // _TIDY:
                 machine.tidy()

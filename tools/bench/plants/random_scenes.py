@@ -1,0 +1,98 @@
+"""Random scenes whose plants switch: friction, stops, backlash, current loops, hands, over ten decades of stiffness."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from canhaptic.sim.plant.effects import read_effect
+from canhaptic.sim.plant.plant import AccuracyParameters, Plant, PlantParameters
+from canhaptic.sim.user import SinusoidMotion, UserParameters
+
+
+@dataclass(frozen=True)
+class RandomScene:
+    """One plant and the torques that move it."""
+
+    seed: int
+    plant: PlantParameters
+    user: UserParameters | None
+    effects: tuple[Any, ...]
+    period_ns: int
+    torques: tuple[float, ...]
+
+    def build(self, finer: int = 1, **accuracy: int) -> Plant:
+        """Returns the plant, with a sample time `finer` times shorter."""
+        settings = AccuracyParameters(**accuracy)
+        return Plant(self.plant, self.user, self.effects, self.period_ns // finer, 1, settings)
+
+    @property
+    def names(self) -> str:
+        """Names of its effects."""
+        return "+".join(effect.type for effect in self.effects)
+
+
+class _Chance:
+    """Draws from one seed."""
+
+    def __init__(self, seed: int) -> None:
+        self.generator = np.random.default_rng([seed, 18])
+
+    def decades(self, low: float, high: float) -> float:
+        return float(10.0 ** self.generator.uniform(math.log10(low), math.log10(high)))
+
+    def drawn(self, probability: float) -> bool:
+        return bool(self.generator.random() < probability)
+
+
+def random_scene(seed: int, friction: str = "coulomb_friction") -> RandomScene:
+    """Returns the scene of a seed: at least one guard, sample time 0.1 to 20 ms, 15 to 40 holds.
+
+    Args:
+        seed: Of everything in it.
+        friction: Type of its dry friction, where it has one.
+    """
+    chance = _Chance(seed)
+    period_ns = int(chance.generator.choice([100_000, 1_000_000, 5_000_000, 10_000_000, 20_000_000])) // 32 * 32
+    effects = _effects(chance, friction)
+    user = None
+    if chance.drawn(0.7):
+        user = UserParameters(
+            stiffness=chance.decades(10.0, 1e4),
+            damping=chance.decades(0.1, 100.0),
+            rest=float(chance.generator.uniform(-0.01, 0.01)),
+            motion=SinusoidMotion(amplitude=chance.decades(1e-3, 0.05), frequency=chance.decades(0.5, 10.0))
+            if chance.drawn(0.6)
+            else None,
+        )
+    plant = PlantParameters(
+        mass=chance.decades(0.02, 1.0),
+        damping=chance.decades(1e-2, 10.0),
+        initial_velocity=float(chance.generator.uniform(-0.3, 0.3)) if chance.drawn(0.5) else 0.0,
+    )
+    largest, count = chance.decades(0.3, 10.0), int(chance.generator.integers(15, 40))
+    torques = chance.generator.uniform(-largest, largest, count)
+    if chance.drawn(0.3):
+        torques = np.repeat(torques[::4], 4)
+    return RandomScene(seed, plant, user, tuple(read_effect(e) for e in effects), period_ns, tuple(torques.tolist()))
+
+
+def _effects(chance: _Chance, friction: str) -> list[dict[str, Any]]:
+    decades, drawn, effects = chance.decades, chance.drawn, []
+    if drawn(0.6):
+        kinetic = decades(0.03, 1.0)
+        dry = {"type": friction, "kinetic": kinetic, "static": kinetic * float(chance.generator.uniform(1.0, 2.0))}
+        effects.append(dry if friction == "coulomb_friction" else {**dry, "stribeck_velocity": decades(1e-3, 0.1)})
+    if drawn(0.6):
+        effects.append({"type": "current_loop", "time_constant": decades(5e-5, 5e-3)})
+    if drawn(0.3):
+        shaft = {"stiffness": decades(1e3, 1e6), "damping": decades(0.1, 30.0), "load_mass": decades(0.01, 0.5)}
+        effects.append({"type": "shaft_compliance", **shaft})
+        if drawn(0.5):
+            effects.append({"type": "backlash", "gap": decades(1e-5, 1e-3)})
+    if drawn(0.5) or not any(effect["type"] in (friction, "backlash") for effect in effects):
+        for side, sign in (("upper", 1.0), ("lower", -1.0))[: 1 + int(drawn(0.4))]:
+            stop = {"stiffness": decades(1e3, 1e6), "damping": decades(1.0, 300.0) if drawn(0.8) else 0.0}
+            effects.append({"type": "hard_stop", "side": side, "position": sign * decades(5e-4, 2e-2), **stop})
+    return effects
