@@ -116,7 +116,8 @@ def mean_torque(begin: float, end: float, held: float) -> float:
 def fixed_point(residual: Callable[[float], float], start: float, slope: float) -> tuple[float, float]:
     """Returns (root, slope near it) of a residual that falls; the root is the last argument that was evaluated.
 
-    A bracketed secant; where the residual jumps over zero (friction about to stick) the place of the jump.
+    A bracketed secant. Where the residual jumps over zero, the side of the jump that errs less: a body that has just
+    broken away is not stopped again at once by the mean of a force that is yet to grow.
 
     Args:
         residual: Target force minus force, as a function of the force.
@@ -124,14 +125,17 @@ def fixed_point(residual: Callable[[float], float], start: float, slope: float) 
         slope: Slope of the residual near the root, below zero; -1 when nothing is known.
     """
     force, error = start, residual(start)
+    best, least = force, abs(error)
     largest = max(abs(force), abs(force + error))
     low, high = -math.inf, math.inf
     for count in range(_LARGEST_COUNT):
         if abs(error) <= _CLOSE * largest:
-            break
+            return force, slope
         low, high = (max(low, force), high) if error > 0.0 else (low, min(high, force))
         candidate = force - error / slope
-        if high - low < math.inf and (count > _SECANT_STEPS or not low < candidate < high):
+        if high - low == math.inf:
+            candidate = candidate if candidate != force else force + error
+        elif count > _SECANT_STEPS or not low < candidate < high:
             candidate = 0.5 * (low + high)
         if candidate in (low, high):
             break
@@ -139,4 +143,8 @@ def fixed_point(residual: Callable[[float], float], start: float, slope: float) 
         slope = min(change / (candidate - force), _FLATTEST)
         force, error = candidate, error + change
         largest = max(largest, abs(force))
-    return force, slope
+        if abs(error) < least:
+            best, least = force, abs(error)
+    if force != best:
+        residual(best)
+    return best, -1.0

@@ -1,0 +1,84 @@
+"""Stribeck friction: it breaks away where it must, and its error falls with the declared order through every event."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plant_scenes import MS, largest_flow, make_plant, residual, run
+
+from canhaptic.sim.effects import read_effect
+from canhaptic.sim.plant import Plant
+from canhaptic.sim.textbook.located import reference
+from canhaptic.sim.textbook.model import Model
+from canhaptic.sim.user import SinusoidMotion, UserParameters
+
+STATIC = 1.0
+STRIBECK = {"type": "stribeck_friction", "kinetic": 0.5, "static": STATIC, "stribeck_velocity": 0.02}
+DRAG = UserParameters(stiffness=200, damping=1, motion=SinusoidMotion(amplitude=0.02, frequency=1))
+TORQUES = [0.3 * math.sin(0.3 * k) for k in range(150)]
+
+
+def slider(substeps: int = 1) -> Plant:
+    return make_plant(STRIBECK, user=DRAG, period=10 * MS, accuracy={"substeps": substeps})
+
+
+@cache
+def exact() -> np.ndarray:
+    plant = slider()
+    return reference(Model(plant.parameters, plant.user, plant.effects), TORQUES, plant.sample_time_ns).position
+
+
+def test_stick_slip_converges_with_the_declared_order():
+    """Seven events in 1.5 s of sticking and slipping: 92 um at one substep of 10 ms, 4 nm at 128."""
+    counts = [1, 2, 4, 8, 16, 32, 64, 128]
+    errors = []
+    for substeps in counts:
+        plant = slider(substeps)
+        errors.append(float(np.abs(run(plant, TORQUES)[1:] - exact()).max()))
+        assert plant.events == 7
+        assert residual(plant) <= 1e-12 * largest_flow(plant)
+    fitted = -np.polyfit(np.log(counts[1:]), np.log(errors[1:]), 1)[0]
+    assert abs(fitted - (read_effect(STRIBECK).order or 0)) < 0.1, errors
+    assert errors[0] < 1e-4
+    assert errors[-1] < 5e-9
+
+
+forces = st.lists(st.floats(-1.5, 1.5), min_size=1, max_size=20)
+
+
+@settings(max_examples=60)
+@given(forces, st.sampled_from([1, 2, 16]), st.floats(-0.05, 0.05), st.booleans(), st.floats(0.0, 0.4))
+def test_at_rest_no_force_exceeds_the_static_level(torques, substeps, velocity, held, detent):
+    """v = 0 implies |force| <= static at every SYNC, with a hand, a current loop and a detent that push."""
+    user = (
+        UserParameters(stiffness=300, damping=2, motion=SinusoidMotion(amplitude=0.01, frequency=3)) if held else None
+    )
+    loop = {"type": "current_loop", "time_constant": 3e-3}
+    cogging = {"type": "cogging", "amplitude": detent, "pitch": 3e-3}
+    plant = make_plant(
+        STRIBECK, loop, cogging, user=user, period=5 * MS, initial_velocity=velocity, accuracy={"substeps": substeps}
+    )
+    run(plant, [])
+    for torque in torques:
+        plant.advance_to(plant._next_period, torque)
+        if plant.velocity == 0.0:
+            force = plant.motor_torque - detent * math.sin(2 * math.pi * plant.position / 3e-3)
+            if user is not None and user.motion is not None:
+                state = dict(zip(plant.scene.names, plant._machine.state.tolist(), strict=True))
+                omega = 2 * math.pi * user.motion.frequency
+                force += user.stiffness * (0.01 * state["motion_sine"] - plant.position)
+                force += user.damping * 0.01 * omega * state["motion_cosine"]
+            assert abs(force) <= STATIC * (1 + 1e-9)
+    assert residual(plant) <= 1e-11 * largest_flow(plant)
+
+
+@pytest.mark.parametrize("substeps", [1, 16])
+def test_it_breaks_away_at_the_static_level_and_no_later(substeps):
+    """Torque that rises 10 N/s from 0: the first motion is at 0.1 s, within one hold of 1 ms."""
+    plant = make_plant(STRIBECK, user=None, accuracy={"substeps": substeps})
+    positions = run(plant, [0.01 * k for k in range(130)])
+    moving = np.flatnonzero(np.diff(positions))
+    assert moving[0] == 101
