@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plant_scenes import MS, largest_flow, make_plant, residual, run
 
-from canhaptic.sim.effects import read_effect
-from canhaptic.sim.plant import Plant
-from canhaptic.sim.textbook.located import reference
-from canhaptic.sim.textbook.model import Model
+from canhaptic.sim.plant.effects import read_effect
+from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.textbook.event_location import reference
+from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 
 STATIC = 1.0

@@ -188,14 +188,15 @@ class HybridAutomaton:
         if begun:
             self._most = int(self._counts[EVENTS]) + self._settings.max_events * begun
 
-    def run(self, ticks: int) -> None:
-        """Moves by `ticks` under constant inputs, through every event on the way.
+    def run(self, ticks: int) -> int:
+        """Moves by `ticks` under constant inputs, through every event on the way; returns the ticks left, 0.
 
         Raises:
             EventLimitError: There are more events than `allow_events` allowed.
         """
         self._counts[LIMIT] = self._most + 1
         self.check_limit(self._run_on(ticks))
+        return 0
 
     def run_to_event(self, ticks: int) -> int:
         """Moves by `ticks` at most, through the first event; returns the ticks left."""

@@ -144,7 +144,9 @@ class Plant:
         has_guards = any(part.has_guards for part in scene.parts)
         if not (has_guards or scene.efforts or scene.schedule or scene.commands):
             return self._linear_hold
-        run = self._splitting.run if self._splitting else machine.run if has_guards else machine.run_free
+        run: Callable[[int], object] = (
+            self._splitting.run if self._splitting else machine.run if has_guards else machine.run_free
+        )
         if scene.schedule:
             self._timetable = Timetable(machine, run)
             run = self._timetable.run

@@ -16,6 +16,7 @@ from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.propagator import TICKS
 
 _CLOSE: Final = 1e-13  # of the largest force seen in the substep
+_JUMP: Final = 1e-9  # what the grid of ticks may leave over; more is a jump
 _SECANT_STEPS: Final = 12  # then bisection
 _LARGEST_COUNT: Final = 90
 _SETTLED: Final = 1e-12  # of a step of the torque: what is left then says no more how fast it went
@@ -88,20 +89,28 @@ class Splitting:
             self.work[account] += -work if account == "dissipated" else work
 
     def _solve(self, ticks: int) -> float:
-        """Returns F with F = sum of forces(travel(F)); the machine is left at the end of the substep with that F."""
+        """Returns F with F = sum of forces(travel(F)); the machine is left at the end of the piece with that F.
+
+        Where none is consistent with the first event (the mean of a force that is yet to grow stops the body at once
+        that it lets go), the piece goes through its events with one F; it is then of order 1.
+        """
         saved, begin = self._machine.save(), self._held
+        move: Callable[[int], int] = self._machine.run_to_event
 
         def residual(force: float) -> float:
             self._machine.restore(saved)
             state = self._machine.state
             state[self._effort], state[self._travel] = force, 0.0
-            self._passed = ticks - self._machine.run_to_event(ticks)
+            self._passed = ticks - move(ticks)
             self._duration = self._passed * self._tick_time
             travel = float(self._machine.state[self._travel])
             self._held = mean_torque(begin, float(self._machine.state[self._torque]), float(state[-2]))
             return sum(e.force(self._start, travel, self._duration, self._held) for e in self._efforts) - force
 
-        force, self._slope = fixed_point(residual, self._force, self._slope)
+        force, self._slope, found = fixed_point(residual, self._force, self._slope)
+        if not found:
+            move = self._machine.run
+            force, self._slope, _ = fixed_point(residual, self._force, -1.0)
         return force
 
 
@@ -113,11 +122,10 @@ def mean_torque(begin: float, end: float, held: float) -> float:
     return held + (left - gap) / math.log1p((left - gap) / gap)
 
 
-def fixed_point(residual: Callable[[float], float], start: float, slope: float) -> tuple[float, float]:
-    """Returns (root, slope near it) of a residual that falls; the root is the last argument that was evaluated.
+def fixed_point(residual: Callable[[float], float], start: float, slope: float) -> tuple[float, float, bool]:
+    """Returns (root, slope near it, True) of a residual that falls; the root is the last argument that was evaluated.
 
-    A bracketed secant. Where the residual jumps over zero, the side of the jump that errs less: a body that has just
-    broken away is not stopped again at once by the mean of a force that is yet to grow.
+    A bracketed secant. Where the residual jumps over zero, the side of the jump that errs less, and False.
 
     Args:
         residual: Target force minus force, as a function of the force.
@@ -130,7 +138,7 @@ def fixed_point(residual: Callable[[float], float], start: float, slope: float) 
     low, high = -math.inf, math.inf
     for count in range(_LARGEST_COUNT):
         if abs(error) <= _CLOSE * largest:
-            return force, slope
+            return force, slope, True
         low, high = (max(low, force), high) if error > 0.0 else (low, min(high, force))
         candidate = force - error / slope
         if high - low == math.inf:
@@ -147,4 +155,4 @@ def fixed_point(residual: Callable[[float], float], start: float, slope: float) 
             best, least = force, abs(error)
     if force != best:
         residual(best)
-    return best, -1.0
+    return best, -1.0, least <= _JUMP * largest

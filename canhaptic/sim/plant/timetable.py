@@ -13,7 +13,7 @@ class Timetable:
         run: Moves the machine by some ticks without scheduled changes.
     """
 
-    def __init__(self, machine: HybridAutomaton, run: Callable[[int], None]) -> None:
+    def __init__(self, machine: HybridAutomaton, run: Callable[[int], object]) -> None:
         self._machine, self._run = machine, run
         entries = [(round(time / machine.tick_time), part, mode) for time, part, mode in machine.scene.schedule]
         self._entries = sorted(entries, key=lambda entry: entry[0])
