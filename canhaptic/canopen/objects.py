@@ -129,3 +129,31 @@ class SdoAbort(IntEnum):
     VALUE_TOO_LOW = 0x06090032
     DEVICE_STATE = 0x08000022
     NO_DATA = 0x08000024
+
+
+class DataType(IntEnum):
+    """Data types of objects (CiA 301, table 44)."""
+
+    BOOLEAN = 0x01
+    INTEGER8 = 0x02
+    INTEGER16 = 0x03
+    INTEGER32 = 0x04
+    UNSIGNED8 = 0x05
+    UNSIGNED16 = 0x06
+    UNSIGNED32 = 0x07
+    REAL32 = 0x08
+    VISIBLE_STRING = 0x09
+    OCTET_STRING = 0x0A
+    UNICODE_STRING = 0x0B
+    DOMAIN = 0x0F
+    INTEGER24 = 0x10
+    REAL64 = 0x11
+    INTEGER40 = 0x12
+    INTEGER48 = 0x13
+    INTEGER56 = 0x14
+    INTEGER64 = 0x15
+    UNSIGNED24 = 0x16
+    UNSIGNED40 = 0x18
+    UNSIGNED48 = 0x19
+    UNSIGNED56 = 0x1A
+    UNSIGNED64 = 0x1B

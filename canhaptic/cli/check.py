@@ -14,8 +14,9 @@ from canhaptic.cli.arguments import add_json, add_scene, scene_of
 from canhaptic.cli.host import host_settings
 from canhaptic.cli.output import write_json
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
+from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import choose_map
-from canhaptic.drive.profile.fitness import Finding, Verdict, check_dictionary
+from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.guesses import TO_SET, Guess, guesses_left, refuses_guesses
 from canhaptic.scene.hints import Hint, group_hints, stability_hints

@@ -13,17 +13,17 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
-from canhaptic.drive import rig_start, rig_stop
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
 from canhaptic.drive.can.bus_budget import BusBudget, has_room_for_sdo, require_budget
+from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.profile.bring_up import BringUp
+from canhaptic.drive.profile import rig_start, rig_stop
 from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
-from canhaptic.drive.rig_stop import Trust
+from canhaptic.drive.profile.rig_stop import Trust
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
@@ -94,7 +94,7 @@ class Rig:
         self._reset()
         self.realtime.begin()
         try:
-            rig_start.start(self._exchange)
+            rig_start.start(self._exchange, [CanBringUp(drive) for drive in self.drives])
         except BaseException:
             self.stop_reason = StopReason.EXCEPTION
             self._disable(Trust.FULL)  # it was never given a torque
@@ -213,7 +213,7 @@ class Rig:
         trust = Trust.SOME
         try:
             if ramp:
-                rig_stop.ramp_down(self._exchange)
+                rig_stop.ramp_down(self._exchange, self.bus.stop_ramp)
                 trust = Trust.FULL
         except RigError:
             trust = Trust.NONE
@@ -268,7 +268,7 @@ class Rig:
         if self._is_running:
             raise RigError("faults are not reset while the rig runs; call stop() first", self.records)
         for drive in self.drives:
-            BringUp(drive).reset_fault()
+            CanBringUp(drive).reset_fault()
 
     # --- what happened ------------------------------------------------------------------------------------------------
 

@@ -15,8 +15,9 @@ from canopen.objectdictionary import ODVariable, datatypes
 from canhaptic.canopen import objects as od
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
+from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
-from canhaptic.drive.profile.fitness import Finding, Verdict, check_dictionary
+from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 

@@ -5,8 +5,9 @@ from collections import Counter
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import require_budget
+from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
-from canhaptic.drive.profile.fitness import Verdict, check_dictionary
+from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.buses import bus_section

@@ -13,8 +13,8 @@ from typing import Final
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.can.bus_budget import round_rate
-from canhaptic.drive.can.pdo_map import is_writable
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError

@@ -116,11 +116,11 @@ def test_the_policy_holds_ramps_and_stops_as_its_table_says() -> None:
     policy = LinkPolicy(hold_cycles=2, stop_cycles=6)
     seen = []
     for _ in range(7):
-        policy.miss()
-        seen.append((policy.action(), policy.share()))
+        policy.on_missed()
+        seen.append((policy.action(), policy.torque_fraction()))
     assert [action for action, _ in seen] == [Action.HOLD] * 2 + [Action.RAMP] * 3 + [Action.STOP] * 2
     assert [share for _, share in seen] == pytest.approx([1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0])
-    policy.hear()
+    policy.on_tpdo()
     assert (policy.action(), policy.missed, policy.missed_total) == (Action.RUN, 0, 7)
     assert policy.success_rate() == pytest.approx(1 / 8)
 

@@ -69,8 +69,8 @@ def judge(module: ModuleType) -> None:
         policy = module.LinkPolicy(hold, stop)
         for missed, (action, share) in enumerate(zip(actions.split(), shares, strict=True)):
             assert (policy.missed, policy.missed_total, policy.cycles) == (missed, missed, missed)
-            assert (policy.action().name, policy.share()) == (action, share)
-            policy.miss()
+            assert (policy.action().name, policy.torque_fraction()) == (action, share)
+            policy.on_missed()
     _counts(module)
 
 
@@ -91,6 +91,6 @@ def _counts(module: ModuleType) -> None:
         (7, 0, 3, 1 - 3 / 7),
         (8, 0, 3, 5 / 8),
     ]
-    policy.miss()
+    policy.on_missed()
     policy.reset()
     assert (policy.cycles, policy.missed, policy.missed_total, policy.success_rate()) == (0, 0, 0, 1.0)

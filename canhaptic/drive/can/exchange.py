@@ -24,6 +24,9 @@ class Exchange:
         bus: Rate, windows, heartbeat.
 
     Attributes:
+        sample_time_ns: Of the cycle [ns].
+        silence: Of the master that a drive tolerates [ns].
+        beat_cycles: Sample times from one heartbeat of the master to the next.
         periods: Sample times between the last two SYNCs; more than 1 after a skip.
         skipped: Deadlines missed and left out since `begin`.
         deadline: Of the last SYNC [ns].
@@ -34,13 +37,14 @@ class Exchange:
     def __init__(self, links: Sequence[Link], drives: Sequence[ServoDrive], bus: BusParameters) -> None:
         self.links = tuple(links)
         self.drives = tuple(drives)
-        self.bus = bus
         self.clock = self.links[0].clock
+        self.now, self.wait_until = self.clock.now, self.clock.wait_until
+        self.sample_time_ns, self.silence = bus.sample_time_ns, bus.master_silence_ns
         self._period = bus.sample_time_ns
         self._latest = self._period // 2  # a deadline overslept by more is skipped
         self._window_ns = round(bus.tpdo_timeout * self._period)
         self._heartbeat_cob_id = HEARTBEAT_BASE + bus.master_id
-        self._heartbeat_cycles = bus.heartbeat_cycles
+        self.beat_cycles = bus.heartbeat_cycles
         self._buses = []
         for link in self.links:
             group = tuple(drive for drive in self.drives if drive.link is link)
@@ -54,7 +58,7 @@ class Exchange:
         """Lets the next SYNC go out at once and counts from there."""
         self.periods = 1
         self.skipped = 0
-        self._since_heartbeat = self._heartbeat_cycles
+        self._since_heartbeat = self.beat_cycles
         self._next = self.deadline = self.woken = self.heard = self._synced = self.clock.now()
 
     def sync(self) -> None:
@@ -132,7 +136,7 @@ class Exchange:
             LinkError: It could not be sent.
         """
         self._since_heartbeat += self.periods
-        if at_once or self._since_heartbeat >= self._heartbeat_cycles:
+        if at_once or self._since_heartbeat >= self.beat_cycles:
             self._since_heartbeat = 0
             failure: LinkError | None = None
             for link in self.links:

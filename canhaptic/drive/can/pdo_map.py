@@ -13,9 +13,11 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import datatypes
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.drive.can.pdo_codec import MappedObject, codec, decode_entry
 from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.torque_axis_parameters import ReadBack
 from canhaptic.errors import DictionaryError
 
 _MOST_TPDOS: Final = 3  # statusword, position and torque each in a TPDO of its own
@@ -32,8 +34,6 @@ _WANTED: Final = frozenset(
     o.entry for o in (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION, TORQUE_DEMAND, TORQUE_ACTUAL)
 )
 _RPDO_OBJECTS: Final = (CONTROLWORD, TARGET_TORQUE)
-
-ReadBack = Literal["demand", "actual", "none"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,12 +118,6 @@ def pdo_numbers(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> 
 def pdo_capabilities(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[PdoCapability]:
     """Returns every PDO whose mapping can be written or is stated whole, in order."""
     return list(_candidates(dictionary, kind))
-
-
-def is_writable(dictionary: ObjectDictionary, index: int, subindex: int) -> bool:
-    """Whether the dictionary lists the object as writable."""
-    variable = dictionary.get_variable(index, subindex)
-    return variable is not None and bool(variable.writable)
 
 
 # --- the objects ------------------------------------------------------------------------------------------------

@@ -7,9 +7,10 @@ COB-ID with bit 31 (off), transmission type, sub 0 = 0, entries, sub 0 = n, COB-
 from collections.abc import Callable
 from typing import Final
 
+from canhaptic.canopen.dictionary import is_writable
 from canhaptic.canopen.objects import COB_ID_INVALID, RPDO_COMMUNICATION, SYNCHRONOUS_EVERY_SYNC, TPDO_COMMUNICATION
 from canhaptic.drive.can.pdo_codec import decode_entry
-from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, is_writable, pdo_numbers
+from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, pdo_numbers
 from canhaptic.drive.can.sdo import SdoChannel
 
 _COB_ID, _TRANSMISSION_TYPE, _EVENT_TIMER = 1, 2, 5  # subindices of the communication parameters

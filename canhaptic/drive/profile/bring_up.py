@@ -1,23 +1,23 @@
-"""The fail-closed start of one drive by SDO, in NMT pre-operational (design 3.3): every step confirmed or refused."""
+"""The fail-closed start of one drive through its objects: every step confirmed or refused.
 
-from collections.abc import Callable, Iterator
+The steps are those of CiA 402. What a fieldbus adds (its states, watchdog and process data) a derived class supplies.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.objects import Controlword, NmtCommand, NmtState
-from canhaptic.drive.can.pdo_map import is_writable
-from canhaptic.drive.can.pdo_setup import write_map
-from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.canopen.dictionary import is_writable
+from canhaptic.canopen.objects import Controlword
 from canhaptic.drive.profile.fitness import agreed_rated_torque
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
+from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 
 REMEDIES: Final = {
-    "presence": "check power, node ID, bit rate and cable",
-    "heartbeat": "the drive must produce heartbeats (0x1017); check that it accepts NMT commands",
     "identity": "this is not the drive of the configuration; check node_id, vendor_id and product_code",
     "device type": "only CiA 402 drives are supported; check node_id",
     "drive modes": "this drive has no cyclic synchronous torque mode; choose another drive or firmware",
@@ -27,48 +27,57 @@ REMEDIES: Final = {
     "drive's own limit with the vendor's tool (quirks: max_torque_absent)",
     "watchdog": "see the quirks abort_... for 0x6007; watchdog: false only if a killed master may leave the torque on",
     "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
-    "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers; quirks: "
-    "demand_absent, manufacturer_event)",
     "mode of operation": "the drive refuses cyclic synchronous torque; check its licence, firmware and settings",
     "zero torque": "another master may be writing to this drive",
-    "NMT operational": "the drive stays out of OPERATIONAL; check its EMCY and its configuration",
-    "PDO exchange": "the drive sends no TPDO on SYNC; check 0x1005 and the transmission types",
     "position": "the map or counts may be wrong, or the axis was moved by force during the start",
     "enable": "check the safety inputs (STO), the supply of the power stage and the drive's error code; "
     "quirks: slow_enable where it takes its time",
-    "bus": "check the interface, cable and termination",
 }
 
 _POWERED: Final = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _POLL_PERIOD: Final = 2_000_000  # [ns] between two of them
-_LARGEST_U16: Final = 0xFFFF
 _PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: some drives take milliseconds alone
 
 
-class BringUp:
-    """Configures one drive, step by step."""
+class Confirmation(NamedTuple):
+    """What a drive must show while the cycle runs with zero torque."""
 
-    def __init__(self, drive: ServoDrive) -> None:
+    step: str
+    expected: str
+    is_given: Callable[[], bool]
+    seen: Callable[[], str]
+    ask: Callable[[], None]  # once more, where the drive has not confirmed for a while
+
+
+class BringUp(ABC):
+    """Configures one drive, step by step.
+
+    Args:
+        drive: To be configured.
+        remedies: What to do where a step of the fieldbus is refused.
+    """
+
+    def __init__(self, drive: TorqueAxis, remedies: Mapping[str, str]) -> None:
         self._drive = drive
         self._sdo = drive.sdo
-        self._clock = drive.link.clock
+        self._remedies = {**REMEDIES, **remedies}
 
     def call(self) -> None:
-        """Takes the drive from wherever it is to pre-operational and lets it send heartbeats; `configure` follows.
+        """Takes the drive from any state to pre-operational and lets it report its state; `configure` follows.
 
         Raises:
-            StartError: It is not there, or a step was refused.
+            StartError: The drive does not answer, or a step was refused.
         """
         self._presence()
-        self._ask_for_heartbeats()
+        self._monitor()
 
     def configure(self) -> None:
-        """Takes the drive, once called, to identified, limited, mapped, in mode 10, disabled; its heartbeat first.
+        """Takes the drive, once called, to identified, limited, mapped, in mode 10, disabled.
 
         Raises:
             StartError: A step was refused or not confirmed.
         """
-        self._await_heartbeat()
+        self._await_pre_operational()
         self._identity()
         self._drive_modes()
         self._drive_state()
@@ -79,6 +88,40 @@ class BringUp:
         self._interpolation_period()
         self._map()
         self._mode()
+
+    # --- what a fieldbus supplies -----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _command_pre_operational(self) -> None:
+        """Commands the state in which a drive is configured; raises LinkError."""
+
+    @abstractmethod
+    def _monitor(self) -> None:
+        """Lets the drive report its communication state by itself."""
+
+    @abstractmethod
+    def _await_pre_operational(self) -> None:
+        """Confirms the state in which a drive is configured."""
+
+    @abstractmethod
+    def _arm(self) -> None:
+        """Arms the drive's watchdog of the master."""
+
+    @abstractmethod
+    def _map(self) -> None:
+        """Writes, reads back and compares the process data."""
+
+    @abstractmethod
+    def command_operational(self) -> None:
+        """Commands the state in which process data are exchanged."""
+
+    @abstractmethod
+    def operational(self) -> Confirmation:
+        """Returns how the drive confirms that state."""
+
+    @abstractmethod
+    def process_data(self) -> Confirmation:
+        """Returns how the drive shows that it sends its process data."""
 
     # --- the tools ------------------------------------------------------------------------------------------------
 
@@ -97,9 +140,10 @@ class BringUp:
 
     def refusal(self, name: str, seen: str, expected: str) -> StartError:
         """Returns the error of a step."""
-        return StartError(self._drive.axis.name, name, seen, expected, REMEDIES[name])
+        return StartError(self._drive.axis.name, name, seen, expected, self._remedies[name])
 
-    def _expect(self, name: str, item: str, seen: int, expected: int) -> None:
+    def expect(self, name: str, item: str, seen: int, expected: int) -> None:
+        """Compares a value read back; raises StartError where it differs."""
         if seen != expected:
             raise self.refusal(name, f"{item} = {seen:#x}", f"{expected:#x} (as written)")
 
@@ -107,15 +151,15 @@ class BringUp:
         with self.step(name):
             self._sdo.write(index, subindex, value)
             seen = self._sdo.read(index, subindex)
-            self._expect(name, f"{self._sdo.describe(index, subindex)} read back", seen, value)
+            self.expect(name, f"{self._sdo.describe(index, subindex)} read back", seen, value)
 
     def _await(self, read: Callable[[], bool]) -> bool:
         """Polls until `read()` holds; returns False when the drive takes too long."""
-        deadline = self._clock.now() + round(self._drive.axis.step_timeout * 1e9)
+        deadline = self._drive.now() + round(self._drive.axis.step_timeout * 1e9)
         while not read():
-            if self._clock.now() >= deadline:
+            if self._drive.now() >= deadline:
                 return False
-            self._drive.link.pump(self._clock.now() + _POLL_PERIOD)
+            self._drive.pump(self._drive.now() + _POLL_PERIOD)
         return True
 
     # --- the steps --------------------------------------------------------------------------------------------------
@@ -124,7 +168,7 @@ class BringUp:
         drive = self._drive
         self._disable_if_powered()
         with self.step("bus"):
-            drive.link.send(od.NMT_COB_ID, bytes([NmtCommand.PRE_OPERATIONAL, drive.axis.node_id]))
+            self._command_pre_operational()
         with self.step("presence"):
             device_type = self._sdo.read(od.DEVICE_TYPE)
         drive.answers = True
@@ -143,28 +187,12 @@ class BringUp:
         except SdoError:
             return
 
-    def _heartbeat_period(self) -> int:
-        """Returns what is written to 0x1017 [ms]."""
-        return max(1, min(_LARGEST_U16, round(self._drive.bus.heartbeat_period * 1e3)))
-
-    def _ask_for_heartbeats(self) -> None:
-        self._drive.nmt_state = None
-        self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, self._heartbeat_period())
-
-    def _await_heartbeat(self) -> None:
-        drive = self._drive
-        timeout = round(drive.axis.step_timeout * 1e9) + self._heartbeat_period() * 1_000_000
-        with self.step("heartbeat"):
-            confirmed = drive.link.wait_for(lambda: drive.nmt_state == NmtState.PRE_OPERATIONAL, timeout)
-        if not confirmed:
-            raise self.refusal("heartbeat", nmt_name(drive.nmt_state), "a heartbeat with PRE_OPERATIONAL")
-
     def _identity(self) -> None:
         axis = self._drive.axis
         for subindex, wanted in ((1, axis.vendor_id), (2, axis.product_code)):
             if wanted is not None:
                 with self.step("identity"):
-                    self._expect("identity", f"0x1018:{subindex:02x}", self._sdo.read(od.IDENTITY, subindex), wanted)
+                    self.expect("identity", f"0x1018:{subindex:02x}", self._sdo.read(od.IDENTITY, subindex), wanted)
 
     def _drive_modes(self) -> None:
         if od.SUPPORTED_DRIVE_MODES not in self._drive.dictionary:
@@ -175,7 +203,7 @@ class BringUp:
             raise self.refusal("drive modes", f"0x6502 = {modes:#x}", "bit 9 (cyclic synchronous torque) set")
 
     def _drive_state(self) -> None:
-        """Leaves the drive without torque whatever ran before; a fault is reset only if the configuration says so."""
+        """Leaves the drive without torque; a fault is reset only if the configuration says so."""
         with self.step("drive state"):
             if self._state() in FAULTED:
                 if not self._drive.axis.reset_fault:
@@ -249,54 +277,24 @@ class BringUp:
             self._write_confirmed("torque limit", od.MAX_TORQUE, 0, per_mille)
 
     def _watchdog(self) -> None:
-        """Lets the drive notice a dead master: 0x6007 says what it then does, 0x1016 arms it.
-
-        A consumer begins to count at the first heartbeat it hears (CiA 301, 7.2.8.3.2.2), which the cycle sends.
-        """
+        """Lets the drive notice a dead master: 0x6007 says what it then does, the fieldbus arms it."""
         drive = self._drive
         if not drive.axis.watchdog:
             return
         if is_writable(drive.dictionary, od.ABORT_CONNECTION_OPTION, 0):
             self._write_confirmed("watchdog", od.ABORT_CONNECTION_OPTION, 0, drive.quirks.abort_connection_option)
-        milliseconds = drive.bus.master_silence_ns // 1_000_000
-        if milliseconds > _LARGEST_U16:
-            raise self.refusal("watchdog", f"{milliseconds} ms", f"at most {_LARGEST_U16} ms (0x1016 is 16 bits)")
-        self._write_confirmed("watchdog", od.CONSUMER_HEARTBEAT_TIME, 1, drive.bus.master_id << 16 | milliseconds)
-
-    def disarm(self) -> None:
-        """Switches the drive's watchdog off, so that the end of our heartbeats is no fault.
-
-        Raises:
-            SdoError: The drive refused or did not answer.
-        """
-        if self._drive.axis.watchdog:
-            self._sdo.write(od.CONSUMER_HEARTBEAT_TIME, 1, 0)
+        self._arm()
 
     def _interpolation_period(self) -> None:
         drive = self._drive
         index = od.INTERPOLATION_PERIOD
         if not (drive.quirks.writes_interpolation_period and is_writable(drive.dictionary, index, 1)):
             return
-        period = _decimal_period(drive.bus.sample_time_ns)
+        period = _decimal_period(drive.sample_time_ns)
         if period is not None:
             if is_writable(drive.dictionary, index, 2):
                 self._write_confirmed("interpolation period", index, 2, period[1])
             self._write_confirmed("interpolation period", index, 1, period[0])
-
-    def _map(self) -> None:
-        drive = self._drive
-        rpdo_type = (
-            od.SYNCHRONOUS_EVERY_SYNC if drive.bus.rpdo == "synchronous" else drive.quirks.event_transmission_type
-        )
-        with self.step("PDO map"):
-            write_map(self._sdo, drive.map, rpdo_type, partial(self._expect, "PDO map"), self._rpdo_deadline())
-
-    def _rpdo_deadline(self) -> int | None:
-        """Returns what the drive itself shall bear of a lost RPDO [ms], where nothing tells the master that it is."""
-        milliseconds = self._drive.bus.master_silence_ns // 1_000_000
-        if self._drive.map.read_back != "none" or not self._drive.axis.watchdog or milliseconds > _LARGEST_U16:
-            return None
-        return milliseconds
 
     def _mode(self) -> None:
         with self.step("mode of operation"):
@@ -305,13 +303,6 @@ class BringUp:
             if not confirmed:
                 seen = self._sdo.read(od.MODES_OF_OPERATION_DISPLAY)
                 raise self.refusal("mode of operation", f"0x6061 = {seen}", f"{od.CYCLIC_SYNC_TORQUE}")
-
-
-def nmt_name(state: int | None) -> str:
-    """Returns the name of an NMT state as a heartbeat gave it."""
-    if state is None:
-        return "no heartbeat"
-    return NmtState(state).name if state in NmtState.__members__.values() else f"NMT state {state:#04x}"
 
 
 def _decimal_period(sample_time_ns: int) -> tuple[int, int] | None:

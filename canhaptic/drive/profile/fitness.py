@@ -7,12 +7,10 @@ A refusal rests only on what the dictionary states. An object listed without a d
 from enum import Enum
 from typing import Final, NamedTuple
 
-from canopen import ObjectDictionary
-
 from canhaptic.canopen import objects as od
-from canhaptic.drive.axis_parameters import AxisParameters
-from canhaptic.drive.can.pdo_map import choose_map
+from canhaptic.canopen.dictionary import Dictionary
 from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
 from canhaptic.errors import DictionaryError
 
 _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
@@ -34,33 +32,18 @@ class Finding(NamedTuple):
     text: str  # value seen, value expected, what to do
 
 
-def check_dictionary(dictionary: ObjectDictionary, axis: AxisParameters) -> list[Finding]:
-    """Returns what a dictionary says about its fitness for cyclic torque, refusals included."""
+def profile_findings(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
+    """Returns what the objects of CiA 402 in a dictionary say about its fitness for cyclic torque."""
     return [
         _device_type(dictionary),
         _target_torque(dictionary),
         _drive_modes(dictionary),
         _rated_torque(dictionary, axis),
         _max_torque(dictionary, axis),
-        _heartbeat(dictionary),
-        _watchdog(dictionary, axis),
-        _map(dictionary, axis),
     ]
 
 
-def require_fit(dictionary: ObjectDictionary, axis: AxisParameters) -> None:
-    """Returns when nothing in the dictionary speaks against cyclic torque.
-
-    Raises:
-        DictionaryError: Something does; lists every reason.
-    """
-    refused = [finding for finding in check_dictionary(dictionary, axis) if finding.verdict is Verdict.REFUSED]
-    if refused:
-        lines = "; ".join(f"{finding.item}: {finding.text}" for finding in refused)
-        raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for cyclic torque: {lines}")
-
-
-def agreed_rated_torque(axis: AxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
+def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
     """Returns the rated torque of the axis [N*m or N] on which drive and configuration agree.
 
     Args:
@@ -89,13 +72,13 @@ def agreed_rated_torque(axis: AxisParameters, counts: int | None, resolution: fl
     return stated
 
 
-def _stated(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> int | None:
+def _stated(dictionary: Dictionary, index: int, subindex: int = 0) -> int | None:
     variable = dictionary.get_variable(index, subindex)
     default = None if variable is None else variable.default
     return default if isinstance(default, int) else None
 
 
-def _device_type(dictionary: ObjectDictionary) -> Finding:
+def _device_type(dictionary: Dictionary) -> Finding:
     stated = _stated(dictionary, od.DEVICE_TYPE)
     item = "0x1000 device type"
     if stated is None:
@@ -105,13 +88,13 @@ def _device_type(dictionary: ObjectDictionary) -> Finding:
     return Finding(item, Verdict.FIT, f"{stated:#010x}, a CiA 402 drive")
 
 
-def _target_torque(dictionary: ObjectDictionary) -> Finding:
+def _target_torque(dictionary: Dictionary) -> Finding:
     if od.TARGET_TORQUE not in dictionary:
         return Finding("0x6071 target torque", Verdict.REFUSED, "missing; this drive takes no cyclic torque")
     return Finding("0x6071 target torque", Verdict.FIT, "listed")
 
 
-def _drive_modes(dictionary: ObjectDictionary) -> Finding:
+def _drive_modes(dictionary: Dictionary) -> Finding:
     stated = _stated(dictionary, od.SUPPORTED_DRIVE_MODES)
     item = "0x6502 supported drive modes"
     if stated is None:
@@ -121,7 +104,7 @@ def _drive_modes(dictionary: ObjectDictionary) -> Finding:
     return Finding(item, Verdict.FIT, f"{stated:#06x}, bit 9 is set")
 
 
-def _rated_torque(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
+def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     item = "0x6076 rated torque"
     stated = _stated(dictionary, od.RATED_TORQUE)
     is_read = quirks_of(axis.quirks).reads_rated_torque
@@ -138,7 +121,7 @@ def _rated_torque(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding
     return Finding(item, Verdict.UNKNOWN, f"{stated} mN*m by default; the live value counts")
 
 
-def _max_torque(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
+def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     item = "0x6072 max torque"
     variable = dictionary.get_variable(od.MAX_TORQUE, 0)
     if variable is None:
@@ -150,34 +133,3 @@ def _max_torque(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
     if not variable.writable:
         return Finding(item, Verdict.UNKNOWN, f"read-only; the limit of {axis.torque_limit:g} is kept by the master")
     return Finding(item, Verdict.FIT, f"written from torque_limit {axis.torque_limit:g}")
-
-
-def _heartbeat(dictionary: ObjectDictionary) -> Finding:
-    if od.PRODUCER_HEARTBEAT_TIME not in dictionary:
-        text = "missing; without a heartbeat no NMT state can be confirmed"
-        return Finding("0x1017 producer heartbeat", Verdict.REFUSED, text)
-    return Finding("0x1017 producer heartbeat", Verdict.FIT, "listed")
-
-
-def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
-    item = "0x1016 consumer heartbeat"
-    if not axis.watchdog:
-        return Finding(item, Verdict.UNKNOWN, "not armed (watchdog: false); a killed master leaves the torque on")
-    if dictionary.get_variable(od.CONSUMER_HEARTBEAT_TIME, 1) is None:
-        text = "missing; the drive cannot notice a killed master; set watchdog: false to accept that"
-        return Finding(item, Verdict.REFUSED, text)
-    return Finding(item, Verdict.FIT, "armed at the start")
-
-
-def _map(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
-    try:
-        chosen = choose_map(dictionary, axis)
-    except DictionaryError as error:
-        return Finding("PDO map", Verdict.REFUSED, str(error))
-    parts = [
-        f"{pdo.name} {pdo.cob_id:#05x} {'written' if pdo.is_written else 'fixed'} "
-        f"[{', '.join(str(entry) for entry in pdo.entries)}]"
-        for pdo in (chosen.rpdo, *chosen.tpdos)
-    ]
-    note = {"demand": "", "actual": "; energy from the measured torque 0x6077", "none": "; energy is believed"}
-    return Finding("PDO map", Verdict.FIT, "; ".join(parts) + note[chosen.read_back])

@@ -1,4 +1,4 @@
-"""What happens when an axis goes unheard or unwell: the decision table as data, and the reason codes of a stop.
+"""Reaction to missing TPDOs and drive faults: the decision table as data, and the reason codes of a stop.
 
 missed TPDOs in a row   0            normal: the controller's torque
                         1 .. hold    the last torque is held
@@ -145,7 +145,7 @@ READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
 
 
 class LinkPolicy:
-    """Counts missed cycles of one axis and says what becomes of its torque.
+    """Counts the missed cycles of one axis and decides what happens to its torque.
 
     Args:
         hold_cycles: Missed cycles for which the last torque is held.
@@ -170,13 +170,13 @@ class LinkPolicy:
         self.missed_total = 0
         self.cycles = 0
 
-    def hear(self) -> None:
-        """Takes a SYNC that was answered."""
+    def on_tpdo(self) -> None:
+        """Counts a SYNC that was answered."""
         self.cycles += 1
         self.missed = 0
 
-    def miss(self) -> None:
-        """Takes a SYNC that was not."""
+    def on_missed(self) -> None:
+        """Counts a SYNC that was not answered."""
         self.cycles += 1
         self.missed += 1
         self.missed_total += 1
@@ -189,8 +189,8 @@ class LinkPolicy:
             return Action.HOLD
         return Action.RAMP if self.missed < self._stop_cycles else Action.STOP
 
-    def share(self) -> float:
-        """Returns the part of the last heard torque that is left, 1 to 0."""
+    def torque_fraction(self) -> float:
+        """Returns the fraction of the last torque that may still be held, 1 to 0."""
         if self.missed <= self._hold_cycles:
             return 1.0
         ramp_cycles = self._stop_cycles - self._hold_cycles

@@ -6,8 +6,8 @@ Positions are 32-bit counts that wrap; torques are per mille of the rated torque
 import math
 from typing import Final
 
-from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
 from canhaptic.errors import ParameterError
 
 _WRAP: Final = 1 << 32  # 0x6064 is INTEGER32
@@ -80,7 +80,7 @@ class AxisScaling:
         return _LARGEST_PER_MILLE * self.torque_quantum
 
 
-def axis_scaling(axis: AxisParameters, rated_torque: float) -> AxisScaling:
+def axis_scaling(axis: TorqueAxisParameters, rated_torque: float) -> AxisScaling:
     """Returns the scaling of an axis.
 
     Args:

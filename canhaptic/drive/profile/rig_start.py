@@ -1,30 +1,26 @@
-"""The start of a rig beyond the SDOs of each drive: SYNC, NMT operational, zero torque on the wire, enable."""
+"""The start of a rig after the configuration of each drive: SYNC, operational, zero torque on the wire, enable."""
 
 from collections.abc import Callable, Sequence
 from itertools import count
 from typing import Final
 
-from canhaptic.canopen.objects import (
-    NMT_COB_ID,
-    POSITION_ACTUAL,
-    TARGET_TORQUE,
-    Controlword,
-    NmtCommand,
-    NmtState,
-    StatusBit,
-)
-from canhaptic.drive.can.exchange import Exchange
-from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.profile.bring_up import BringUp, nmt_name
+from canhaptic.canopen.objects import POSITION_ACTUAL, TARGET_TORQUE, Controlword, StatusBit
+from canhaptic.drive.profile.bring_up import BringUp, Confirmation
+from canhaptic.drive.profile.cyclic_exchange import CyclicExchange
 from canhaptic.drive.profile.power_states import FAULTED, PowerState, next_controlword
+from canhaptic.drive.profile.torque_axis import TorqueAxis
 
 _PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
 _WRAP: Final = 1 << 32
 _PATIENCE: Final = 3  # heartbeats after which a drive that has not confirmed is asked again
 
 
-def start(exchange: Exchange) -> None:
+def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """Takes every drive to OPERATION ENABLED with zero torque; returns after the first SYNC that found all enabled.
+
+    Args:
+        exchange: The cycle.
+        bring_ups: One for each drive of the exchange, in its order.
 
     Raises:
         StartError: A step was not confirmed.
@@ -32,7 +28,6 @@ def start(exchange: Exchange) -> None:
     for drive in exchange.drives:
         drive.reset()
         drive.answers = False
-    bring_ups = [BringUp(drive) for drive in exchange.drives]
     for bring_up in bring_ups:
         bring_up.call()  # all of them first: their heartbeats come while the first is awaited
     for bring_up in bring_ups:
@@ -44,7 +39,7 @@ def start(exchange: Exchange) -> None:
     _enable(exchange, bring_ups)
 
 
-def _cycle(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+def _cycle(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """One SYNC with zero torque and the controlwords as they are."""
     with bring_ups[0].step("bus"):
         exchange.sync()
@@ -52,82 +47,57 @@ def _cycle(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
 
 
 def _cycle_until(
-    exchange: Exchange,
-    bring_ups: Sequence[BringUp],
-    name: str,
-    expected: str,
-    confirmed: Callable[[ServoDrive], bool],
-    seen: Callable[[ServoDrive], str],
-    ask: Callable[[ServoDrive], None] = lambda _drive: None,
+    exchange: CyclicExchange, bring_ups: Sequence[BringUp], confirmation: Callable[[BringUp], Confirmation]
 ) -> None:
     """Cycles until every drive has confirmed; those that have not are asked again now and then.
 
     Raises:
         StartError: One did not within its time.
     """
-    begin = exchange.clock.now()
+    begin = exchange.now()
+    awaited = [confirmation(bring_up) for bring_up in bring_ups]
     for cycle in count():
         _cycle(exchange, bring_ups)
-        waiting = [(d, b) for d, b in zip(exchange.drives, bring_ups, strict=True) if not confirmed(d)]
-        if not waiting:
+        if all(wanted.is_given() for wanted in awaited):
             return
-        for drive, bring_up in waiting:
-            if (cycle + 1) % (_PATIENCE * exchange.bus.heartbeat_cycles) == 0:
-                with bring_up.step("bus"):
-                    ask(drive)
-            if exchange.clock.now() - begin > round(drive.axis.step_timeout * 1e9):
-                raise bring_up.refusal(name, seen(drive), expected)
+        for drive, bring_up, wanted in zip(exchange.drives, bring_ups, awaited, strict=True):
+            if wanted.is_given():
+                continue
+            if (cycle + 1) % (_PATIENCE * exchange.beat_cycles) == 0:
+                wanted.ask()
+            if exchange.now() - begin > round(drive.axis.step_timeout * 1e9):
+                raise bring_up.refusal(wanted.step, wanted.seen(), wanted.expected)
 
 
-def _enter_operational(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+def _enter_operational(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         drive.controlword = int(Controlword.DISABLE_VOLTAGE)
-        with bring_up.step("bus"):
-            _send_start(drive)
-    _cycle_until(
-        exchange,
-        bring_ups,
-        "NMT operational",
-        "a heartbeat with OPERATIONAL",
-        lambda drive: drive.nmt_state == NmtState.OPERATIONAL,
-        lambda drive: nmt_name(drive.nmt_state),
-        _send_start,
-    )
+        bring_up.command_operational()
+    _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.operational())
 
 
-def _send_start(drive: ServoDrive) -> None:
-    drive.link.send(NMT_COB_ID, bytes([NmtCommand.START, drive.axis.node_id]))
-
-
-def _exchange_zero_torque(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """Cycles until every drive answers SYNC, then asks it what target torque arrived and what it applies."""
-    _cycle_until(
-        exchange,
-        bring_ups,
-        "PDO exchange",
-        "every TPDO after a SYNC",
-        lambda drive: drive.is_complete,
-        lambda drive: f"no complete answer from COB-ID {', '.join(f'{p.cob_id:#05x}' for p in drive.map.tpdos)}",
-    )
+    _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.process_data())
     _cycle(exchange, bring_ups)  # a synchronous RPDO acts only now
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("zero torque"):
             target = _read(exchange, drive, TARGET_TORQUE)
         if target != 0:
             raise bring_up.refusal("zero torque", f"0x6071 = {target} after an RPDO with 0", "0")
-        if drive.map.read_back == "demand" and drive.reported_per_mille != 0:
+        if drive.read_back == "demand" and drive.reported_per_mille != 0:
             raise bring_up.refusal("zero torque", f"0x6074 = {drive.reported_per_mille} in the TPDO", "0")
 
 
-def _read(exchange: Exchange, drive: ServoDrive, index: int) -> int:
+def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int) -> int:
     """Reads an object while the drives' watchdogs of the master run: nothing beats while an answer is awaited."""
     exchange.beat(at_once=True)
-    value = drive.sdo.read_within(exchange.bus.master_silence_ns // 2, index)
+    value = drive.sdo.read_within(exchange.silence // 2, index)
     exchange.beat(at_once=True)
     return value
 
 
-def _check_positions(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """Compares the position in the TPDO with the one by SDO: a map that is shifted shows here, before any torque."""
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("position"):
@@ -139,14 +109,14 @@ def _check_positions(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
             raise bring_up.refusal("position", seen, f"{by_sdo} counts as by SDO (0x6064)")
 
 
-def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """Walks every drive through 0x06, 0x07, 0x0F, each confirmed by the statusword before the next."""
-    begin = dict.fromkeys(exchange.drives, exchange.clock.now())
+    begin = dict.fromkeys(exchange.drives, exchange.now())
     states = {drive: drive.state for drive in exchange.drives}
     while True:
         for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
             _refuse_fault(drive, bring_up)
-            state, now = drive.state, exchange.clock.now()
+            state, now = drive.state, exchange.now()
             if state is not states[drive]:
                 states[drive], begin[drive] = state, now
             if not _is_enabled(drive) and now - begin[drive] > _enable_time(drive):
@@ -159,27 +129,27 @@ def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
             exchange.sync()
 
 
-def _is_enabled(drive: ServoDrive) -> bool:
+def _is_enabled(drive: TorqueAxis) -> bool:
     """Whether a drive is enabled and, if it tells late that it follows its target, has told so."""
     follows = not drive.quirks.waits_for_following or drive.statusword & StatusBit.FOLLOWS_COMMAND
     return drive.state is PowerState.OPERATION_ENABLED and bool(follows)
 
 
-def _enable_time(drive: ServoDrive) -> int:
+def _enable_time(drive: TorqueAxis) -> int:
     """Returns how long one step of the enabling may take [ns]."""
     return round(max(drive.axis.step_timeout, drive.quirks.enable_time) * 1e9)
 
 
-def _refuse_fault(drive: ServoDrive, bring_up: BringUp) -> None:
+def _refuse_fault(drive: TorqueAxis, bring_up: BringUp) -> None:
     if drive.state in FAULTED or drive.emergency is not None:
         raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value)
 
 
-def _state_text(drive: ServoDrive) -> str:
+def _state_text(drive: TorqueAxis) -> str:
     return f"{drive.state.value} (statusword {drive.statusword:#06x}) after controlword {drive.controlword:#04x}"
 
 
-def _expected_after(drive: ServoDrive) -> str:
+def _expected_after(drive: TorqueAxis) -> str:
     after = {
         Controlword.SHUTDOWN: PowerState.READY_TO_SWITCH_ON,
         Controlword.SWITCH_ON: PowerState.SWITCHED_ON,

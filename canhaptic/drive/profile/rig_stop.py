@@ -4,34 +4,21 @@ Nothing in here raises for a bus or drive that is already failing: each part is 
 returned as text.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
 from functools import partial
 from typing import Final
 
-from canhaptic.canopen.objects import (
-    CONTROLWORD,
-    NMT_COB_ID,
-    SDO_REQUEST_BASE,
-    STATUSWORD,
-    Controlword,
-    NmtCommand,
-    NmtState,
-)
-from canhaptic.drive.can.exchange import Exchange
-from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.profile.bring_up import BringUp
+from canhaptic.canopen.objects import CONTROLWORD, STATUSWORD, Controlword
+from canhaptic.drive.profile.cyclic_exchange import CyclicExchange
 from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
+from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import LinkError, RigError
 
 _LONGEST_RAMP: Final = 50_000_000  # [ns]
 _CONFIRMATION: Final = 100_000_000  # [ns] that a drive may take for one step of the stop
 _FEWEST_CYCLES: Final = 4  # a synchronous RPDO acts one SYNC later and shows in the TPDO one later still
 _ROUNDS: Final = 2  # of SDO and NMT before the loop of PDOs is given up
-_DISABLE_BY_SDO: Final = (
-    bytes([0x2B]) + CONTROLWORD.to_bytes(2, "little") + bytes([0, Controlword.DISABLE_VOLTAGE]) + bytes(3)
-)
-"""The expedited download of 0x6040 = disable voltage."""
 
 
 class Trust(Enum):
@@ -42,15 +29,19 @@ class Trust(Enum):
     NONE = "the link failed: frames may be lost on any way"
 
 
-def ramp_down(exchange: Exchange) -> None:
-    """Takes the torque of every axis to zero along a straight line of `stop_ramp` seconds, through the limiter.
+def ramp_down(exchange: CyclicExchange, duration: float) -> None:
+    """Takes the torque of every axis to zero along a straight line, through the limiter.
+
+    Args:
+        exchange: The cycle.
+        duration: Of the line [s]; 0.05 s at most are taken.
 
     Raises:
         LinkError: The bus failed on the way.
         ControlError: Never in practice: the torques are our own.
     """
-    ramp = min(round(exchange.bus.stop_ramp * 1e9), _LONGEST_RAMP)
-    cycles = max(1, ramp // exchange.bus.sample_time_ns)
+    ramp = min(round(duration * 1e9), _LONGEST_RAMP)
+    cycles = max(1, ramp // exchange.sample_time_ns)
     begin = [drive.limiter.last for drive in exchange.drives]
     for cycle in range(1, cycles + 1):
         exchange.sync()
@@ -60,7 +51,7 @@ def ramp_down(exchange: Exchange) -> None:
         exchange.beat()
 
 
-def disable(exchange: Exchange, trust: Trust) -> list[str]:
+def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     """Sends zero torque, disables every drive and takes it to pre-operational.
 
     Args:
@@ -77,8 +68,8 @@ def disable(exchange: Exchange, trust: Trust) -> list[str]:
     if not reachable:
         return []
     if trust is Trust.NONE:
-        _disable_by_sdo(reachable)
-    operational = [drive for drive in reachable if drive.nmt_state == NmtState.OPERATIONAL]
+        _try_each(drive.disable_unconfirmed for drive in reachable)
+    operational = [drive for drive in reachable if drive.is_operational]
     if operational:
         _try(exchange.sync)  # a synchronous RPDO acts at the next SYNC
     for drive in exchange.drives:
@@ -93,7 +84,7 @@ def disable(exchange: Exchange, trust: Trust) -> list[str]:
     return [f"{drive.axis.name}: {problem}" for drive, problem in problems.items() if problem]
 
 
-def _write_zero(drives: Sequence[ServoDrive]) -> None:
+def _write_zero(drives: Sequence[TorqueAxis]) -> None:
     """Sends zero to every drive, whatever happens to the frames of the others."""
     failure: LinkError | None = None
     for drive in drives:
@@ -105,25 +96,19 @@ def _write_zero(drives: Sequence[ServoDrive]) -> None:
         raise failure
 
 
-def _disable_by_sdo(drives: Sequence[ServoDrive]) -> None:
-    """Sends each drive 0x6040 = disable voltage and awaits no answer: it acts whether or not RPDOs and SYNCs arrive."""
-    for drive in drives:
-        _try(partial(drive.link.send, SDO_REQUEST_BASE + drive.axis.node_id, _DISABLE_BY_SDO))
-
-
-def _cycle_until_disabled(exchange: Exchange, drives: Sequence[ServoDrive], *, insists: bool) -> None:
+def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis], *, insists: bool) -> None:
     """Repeats zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
 
     After the silence of the master that they tolerate the drives have stopped by their own watchdogs. Where none of
     those that are left says that it is without torque, the last word is SDO's.
     """
-    period, now = exchange.bus.sample_time_ns, exchange.clock.now
-    end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.bus.master_silence_ns)
+    period, now = exchange.sample_time_ns, exchange.now
+    end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.silence)
     cycles = rounds = 0
     while now() < end:
         parts = [_try(partial(_write_zero, exchange.drives)), _try(exchange.beat), _try(exchange.sync)]
         if not all(parts):
-            exchange.clock.wait_until(now() + period)
+            exchange.wait_until(now() + period)
             continue
         left = [drive for drive in drives if not _is_disabled(drive)]
         if not left:
@@ -133,28 +118,22 @@ def _cycle_until_disabled(exchange: Exchange, drives: Sequence[ServoDrive], *, i
             doubtful = [drive for drive in left if not _demands_no_torque(drive)]
             if rounds == _ROUNDS and len(doubtful) == len(left):
                 return
-            _disable_by_sdo(doubtful)
-            _send_pre_operational(doubtful)
+            _try_each(drive.disable_unconfirmed for drive in doubtful)
+            _try_each(drive.leave_operational for drive in doubtful)
             rounds += 1
 
 
-def _is_disabled(drive: ServoDrive) -> bool:
+def _is_disabled(drive: TorqueAxis) -> bool:
     """Whether the TPDO that answered the last SYNC says so."""
     return drive.is_complete and drive.state in TORQUE_FREE
 
 
-def _demands_no_torque(drive: ServoDrive) -> bool:
+def _demands_no_torque(drive: TorqueAxis) -> bool:
     """Whether the drive's last TPDO says that it gives no torque, as one that slowly leaves its state does."""
-    return drive.is_complete and drive.map.read_back == "demand" and drive.reported_per_mille == 0
+    return drive.is_complete and drive.read_back == "demand" and drive.reported_per_mille == 0
 
 
-def _send_pre_operational(drives: Sequence[ServoDrive]) -> None:
-    for drive in drives:
-        command = bytes([NmtCommand.PRE_OPERATIONAL, drive.axis.node_id])
-        _try(partial(drive.link.send, NMT_COB_ID, command))
-
-
-def _confirm_disabled(drive: ServoDrive) -> str:
+def _confirm_disabled(drive: TorqueAxis) -> str:
     """Returns what is wrong with a drive that should be disabled; asks by SDO, for its TPDO did not tell."""
     try:
         drive.sdo.write(CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
@@ -164,16 +143,12 @@ def _confirm_disabled(drive: ServoDrive) -> str:
     return "" if state in TORQUE_FREE else f"state {state.value}"
 
 
-def _leave_operational(drives: Sequence[ServoDrive]) -> None:
+def _leave_operational(drives: Sequence[TorqueAxis]) -> None:
     """Sends the drives to pre-operational, switches their watchdogs off and waits for their heartbeats."""
-    _send_pre_operational(drives)
+    _try_each(drive.leave_operational for drive in drives)
     for drive in drives:
-        _try(BringUp(drive).disarm)
-        _try(partial(drive.link.wait_for, partial(_is_pre_operational, drive), drive.bus.drive_silence_ns))
-
-
-def _is_pre_operational(drive: ServoDrive) -> bool:
-    return drive.nmt_state == NmtState.PRE_OPERATIONAL
+        _try(drive.disarm)
+        _try(drive.await_pre_operational)
 
 
 def _try(action: Callable[[], object]) -> bool:
@@ -183,3 +158,8 @@ def _try(action: Callable[[], object]) -> bool:
     except RigError:
         return False
     return True
+
+
+def _try_each(actions: Iterable[Callable[[], object]]) -> None:
+    for action in actions:
+        _try(action)

@@ -1,0 +1,49 @@
+"""An object dictionary as its users see it: what a drive lists, whichever reader made it."""
+
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+
+class Variable(Protocol):
+    """One object, or one subindex of it (CiA 306)."""
+
+    name: str
+    index: int
+    subindex: int
+    data_type: int | None
+    """A `DataType`; None where the file states none."""
+    access_type: str
+    """ro, wo, rw, rwr, rww or const."""
+    default: Any
+    value: Any
+    """ParameterValue of a DCF; None where the file states none."""
+    min: int | None
+    max: int | None
+    pdo_mappable: bool
+
+    @property
+    def readable(self) -> bool:
+        """Whether SDO may read it."""
+
+    @property
+    def writable(self) -> bool:
+        """Whether SDO may write it."""
+
+
+class Dictionary(Protocol):
+    """The objects of one drive by index."""
+
+    def __contains__(self, index: int, /) -> bool:
+        """Whether an object is listed."""
+
+    def __iter__(self) -> Iterator[int]:
+        """Yields the indices."""
+
+    def get_variable(self, index: int, subindex: int = 0) -> Variable | None:
+        """Returns an object or one of its subindices; None where it is not listed."""
+
+
+def is_writable(dictionary: Dictionary, index: int, subindex: int = 0) -> bool:
+    """Whether the dictionary lists the object as writable."""
+    variable = dictionary.get_variable(index, subindex)
+    return variable is not None and bool(variable.writable)

@@ -1,0 +1,109 @@
+"""What CANopen adds to the start of a drive: NMT, heartbeats, the watchdog of the master, the PDO map."""
+
+from functools import partial
+from typing import Final
+
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.objects import NmtCommand, NmtState
+from canhaptic.drive.can.pdo_setup import write_map
+from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.profile.bring_up import BringUp, Confirmation
+
+_REMEDIES: Final = {
+    "presence": "check power, node ID, bit rate and cable",
+    "heartbeat": "the drive must produce heartbeats (0x1017); check that it accepts NMT commands",
+    "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers; quirks: "
+    "demand_absent, manufacturer_event)",
+    "NMT operational": "the drive stays out of OPERATIONAL; check its EMCY and its configuration",
+    "PDO exchange": "the drive sends no TPDO on SYNC; check 0x1005 and the transmission types",
+    "bus": "check the interface, cable and termination",
+}
+
+_LARGEST_U16: Final = 0xFFFF
+
+
+class CanBringUp(BringUp):
+    """Configures one CANopen drive, step by step."""
+
+    _drive: ServoDrive
+
+    def __init__(self, drive: ServoDrive) -> None:
+        super().__init__(drive, _REMEDIES)
+
+    def _command_pre_operational(self) -> None:
+        self._drive.leave_operational()
+
+    def _monitor(self) -> None:
+        """Asks for heartbeats."""
+        self._drive.nmt_state = None
+        self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, self._heartbeat_period())
+
+    def _heartbeat_period(self) -> int:
+        """Returns the value of 0x1017 [ms]."""
+        return max(1, min(_LARGEST_U16, round(self._drive.bus.heartbeat_period * 1e3)))
+
+    def _await_pre_operational(self) -> None:
+        drive = self._drive
+        timeout = round(drive.axis.step_timeout * 1e9) + self._heartbeat_period() * 1_000_000
+        with self.step("heartbeat"):
+            confirmed = drive.link.wait_for(lambda: drive.nmt_state == NmtState.PRE_OPERATIONAL, timeout)
+        if not confirmed:
+            raise self.refusal("heartbeat", _nmt_name(drive.nmt_state), "a heartbeat with PRE_OPERATIONAL")
+
+    def _arm(self) -> None:
+        """Writes 0x1016; the consumer counts from the first heartbeat (CiA 301, 7.2.8.3.2.2), which the cycle sends."""
+        bus = self._drive.bus
+        milliseconds = bus.master_silence_ns // 1_000_000
+        if milliseconds > _LARGEST_U16:
+            raise self.refusal("watchdog", f"{milliseconds} ms", f"at most {_LARGEST_U16} ms (0x1016 is 16 bits)")
+        self._write_confirmed("watchdog", od.CONSUMER_HEARTBEAT_TIME, 1, bus.master_id << 16 | milliseconds)
+
+    def _map(self) -> None:
+        drive = self._drive
+        rpdo_type = (
+            od.SYNCHRONOUS_EVERY_SYNC if drive.bus.rpdo == "synchronous" else drive.quirks.event_transmission_type
+        )
+        with self.step("PDO map"):
+            write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
+
+    def _rpdo_deadline(self) -> int | None:
+        """Returns how long the drive itself tolerates lost RPDOs [ms], where no read-back shows them to the master."""
+        milliseconds = self._drive.bus.master_silence_ns // 1_000_000
+        if self._drive.read_back != "none" or not self._drive.axis.watchdog or milliseconds > _LARGEST_U16:
+            return None
+        return milliseconds
+
+    def command_operational(self) -> None:
+        """Sends NMT start; raises StartError."""
+        with self.step("bus"):
+            self._drive.command_nmt(NmtCommand.START)
+
+    def operational(self) -> Confirmation:
+        """Returns the heartbeat with OPERATIONAL."""
+        drive = self._drive
+        return Confirmation(
+            "NMT operational",
+            "a heartbeat with OPERATIONAL",
+            lambda: drive.is_operational,
+            lambda: _nmt_name(drive.nmt_state),
+            self.command_operational,
+        )
+
+    def process_data(self) -> Confirmation:
+        """Returns every TPDO after a SYNC."""
+        drive = self._drive
+        cob_ids = ", ".join(f"{tpdo.cob_id:#05x}" for tpdo in drive.map.tpdos)
+        return Confirmation(
+            "PDO exchange",
+            "every TPDO after a SYNC",
+            lambda: drive.is_complete,
+            lambda: f"no complete answer from COB-ID {cob_ids}",
+            lambda: None,
+        )
+
+
+def _nmt_name(state: int | None) -> str:
+    """Returns the name of an NMT state as a heartbeat gave it."""
+    if state is None:
+        return "no heartbeat"
+    return NmtState(state).name if state in NmtState.__members__.values() else f"NMT state {state:#04x}"

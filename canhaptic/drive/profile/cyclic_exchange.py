@@ -1,0 +1,48 @@
+"""The cycle as the start and the stop of a rig use it, whichever fieldbus runs it."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from canhaptic.drive.profile.torque_axis import TorqueAxis
+
+
+class CyclicExchange(Protocol):
+    """Runs the cycle of several drives."""
+
+    @property
+    def drives(self) -> Sequence[TorqueAxis]:
+        """All drives."""
+
+    @property
+    def periods(self) -> int:
+        """Sample times between the last two SYNCs."""
+
+    @property
+    def sample_time_ns(self) -> int:
+        """The sample time [ns]."""
+
+    @property
+    def beat_cycles(self) -> int:
+        """Sample times from one sign of life of the master to the next."""
+
+    @property
+    def silence(self) -> int:
+        """Silence of the master that a drive tolerates [ns]."""
+
+    def now(self) -> int:
+        """Returns the time [ns]."""
+
+    def wait_until(self, deadline: int) -> None:
+        """Returns when `deadline` [ns] has come."""
+
+    def begin(self) -> None:
+        """Lets the next SYNC go out at once and counts from there."""
+
+    def sync(self) -> None:
+        """Waits for the next deadline, sends SYNC and takes what answers it; raises LinkError."""
+
+    def write_zero(self) -> None:
+        """Sends every drive its controlword with zero torque; raises LinkError."""
+
+    def beat(self, *, at_once: bool = False) -> None:
+        """Shows the drives that the master is alive, when it is time or at once; raises LinkError."""

@@ -1,0 +1,332 @@
+"""One axis in cyclic synchronous torque mode: samples in, torques out, reasons to stop. Knows objects, no frames.
+
+A fieldbus derives from `TorqueAxis`: it fills in what the drive sent, and sends what `write` is given.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Final, NamedTuple, Protocol
+
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.dictionary import Dictionary
+from canhaptic.drive.profile.limiter import TorqueLimiter
+from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
+from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.scaling import axis_scaling
+from canhaptic.drive.profile.torque_axis_parameters import ReadBack, TorqueAxisParameters
+from canhaptic.signals import Sample
+
+_tuple: Final = tuple.__new__  # makes a sample at half the cost of calling its class
+_NO_REASON: Final = StopReason.NONE  # bound once: to look a member up in its enum takes as long as all of `fault`
+_LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
+_FOLLOWS: Final = int(od.StatusBit.FOLLOWS_COMMAND)
+
+
+class ObjectAccess(Protocol):
+    """Reads and writes integer objects of one drive: SDO over CAN, or over the mailbox of EtherCAT (CoE).
+
+    Every method raises SdoError where the drive aborts or does not answer.
+    """
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        """Returns the value of an object."""
+
+    def probe(self, index: int, subindex: int = 0) -> int:
+        """Returns the value of an object; asks once only."""
+
+    def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
+        """Returns the value of an object; all attempts together take at most `limit` [ns]."""
+
+    def write(self, index: int, subindex: int, value: int) -> None:
+        """Writes an object."""
+
+    def describe(self, index: int, subindex: int = 0) -> str:
+        """Returns an object as `0x6072:00 Max torque`."""
+
+
+class ReceivedEmergency(NamedTuple):
+    """An EMCY as it came (CiA 301, 7.2.7)."""
+
+    code: int  # 0x0000 means that the error is gone
+    register: int  # 0x1001
+    vendor: bytes
+
+    def __str__(self) -> str:
+        return f"EMCY {self.code:#06x}, error register {self.register:#04x}, vendor {self.vendor.hex(' ') or 'none'}"
+
+
+class CycleRules(NamedTuple):
+    """What an axis needs to know of the cycle it runs in."""
+
+    sample_time_ns: int
+    sample_time: float  # the same [s]
+    hold_cycles: int  # missed cycles for which the last torque is held
+    stop_cycles: int  # missed cycles after which the rig stops
+    is_synchronous: bool  # a torque acts at the SYNC after it was sent, and not at once
+    silence: int  # of the drive that is tolerated [ns]
+
+
+class TorqueAxis(ABC):
+    """The master's picture of one drive.
+
+    Args:
+        axis: Its parameters.
+        dictionary: Its object dictionary.
+        sdo: Access to its objects.
+        rules: Of the cycle.
+        read_back: Torque that its process data carry.
+
+    Attributes:
+        statusword: Of the last complete process data.
+        is_complete: Whether all process data of the last SYNC came in their window.
+        is_operational: Whether the drive, as it last said, exchanges process data.
+        alive_at: When the drive last showed that it is alive [ns].
+        answers: Whether the drive answered an SDO since the last start.
+        controlword: Sent with the next torque.
+        read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from that
+            of the hold before and from the one sent, times the displacement [J]. The true torque of a hold lies
+            between them unless the current loop overshoots, so that the computed energy is not farther from the true
+            one. 0 where the demand is read back, which is exact, or nothing, which is believed.
+        longest_hold: The most sample times for which one torque was held since the last `reset`: 1 where all went well,
+            more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back shows; what
+            came together counts together.
+        longest_gap: The most sample times between two SYNCs since the last `reset`: 1 where none was skipped.
+        emergency: The first EMCY with an error code since the last `reset`; None when there was none.
+    """
+
+    def __init__(
+        self,
+        axis: TorqueAxisParameters,
+        dictionary: Dictionary,
+        sdo: ObjectAccess,
+        rules: CycleRules,
+        read_back: ReadBack,
+    ) -> None:
+        self.axis, self.dictionary, self.sdo = axis, dictionary, sdo
+        self.quirks = quirks_of(axis.quirks)
+        self.read_back: ReadBack = read_back
+        self.scaling = axis_scaling(axis, axis.rated_torque or 1.0)
+        self.limiter = TorqueLimiter(axis.torque_limit, rules.sample_time, axis.torque_rate_limit, axis.power_limit)
+        self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles)
+        self.answers = False
+        self.sample_time_ns = rules.sample_time_ns
+        self._is_synchronous, self._silence = rules.is_synchronous, rules.silence
+        self._sample_time, self._stop_cycles = rules.sample_time, rules.stop_cycles
+        self._hold_cycles = rules.hold_cycles
+        self._reads_demand, self._reads_nothing = read_back == "demand", read_back == "none"
+        self._measures = read_back == "actual"
+        self._shows_next = axis.demand_reported == "after"
+        self._tolerance = axis.torque_tolerance / self.quirks.torque_resolution  # counts of 0x6077
+        self._largest_step = (axis.speed_limit or float("inf")) * rules.sample_time
+
+    def reset(self) -> None:
+        """Forgets everything received and commanded; a derived class calls it when it is complete."""
+        self.statusword = 0
+        self.is_operational = False
+        self.alive_at = self.now()
+        self.emergency: ReceivedEmergency | None = None
+        self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
+        self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
+        self.is_complete = False
+        self.read_back_bound = 0.0
+        self._spread = 0  # per mille: how far the measured torque is from what it was, and from what was sent
+        self.scaling.reset()
+        self.limiter.reset()
+        self.policy.reset()
+        self._commanded = 0  # per mille: sent last
+        self._acting = 0  # per mille: believed to act now, with a synchronous RPDO
+        self._reported = 0  # per mille: of the process data before
+        self._held_before = 0  # per mille: read back for the hold before
+        self._followed = 0  # per mille: the last command that a measured torque has shown
+        self._stale_holds = 0  # holds in a row with an old torque although another was sent
+        self._stale_samples = 0  # sample times since the torque read back was a new one
+        self._watched, self._expected = ENABLED_MASK, ENABLED_VALUE  # bits of the statusword while the rig runs
+        self._deviations = self._deviated_at = 0  # SYNCs in a row with bit 11 or 12 not as expected; the last of them
+        self._held = 0.0  # torque when the first TPDO went missing [N*m or N]
+        self._step = 0.0  # mean displacement per sample time since the last process data [rad or m]
+        self._periods = 0  # sample times since the last process data
+        self.longest_hold = self.longest_gap = 1
+        self._is_late = False  # a SYNC was skipped before the last one
+        self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
+
+    # --- what a fieldbus supplies -----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def now(self) -> int:
+        """Returns the time [ns]."""
+
+    @abstractmethod
+    def pump(self, deadline: int) -> None:
+        """Takes what the bus brings until `deadline` [ns]; raises LinkError."""
+
+    @abstractmethod
+    def write(self, torque_per_mille: int) -> None:
+        """Sends controlword and target torque as one image; raises LinkError."""
+
+    @abstractmethod
+    def disable_unconfirmed(self) -> None:
+        """Sends 0x6040 = disable voltage outside the process data and awaits no answer; raises LinkError."""
+
+    @abstractmethod
+    def leave_operational(self) -> None:
+        """Asks the drive to exchange no more process data; raises LinkError."""
+
+    @abstractmethod
+    def await_pre_operational(self) -> None:
+        """Returns when the drive has confirmed that it left, or its time is over; raises LinkError."""
+
+    @abstractmethod
+    def disarm(self) -> None:
+        """Switches the drive's watchdog off, so that the end of the master is no fault; raises SdoError."""
+
+    # --- in ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def position_counts(self) -> int:
+        """0x6064 of the last complete process data."""
+        return self._values[1]
+
+    @property
+    def reported_per_mille(self) -> int:
+        """Torque of the last complete process data; 0 when none is mapped."""
+        return self._values[2]
+
+    @property
+    def state(self) -> PowerState:
+        """Power state of the last statusword."""
+        return drive_state(self.statusword)
+
+    def sample(self, sync_index: int, periods: int = 1) -> Sample:
+        """Returns what the drive reported for the SYNC that was just answered, or not.
+
+        Args:
+            sync_index: Of that SYNC.
+            periods: Sample times since the SYNC before; more than 1 when SYNCs were skipped.
+        """
+        self._periods += periods
+        self._is_late = periods > 1
+        if periods > self.longest_gap:
+            self.longest_gap = periods
+        if not self.is_complete:
+            if self.policy.missed == 0:
+                self._held = self.limiter.last
+            self.policy.on_missed()
+            self.longest_hold = max(self.longest_hold, self._periods)
+            self._acting = self._commanded
+            self._last = self._last._replace(sync_index=sync_index, fresh=False)
+            return self._last
+        self.policy.on_tpdo()
+        statusword, counts, reported = self._values
+        scaling = self.scaling
+        position = scaling.position(counts)
+        torque = scaling.torque(self._applied_per_mille(reported))
+        last = self._last
+        periods, self._periods = self._periods, 0
+        self._step = (position - last.position) / periods if last.sync_index >= 0 else 0.0
+        if periods > self.longest_hold and last.sync_index >= 0:
+            self.longest_hold = periods
+        if self._measures and last.sync_index >= 0:
+            self.read_back_bound += self._spread * scaling.torque_quantum * abs(position - last.position)
+        self._last = sample = _tuple(Sample, (sync_index, position, torque, statusword, True))
+        return sample
+
+    def _applied_per_mille(self, reported: int) -> int:
+        """Returns the torque of the hold that ended: read back, or believed where nothing is read back."""
+        believed = self._acting if self._is_synchronous else self._commanded
+        self._acting = self._commanded
+        if self._reads_nothing:
+            return believed
+        if self._shows_next:
+            reported, self._reported = self._reported, reported
+        if not self._reads_demand:
+            self._judge_measured(reported, believed)
+        elif reported == believed or reported != self._held_before or self._values[0] & _LIMITED:
+            self._stale_holds, self._stale_samples = 0, self._periods
+        else:
+            self._stale_holds += 1
+            self._stale_samples += self._periods
+            self.longest_hold = max(self.longest_hold, self._stale_samples)
+        if self._measures:
+            self._spread = max(abs(reported - believed), abs(reported - self._held_before))
+        self._held_before = reported
+        return reported
+
+    def _judge_measured(self, measured: int, believed: int) -> None:
+        """Counts holds in which a measured torque stayed near an old command although another, far from it, was sent.
+
+        Where the two commands are close, nothing can be said and the count stays.
+        """
+        tolerance = self._tolerance
+        if abs(measured - believed) <= tolerance:
+            self._followed, self._stale_holds = believed, 0
+        elif abs(measured - self._followed) > tolerance or self._values[0] & _LIMITED:
+            self._stale_holds = 0
+        elif abs(believed - self._followed) > 2.0 * tolerance:
+            self._stale_holds += 1
+
+    def watch_statusword(self) -> None:
+        """Watches more than the state from now on, the rig being enabled.
+
+        A drive that shows that it follows its target (bit 12) must go on to do so. One whose torque is not read back
+        must not begin to limit it (bit 11).
+        """
+        follows = self.statusword & _FOLLOWS
+        limits = 0 if not self._reads_nothing or self.statusword & _LIMITED else _LIMITED
+        self._watched, self._expected = ENABLED_MASK | follows | limits, ENABLED_VALUE | follows
+
+    def fault(self, now: int) -> StopReason:
+        """Returns why the rig must stop because of this drive; NONE while all is well."""
+        if (
+            self.emergency is not None or self.statusword & self._watched != self._expected or not self.is_operational
+        ) and (reason := self._state_fault()):
+            return reason
+        if now - self.alive_at > self._silence:
+            return StopReason.HEARTBEAT_LOST
+        if not -self._largest_step <= self._step <= self._largest_step:
+            return StopReason.POSITION_JUMP
+        if self.policy.missed >= self._stop_cycles:
+            return StopReason.TPDO_LOST
+        if self._stale_holds >= self._stop_cycles:
+            return StopReason.COMMAND_LOST
+        return _NO_REASON
+
+    def _state_fault(self) -> StopReason:
+        if self.emergency is not None:
+            return StopReason.EMERGENCY
+        if self.state in FAULTED:
+            return StopReason.DRIVE_FAULT
+        if self.statusword & ENABLED_MASK != ENABLED_VALUE:
+            return StopReason.STATE_LEFT
+        if not self.is_operational:
+            return StopReason.NMT_STATE_LEFT
+        return self._deviation()
+
+    def _deviation(self) -> StopReason:
+        """Tolerates bit 11 or 12 for as many cycles as a missing TPDO before the torque is ramped down."""
+        cycle = self.policy.cycles
+        self._deviations = self._deviations + 1 if self._deviated_at == cycle - 1 else 1
+        self._deviated_at = cycle
+        if self._deviations <= self._hold_cycles:
+            return StopReason.NONE
+        if (self.statusword ^ self._expected) & self._watched & _FOLLOWS:
+            return StopReason.NOT_FOLLOWING
+        return StopReason.TORQUE_LIMITED
+
+    # --- out --------------------------------------------------------------------------------------------------------
+
+    def command_per_mille(self, torque: float) -> int:
+        """Returns the target torque (0x6071) for what the controller asks [N*m or N], after policy and limiter.
+
+        While TPDOs are missing, the torque held when the first went missing, reduced by its ramp, is an upper bound;
+        the operator's stop may ask for less. After a skipped SYNC the last torque is the bound: a controller takes the
+        motion of several sample times for that of one and would brake several times too hard.
+
+        Raises:
+            ControlError: The torque is not finite.
+        """
+        policy, limiter = self.policy, self.limiter
+        if (policy.missed or self._is_late) and torque - torque == 0.0:  # one that is not finite must reach the limiter
+            held = self._held * policy.torque_fraction() if policy.missed else limiter.last
+            torque = max(min(held, 0.0), min(max(held, 0.0), torque))
+        torque = limiter.limit(torque, self._step / self._sample_time)
+        return self.scaling.torque_per_mille(torque, limiter.low, limiter.high)

@@ -1,0 +1,69 @@
+"""What a configuration says about one axis, for any fieldbus: every value in SI, with unit and range."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.errors import ParameterError
+from canhaptic.units import Parameters, quantity
+
+ReadBack = Literal["demand", "actual", "none"]
+"""Torque in the process data of a drive: 0x6074, 0x6077, or none."""
+
+
+class TorqueAxisParameters(Parameters):
+    """What the profile needs to know of an axis. Torques are those of the axis: N*m (rotary) or N (linear)."""
+
+    name: Annotated[str, Field(min_length=1, max_length=40)]
+    """Of the axis: in messages, tables and logs; no other axis has it."""
+    eds: Path
+    """Object dictionary (EDS or DCF) of the drive."""
+    quirks: tuple[str, ...] = ()
+    """Named deviations of this drive from the standard (`canhaptic.drive.profile.quirks`)."""
+    unit: Literal["m", "rad"] = "rad"
+    """Position unit: m (linear) or rad (rotary). The units of all other keys of the axis follow from it."""
+    counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0)]
+    """Position counts (0x6064) per metre or radian of the axis."""
+    direction: Literal[1, -1] = 1
+    """-1 turns the sign of position and torque together."""
+    rated_torque: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
+    """Torque of the axis at 1000 per mille; needed when the drive does not state 0x6076."""
+    transmission: Annotated[float, quantity("1/m", "1", gt=0.0)] = 1.0
+    """Torque or force of the axis per torque of the motor (gear ratio, 1/pulley radius); scales 0x6076."""
+    torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
+    """Largest torque ever commanded; also written to 0x6072 where the drive has it."""
+    torque_rate_limit: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)] | None = None
+    """Largest rise of the torque per second, on either side of zero; a fall to zero is never slowed."""
+    power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
+    """Largest power that the torque may put into the user's side."""
+    speed_limit: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
+    """A position that moves faster than this between two SYNCs is not believed: the rig stops."""
+    read_back: Literal["auto", "demand", "actual", "none"] = "auto"
+    """Torque in the TPDO: 0x6074, 0x6077, nothing; auto takes the first that the dictionary allows."""
+    torque_tolerance: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 0.05
+    """Part of the rated torque by which a measured torque (0x6077) may differ from its command."""
+    demand_reported: Literal["before", "after"] = "before"
+    """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
+    vendor_id: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
+    """Expected 0x1018:01; any when absent."""
+    product_code: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
+    """Expected 0x1018:02; any when absent."""
+    watchdog: bool = True
+    """Arms the drive's own watchdog of the master's heartbeat (0x1016, 0x6007)."""
+    reset_fault: bool = False
+    """Whether start may reset a fault of the drive before it begins; never done in the cycle."""
+    sdo_timeout: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.3
+    """Time in which the drive must answer an SDO request; then it is repeated."""
+    step_timeout: Annotated[float, quantity("s", ge=1e-2, le=60.0)] = 1.0
+    """Time in which the drive must confirm one step of the start."""
+
+    @field_validator("quirks")
+    @classmethod
+    def _check_quirks(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        try:
+            quirks_of(names)
+        except ParameterError as error:
+            raise ValueError(str(error)) from error
+        return names
