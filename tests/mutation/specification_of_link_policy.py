@@ -79,7 +79,7 @@ def _counts(module: ModuleType) -> None:
     assert policy.success_rate() == 1.0
     seen = []
     for heard in (True, False, False, True, False, True, True, True):
-        (policy.on_tpdo if heard else policy.miss)()
+        (policy.on_tpdo if heard else policy.on_missed)()
         seen.append((policy.cycles, policy.missed, policy.missed_total, policy.success_rate()))
     assert seen == [
         (1, 0, 0, 1.0),

@@ -87,7 +87,7 @@ SUBJECTS = {
         },
         equivalent={
             "LinkPolicy.action: if self.missed == 0: => if self.missed <= 0:": "a count is never negative",
-            "LinkPolicy.share: if self.missed <= self._hold_cycles: => "
+            "LinkPolicy.torque_fraction: if self.missed <= self._hold_cycles: => "
             "if self.missed < self._hold_cycles:": "the ramp begins at 1",
         },
     ),
