@@ -14,7 +14,7 @@ from pydantic import model_validator
 from canhaptic.sim.plant.assembly import Guard, PlantModel, Rows
 from canhaptic.units import Parameters, quantity
 
-HAND: Final = "hand"
+_HAND: Final = "hand"
 """Name of the hand's part and of its work."""
 
 
@@ -59,16 +59,16 @@ class UserParameters(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the hand, when there is one, at the last body of the scene."""
         if self.stiffness or self.damping or self.push:
-            Hand(self).add_to(scene)
+            _Hand(self).add_to(scene)
 
 
-class Hand:
+class _Hand:
     """The part: the force of the hand on the handle, one mode per grasp."""
 
     has_guards = False
 
     def __init__(self, user: UserParameters) -> None:
-        self.name = HAND
+        self.name = _HAND
         self._user = user
         self._grasps = [(user.stiffness, user.damping)]
         self._targets: list[tuple[str, float, float]] = []  # (name, amplitude, angular frequency)
@@ -85,7 +85,7 @@ class Hand:
     def add_to(self, scene: PlantModel) -> None:
         """Adds the part, its work, and the oscillator of the voluntary motion."""
         user = self._user
-        scene.works[HAND] = "user"
+        scene.works[_HAND] = "user"
         scene.parts.append(self)
         if user.stiffness or user.damping:
             scene.hand = self
@@ -120,7 +120,7 @@ class Hand:
             rows.set_rate(cosine, rows.row(**{sine: -omega}))
             force += rows.row(**{sine: stiffness * amplitude, cosine: damping * amplitude * omega})
         rows.forces[handle] += force
-        rows.add_power(HAND, force, velocity)
+        rows.add_power(_HAND, force, velocity)
 
     def constrain(self, rows: Rows, mode: str) -> None:
         """Holds nothing."""

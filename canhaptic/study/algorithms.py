@@ -15,7 +15,7 @@ PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_d
 """Property of the loop -> parameter of the simulated plant that is its true value."""
 
 
-class AbleAxis(NamedTuple):
+class _AbleAxis(NamedTuple):
     """An axis whose algorithm has what it needs."""
 
     axis: AxisScene
@@ -49,24 +49,24 @@ def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
     return replace(axis, passivity=ComponentSpec(name, model().model_copy(update=common)))
 
 
-def with_known_plant(axis: AxisScene) -> AbleAxis:
+def _with_known_plant(axis: AxisScene) -> _AbleAxis:
     """Returns an axis whose algorithm is told the simulated plant where the scene says nothing."""
     assert axis.simulation is not None
     told = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
     values = {key: getattr(axis.simulation.plant, PLANT_OF[key]) for key in told}
-    return AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), told)
+    return _AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), told)
 
 
-def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
+def able_under(axis: AxisScene, name: str, scene: Scene) -> _AbleAxis:
     """Returns an axis under an algorithm, told of the plant only where that cannot do without.
 
     Raises:
         ParameterError: It cannot be built even so.
     """
-    chosen = AbleAxis(with_algorithm(axis, name))
+    chosen = _AbleAxis(with_algorithm(axis, name))
     try:
         loop_case(chosen.axis, scene).controller()
     except ParameterError:
-        chosen = with_known_plant(chosen.axis)
+        chosen = _with_known_plant(chosen.axis)
         loop_case(chosen.axis, scene).controller()
     return chosen

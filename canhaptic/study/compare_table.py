@@ -12,14 +12,14 @@ from canhaptic.units import effort_unit
 from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 
-COLUMNS: Final = 6
+_COLUMNS: Final = 6
 """Algorithms in one table: 100 columns of text."""
 _LABEL_WIDTH: Final = 22
 
-Account = Mapping[str, Any]
+_Account = Mapping[str, Any]
 
 
-def comparison_report(result: Account) -> RenderableType:
+def comparison_report(result: _Account) -> RenderableType:
     """Returns tables and remarks of a comparison.
 
     Args:
@@ -29,13 +29,13 @@ def comparison_report(result: Account) -> RenderableType:
     for name, axis in result["axes"].items():
         algorithms = list(axis["algorithms"])
         parts.append(Text(f" {name}: {axis['environment']}   continuous: {axis['reference']['method']}"))
-        for start in range(0, len(algorithms), COLUMNS):
-            parts.append(_table(axis, algorithms[start : start + COLUMNS]))
+        for start in range(0, len(algorithms), _COLUMNS):
+            parts.append(_table(axis, algorithms[start : start + _COLUMNS]))
         parts.extend(_remarks(axis))
     return Group(*parts)
 
 
-def _heading(result: Account) -> Text:
+def _heading(result: _Account) -> Text:
     path = "over the CAN path" if result["path"] == "can" else "without a bus"
     text = Text(" ")
     text.append(str(result["scene"]), style="bold")
@@ -43,7 +43,7 @@ def _heading(result: Account) -> Text:
     return text
 
 
-def _table(axis: Account, algorithms: list[str]) -> Table:
+def _table(axis: _Account, algorithms: list[str]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
     table.add_column("", no_wrap=True, width=_LABEL_WIDTH)
     for name in algorithms:
@@ -61,7 +61,7 @@ def _table(axis: Account, algorithms: list[str]) -> Table:
     return table
 
 
-def _value(read: Callable[[Account, Account], Any], axis: Account, account: Account) -> float | str | None:
+def _value(read: Callable[[_Account, _Account], Any], axis: _Account, account: _Account) -> float | str | None:
     try:
         value: float | str | None = read(account, axis)
     except (KeyError, TypeError):  # refused, or nothing to measure
@@ -74,7 +74,7 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
     return min(numbers, key=better) if better is not None and len(numbers) > 1 else None
 
 
-def _remarks(axis: Account) -> list[Text]:
+def _remarks(axis: _Account) -> list[Text]:
     lines = []
     for name, account in axis["algorithms"].items():
         words = [account["remark"]] if account["remark"] else []
@@ -105,7 +105,7 @@ def _plain(value: float, _unit: str) -> str:
     return f"{value:.3g}"
 
 
-def _status(account: Account, _axis: Account) -> str:
+def _status(account: _Account, _axis: _Account) -> str:
     return str(account["status"])
 
 
@@ -113,13 +113,13 @@ def _word(value: str, _unit: str) -> str:
     return value
 
 
-def _asked_damping(account: Account, _axis: Account) -> float | None:
+def _asked_damping(account: _Account, _axis: _Account) -> float | None:
     damping = account["damping_rendered"]
     return float(damping["mean"] / damping["asked"]) if damping["asked"] and damping["mean"] is not None else None
 
 
 _ENERGIES_BELOW: Final = ("least true sum(h_i)", "least margin of (4)")
-_ROWS: Final[tuple[tuple[str, Callable[[Account, Account], Any], Callable[[Any, str], str], Any], ...]] = (
+_ROWS: Final[tuple[tuple[str, Callable[[_Account, _Account], Any], Callable[[Any, str], str], Any], ...]] = (
     ("", _status, _word, None),
     ("position error, rms", lambda a, _: a["position_error"]["rms"], _length, abs),
     ("position error, most", lambda a, _: a["position_error"]["max"], _length, abs),

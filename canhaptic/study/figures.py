@@ -1,6 +1,6 @@
 """The figures of a run: each is defined here once, by name, unit and the sums that it is made of.
 
-Sums come from a run that kept its rows (`sums_of_run`) or are gathered while a run goes on (`canhaptic.study.batch`).
+Sums come from a run that kept its rows (`_sums_of_run`) or are gathered while a run goes on (`canhaptic.study.batch`).
 Energies [J] are those of the plant unless they say believed.
 """
 
@@ -13,10 +13,10 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference.continuous_reference import REST, Reference
 
-LAST_PART: Final = 0.1
-"""Part of a run, at its end, in which rest and limit cycles are looked at; at most `LONGEST_LAST` [s]."""
-LONGEST_LAST: Final = 2.0
-LEAST_EFFORT: Final = 1e-9
+_LAST_PART: Final = 0.1
+"""Part of a run, at its end, in which rest and limit cycles are looked at; at most `_LONGEST_LAST` [s]."""
+_LONGEST_LAST: Final = 2.0
+_LEAST_EFFORT: Final = 1e-9
 """Effort below which there is nothing to be rendered [N or N*m]."""
 _LAST: Final = ("diverged", "continuous_travel", "continuous_rest")
 _NO_REFERENCE: Final = "NaN in a batch without a continuous run in closed form"
@@ -58,7 +58,7 @@ METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "branches.depleted": ("holds that took more than was stored", ("depleted",)),
     "branches.exit": ("holds that ended a contact", ("exit",)),
 }  # fmt: skip
-"""Name -> (what it is, the sums that it is made of, see `sums_of_run`)."""
+"""Name -> (what it is, the sums that it is made of, see `_sums_of_run`)."""
 
 CONTINUOUS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "position_error.rms": (f"against the continuous environment, {_NO_REFERENCE} [m or rad]",
@@ -94,7 +94,7 @@ def figures(environment: Environment, run: LoopRun, reference: Reference | None,
         sample_time: [s].
     """
     margin = run.interaction - run.dissipated
-    found = _Found(sums_of_run(environment, run, reference, sample_time))
+    found = _Found(_sums_of_run(environment, run, reference, sample_time))
     return {
         "diverged": len(run.position) * sample_time if run.ended == "diverged" else None,
         "position_error": found.group("position_error", "rms", "max"),
@@ -137,7 +137,7 @@ class _Found:
         return None if None in found.values() else found
 
 
-def sums_of_run(
+def _sums_of_run(
     environment: Environment, run: LoopRun, reference: Reference | None, sample_time: float
 ) -> dict[str, float]:
     """Returns the sums behind the figures of errors, stiffness, damping and rest, by the names in `ALL`.
@@ -206,7 +206,7 @@ def _forces(environment: Environment, position: Array, torque: Array) -> dict[st
 
 def last_rows(cycles: int, sample_time: float) -> slice:
     """Returns the rows of the last part of a run."""
-    length = min(LAST_PART * cycles, LONGEST_LAST / sample_time)
+    length = min(_LAST_PART * cycles, _LONGEST_LAST / sample_time)
     return slice(max(0, cycles - max(2, round(length))), cycles)
 
 
@@ -229,7 +229,7 @@ def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
     if metric.startswith(("limit_cycle", "stiffness_at_rest")):
         return _at_rest(metric, sums)
     if metric == "force_variation.ratio":
-        return np.where((sums["diverged"] == 0.0) & (second > LEAST_EFFORT), first / second, np.nan)
+        return np.where((sums["diverged"] == 0.0) & (second > _LEAST_EFFORT), first / second, np.nan)
     if metric.endswith("_error.rms"):
         return np.sqrt(first / second)
     if metric == "travel":
@@ -244,5 +244,5 @@ def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
     if metric == "limit_cycle":
         return np.where(rests, np.maximum(0.0, sums["last_highest"] - sums["last_lowest"] - rest), np.nan)
     state, asked = sums["last_state"], sums["last_asked"]
-    known = rests & (np.abs(asked) >= LEAST_EFFORT * sums["last"]) & (state != 0.0)
+    known = rests & (np.abs(asked) >= _LEAST_EFFORT * sums["last"]) & (state != 0.0)
     return np.where(known, sums["last_force"] / (state if metric.endswith("value") else asked), np.nan)

@@ -11,14 +11,14 @@ from canhaptic.scene.parts import build_axis_controllers
 from canhaptic.signals import CycleTiming, Sample, Truth
 from canhaptic.study.loop import LoopRun, Recorder
 
-Take = Callable[[int, Sample, EnergyBalance, Truth], None]
+_Take = Callable[[int, Sample, EnergyBalance, Truth], None]
 """Takes one cycle of one axis: its place, what its drive reported, what was booked, and what truly happened."""
 
 
 class _Tap:
     """Hands every cycle on where a log would take it."""
 
-    def __init__(self, take: Take) -> None:
+    def __init__(self, take: _Take) -> None:
         self._take = take
 
     def append(
@@ -37,7 +37,7 @@ class _Tap:
         """Takes nothing: a fault ends the run."""
 
 
-def walk_over_can(scene: Scene, cycles: int, take: Take) -> list[LedgerSummary]:
+def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]:
     """Runs the controllers of a scene on its simulated drives, hands every cycle on, and returns the accounts.
 
     Args:

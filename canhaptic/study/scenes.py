@@ -13,14 +13,14 @@ from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.loop import LoopCase
 
-DEFAULT_DURATION: Final = 5.0
+_DEFAULT_DURATION: Final = 5.0
 """Of scenes that name none [s]."""
 _PER_MILLE: Final = 1e-3
 
 
 def cycles_of(scene: Scene, duration: float | None) -> int:
     """Returns the SYNCs of one run [s] of a scene; for None as long as the scene says."""
-    return max(2, round((duration or scene.run.duration or DEFAULT_DURATION) / scene.bus.sample_time))
+    return max(2, round((duration or scene.run.duration or _DEFAULT_DURATION) / scene.bus.sample_time))
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:

@@ -9,12 +9,12 @@ from bus_bench import MS, US, Bench, frame, numbered, numbers, virtual_bus
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.sim.bus.bus_effects import BusEffects
-from canhaptic.sim.bus.bus_segment import worst_case_bits
+from canhaptic.sim.bus.bus_segment import _worst_case_bits
 from canhaptic.sim.bus.faulty_bus import FaultyBus
 
 
 def test_frames_take_the_bits_of_the_literature() -> None:
-    assert [worst_case_bits(n) for n in (0, 2, 4, 6, 8)] == [55, 75, 95, 115, 135]
+    assert [_worst_case_bits(n) for n in (0, 2, 4, 6, 8)] == [55, 75, 95, 115, 135]
 
 
 @pytest.mark.parametrize(("bitrate", "sync", "answer"), [(1_000_000, 55, 190), (125_000, 440, 1520)])

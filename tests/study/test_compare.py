@@ -15,7 +15,7 @@ from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.load import load_scene
-from canhaptic.study.algorithms import with_algorithm, with_known_plant
+from canhaptic.study.algorithms import _with_known_plant, with_algorithm
 from canhaptic.study.compare_picture import draw_comparison
 from canhaptic.study.compare_table import comparison_report
 from canhaptic.study.comparison import compare
@@ -144,7 +144,7 @@ def test_what_two_algorithms_have_in_common_is_kept(scene):
     assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0
     assert with_algorithm(axis, "direct").passivity.parameters.velocity == "windowed"
     assert with_algorithm(axis, "internal_dissipation") is axis
-    told = with_known_plant(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})))
+    told = _with_known_plant(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})))
     assert (told.axis.loop.moving_mass, told.axis.loop.device_damping) == (0.2, 0.1)
 
 

@@ -89,7 +89,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
     )
 
 
-def response_to(torques: Vector, acting: Vector, response: Vector) -> float:
+def _response_to(torques: Vector, acting: Vector, response: Vector) -> float:
     """Returns the largest response of W . D [J] to torques acting, for any inertia not below the declared."""
     product = first = second = 0.0
     for i in range(len(response)):
@@ -101,7 +101,7 @@ def response_to(torques: Vector, acting: Vector, response: Vector) -> float:
     return largest if largest > 0.0 else 0.0
 
 
-def hand_term(axes: AxisLimits, torques: Vector) -> float:
+def _hand_term(axes: AxisLimits, torques: Vector) -> float:
     """Returns how much the hand raises W . D in one hold [J]."""
     if axes.hand == 0.0:
         return 0.0
@@ -120,7 +120,7 @@ def along_last(axes: AxisLimits, torques: Vector, displacement: Vector, blur: Ve
     return total
 
 
-def raised_by_friction(axes: AxisLimits, torques: Vector, displacement: Vector) -> float:
+def _raised_by_friction(axes: AxisLimits, torques: Vector, displacement: Vector) -> float:
     """Returns how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
     total = 0.0
     for i in range(len(axes.lost)):
@@ -147,16 +147,16 @@ def base_of(
         last: Torques held in that hold, (axes,).
         under_way: Torques of the holds before that of W.
     """
-    hand, friction = hand_term(axes, torques), raised_by_friction(axes, torques, displacement)
+    hand, friction = _hand_term(axes, torques), _raised_by_friction(axes, torques, displacement)
     total = bound + friction
-    total += response_to(torques, last, axes.before) + hand
+    total += _response_to(torques, last, axes.before) + hand
     for acting in under_way:
-        total += response_to(torques, acting, axes.during)
+        total += _response_to(torques, acting, axes.during)
         if len(axes.lost) > 1:
             total += friction
         elif total < 0.0:
             total -= axes.lost[0] * total
-        total += response_to(torques, acting, axes.before) + hand
+        total += _response_to(torques, acting, axes.before) + hand
     return total
 
 

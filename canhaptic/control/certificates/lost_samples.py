@@ -37,12 +37,12 @@ class Gap(NamedTuple):
     lost: float  # largest share of a motion that friction takes from the next hold
 
 
-def mirrored(gap: Gap) -> Gap:
+def _mirrored(gap: Gap) -> Gap:
     """Returns the same seen from the other side."""
     return gap._replace(moved=-gap.moved, start=-gap.start)
 
 
-def farthest(gap: Gap, hold: int, *, along: bool) -> float:
+def _farthest(gap: Gap, hold: int, *, along: bool) -> float:
     """Returns the largest displacement of one hold, counted positive [m or rad].
 
     Args:
@@ -72,15 +72,15 @@ def worst(gap: Gap, last: float, candidates: list[list[float]]) -> float:
         last: Torque of the last hold [N or N*m].
         candidates: Torques that may have acted, for each hold but the last.
     """
-    total, other = 0.0, mirrored(gap)
+    total, other = 0.0, _mirrored(gap)
     for index, torques in enumerate(candidates):
         most = None
         for torque in torques:
             more = torque - last
             if more > 0.0:
-                doubt = more * farthest(gap, index + 1, along=torque > 0.0)
+                doubt = more * _farthest(gap, index + 1, along=torque > 0.0)
             elif more < 0.0:
-                doubt = -more * farthest(other, index + 1, along=torque < 0.0)
+                doubt = -more * _farthest(other, index + 1, along=torque < 0.0)
             else:
                 doubt = 0.0
             if most is None or doubt > most:

@@ -30,7 +30,7 @@ _PASSES: Final = 24
 """Of the search for a share; what needs more renders nothing."""
 _ROUNDING: Final = 1e-12
 
-Parabola = tuple[float, float, float]
+_Parabola = tuple[float, float, float]
 """A + B l + C l^2 [J]."""
 
 
@@ -76,7 +76,7 @@ class PerAxisBound:
             along = slack + moved, slack - moved
             self._starts.append([(start, axes.lost[i] * max(0.0, -start)) for start in along])
 
-    def _cells(self, torques: Sequence[float], fixed: Sequence[float] = ()) -> list[list[Parabola]]:
+    def _cells(self, torques: Sequence[float], fixed: Sequence[float] = ()) -> list[list[_Parabola]]:
         """Returns what each axis may give out in each hold: the largest of some parabolas, and of 0.
 
         Args:
@@ -181,7 +181,7 @@ class PerAxisBound:
         return old, new
 
 
-def _largest_share(cells: list[list[Parabola]], budget: float) -> float:
+def _largest_share(cells: list[list[_Parabola]], budget: float) -> float:
     """Returns the largest l <= 1 at which the cells, each the largest of its parabolas and 0, sum to the budget [J]."""
     share = 1.0
     for _ in range(_PASSES):

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from canhaptic.control.mechanisms.kinematics import Limit, Pose
 from canhaptic.control.mechanisms.workspace import FromPose, check_jacobian
 
-Map = Callable[[Sequence[float]], Sequence[float]]
-Derivative = Callable[[Sequence[float]], Sequence[Sequence[float]]]
+_Map = Callable[[Sequence[float]], Sequence[float]]
+_Derivative = Callable[[Sequence[float]], Sequence[Sequence[float]]]
 
 
 class UserFunction(FromPose):
@@ -19,8 +19,8 @@ class UserFunction(FromPose):
 
     def __init__(
         self,
-        forward: Map,
-        jacobian: Derivative,
+        forward: _Map,
+        jacobian: _Derivative,
         at: Sequence[float],
         limit: Callable[[Sequence[float]], int] | None = None,
     ) -> None:

@@ -101,6 +101,6 @@ def _compiled(
 _REASONS: Final[WeakKeyDictionary[GroupController, str]] = WeakKeyDictionary()
 
 
-def why_interpreted(controller: GroupController) -> str:
+def _why_interpreted(controller: GroupController) -> str:
     """Returns why the step of a controller asked to be `compiled` is not; empty where it is, or was not asked to be."""
     return _REASONS.get(controller, "")

@@ -15,7 +15,7 @@ from canhaptic.signals import PlantEnergy, Sample, Truth
 
 _GROUP, _HELD = Branch.GROUP.value, Branch.HELD.value
 
-LIMIT_TEXTS = {
+_LIMIT_TEXTS = {
     Limit.WORKSPACE.value: "the mechanism is outside its declared workspace: no torque until it is back",
     Limit.SINGULAR.value: "the pose is closer to a singular one than declared: no torque until it is away",
     Limit.UNSOLVED.value: "the network's equation was not solved: what it could not know is not given out",
@@ -80,7 +80,7 @@ class AxisGroup:
         if not limit:
             return ""
         self.limits[Limit(limit).name.lower()] += 1
-        return LIMIT_TEXTS[limit] if before != limit else ""
+        return _LIMIT_TEXTS[limit] if before != limit else ""
 
     def sample(self, samples: Sequence[Sample]) -> Sample:
         """Returns what stands in the log for the group: it has no position, and the norm of its torques.
@@ -119,7 +119,7 @@ class GroupedControllers:
         grouped = {axis for group in groups for axis in group.axes}
         self.axes = len(controllers) + len(grouped)
         self._singles = list(zip((axis for axis in range(self.axes) if axis not in grouped), controllers, strict=True))
-        self._balances: list[EnergyBalance] = [axis_balance(0.0, 0.0, _GROUP, 0)] * self.axes
+        self._balances: list[EnergyBalance] = [_axis_balance(0.0, 0.0, _GROUP, 0)] * self.axes
 
     def step(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
         """Returns one balance per axis; those of the groups are in `AxisGroup.balance`."""
@@ -134,10 +134,10 @@ class GroupedControllers:
             branch, certificate = balance.account.branch, balance.account.certificate
             branch = _HELD if branch == _HELD else _GROUP
             for axis, torque, h_i in zip(group.axes, balance.torques, balance.interactions, strict=True):
-                balances[axis] = axis_balance(torque, h_i, branch, certificate)
+                balances[axis] = _axis_balance(torque, h_i, branch, certificate)
         return balances
 
 
-def axis_balance(torque: float, h_i: float, branch: int, certificate: int) -> EnergyBalance:
+def _axis_balance(torque: float, h_i: float, branch: int, certificate: int) -> EnergyBalance:
     """Returns the balance of an axis in a group: the rest of its account is the group's."""
     return EnergyBalance(torque, h_i, 0.0, h_i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, branch, 0.0, certificate, 0.0)

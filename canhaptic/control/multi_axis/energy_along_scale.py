@@ -9,7 +9,7 @@ from canhaptic.control.passivity.root import solve_balance
 from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, discrete_gradient, extension, gradient
 from canhaptic.control.port_hamiltonian.user_energy import UserEnergies
 
-FURTHEST: Final = 2.0
+_FURTHEST: Final = 2.0
 """Largest share of a step, in either direction; what more energy would need is left over."""
 _ROUNDING: Final = 1e-15
 
@@ -60,7 +60,7 @@ class EnergyAlongScale:
                 return None
             inside_edges = tables.lower[i] < x < tables.upper[i]  # at an edge: emptied, and touched all the same
             if inside_edges and extension(tables, i, x) == 0.0:
-                if extension(tables, i, x + FURTHEST * s) or extension(tables, i, x - FURTHEST * s):
+                if extension(tables, i, x + _FURTHEST * s) or extension(tables, i, x - _FURTHEST * s):
                     return None
                 continue
             total += tables.stiffness[i] * s * s
@@ -69,7 +69,7 @@ class EnergyAlongScale:
                 total += s * sum([q * other for q, other in zip(row, self._step, strict=True)])
         return total
 
-    def solve(self, energy: float, loss: float, limit: float = FURTHEST) -> TorqueScaling:
+    def solve(self, energy: float, loss: float, limit: float = _FURTHEST) -> TorqueScaling:
         """Returns the share nearest 0 that takes up an energy [J] together with a loss [J] in proportion to it."""
         stiffness = self.stiffness()
         if stiffness is None:

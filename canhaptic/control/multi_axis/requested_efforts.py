@@ -14,7 +14,7 @@ from canhaptic.errors import ParameterError
 _LONGEST_WINDOW: Final = 0.02
 """Of the velocity from a coarse encoder [s]."""
 
-Values = Sequence[float]
+_Values = Sequence[float]
 
 
 class RequestedEfforts(NamedTuple):
@@ -56,7 +56,7 @@ class GroupMotion:
         Raises:
             ParameterError: They do not fit.
         """
-        check_loops(kinematics, loops)
+        _check_loops(kinematics, loops)
         rendered: Rendered = environment.build(kinematics.dimensions)
         network, geometry = rendered
         if geometry.ports != network.ports or geometry.dimensions != kinematics.dimensions:
@@ -95,7 +95,7 @@ class GroupMotion:
         """First state of the network."""
         return self.network.state[0]
 
-    def begin(self, positions: Values) -> None:
+    def begin(self, positions: _Values) -> None:
         """Takes the first positions."""
         self.reset()
         for window, position in zip(self._windows, positions, strict=True):
@@ -110,7 +110,7 @@ class GroupMotion:
         """Lets a sample pass that was lost."""
         self._sample += 1
 
-    def follow(self, positions: Values, displacement: Values, holds: int) -> None:
+    def follow(self, positions: _Values, displacement: _Values, holds: int) -> None:
         """Takes positions and the motion since the last ones, and lets the network follow them."""
         self.move(positions, displacement, holds)
         self.internal, self.entered = 0.0, 1.0
@@ -129,7 +129,7 @@ class GroupMotion:
                 self.entered = network.entered_share()
         self._settle()
 
-    def move(self, positions: Values, displacement: Values, holds: int) -> None:
+    def move(self, positions: _Values, displacement: _Values, holds: int) -> None:
         """Takes positions and the motion since the last ones, over one hold or several; the network stays.
 
         Args:
@@ -153,7 +153,7 @@ class GroupMotion:
         self.energy = self.network.energy
         self.engaged = self.network.engaged and self.limit == Limit.NONE.value
 
-    def _locate(self, positions: Values) -> None:
+    def _locate(self, positions: _Values) -> None:
         """Takes pose and coordinates, the mover's motion taken off."""
         pose = self._kinematics.pose(positions)
         self.limit = pose.limit
@@ -171,7 +171,7 @@ class GroupMotion:
             for row in rows
         ]
 
-    def _measure_velocity(self, positions: Values, displacement: Values, holds: int) -> None:
+    def _measure_velocity(self, positions: _Values, displacement: _Values, holds: int) -> None:
         elapsed = holds * self._sample_time
         velocity = [d / elapsed for d in displacement]
         for axis, window in enumerate(self._windows):
@@ -196,7 +196,7 @@ class GroupMotion:
         """Of the ports [m or rad]; None outside the limits of the mechanism."""
         return self._coordinates
 
-    def supplied(self, efforts: Values) -> float:
+    def supplied(self, efforts: _Values) -> float:
         """Returns what the mover gave in the hold that ended [J], the ports having had given efforts."""
         total = 0.0
         if self.moves:
@@ -257,7 +257,7 @@ class GroupMotion:
         return found
 
 
-def check_loops(kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> None:
+def _check_loops(kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> None:
     """Checks that there is one loop for each motor axis, and that all have one sample time and delay.
 
     Raises:

@@ -3,7 +3,7 @@
     H(x + l s) - H(x) + l L = H_m
 
 H is convex along most steps but not along all (double wells), so the root is bracketed first and then found by Newton
-steps that fall back to halving the bracket. Whatever happens, at most `EVALUATIONS` evaluations are made; the energy
+steps that fall back to halving the bracket. Whatever happens, at most `_EVALUATIONS` evaluations are made; the energy
 that the answer leaves over is booked by the caller, so that an early end costs fidelity and never energy.
 """
 
@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-EVALUATIONS: Final = 60
+_EVALUATIONS: Final = 60
 _SEARCH: Final = 20
 """Evaluations for the bracket; halving has the rest."""
 _PIECES: Final = 8
@@ -102,7 +102,7 @@ class _ScaleSearch:
             slope = self.at(0.0).slope
             if slope * far > 0.0 and abs(energy / slope) < abs(far):
                 share = energy / slope
-        while self.evaluations < EVALUATIONS:
+        while self.evaluations < _EVALUATIONS:
             taken = self.at(share)
             missing = energy - taken.energy
             if abs(missing) <= tolerance:

@@ -144,20 +144,20 @@ def linearise(tables: NetworkTables, sample_time: float, room: Workspace, user: 
         for k in range(n):
             row[k] = -sample_time * structure[k]
     for j in range(len(room.factors)):
-        add_square(mobility, tables.on_states[j], sample_time * room.factors[j])
+        _add_square(mobility, tables.on_states[j], sample_time * room.factors[j])
     for i in range(n):
         row, into = mobility[i], jacobian[i]
         for k in range(n):
             into[k] = row[k] * room.slopes[k]
     if tables.coupled:
-        add_product(mobility, tables.quadratic, jacobian)
+        _add_product(mobility, tables.quadratic, jacobian)
     if user is not None:
         user.add_slopes(mobility, jacobian)
     for i in range(n):
         jacobian[i][i] += 1.0
 
 
-def add_square(matrix: Matrix, row: Vector, factor: float) -> None:
+def _add_square(matrix: Matrix, row: Vector, factor: float) -> None:
     """Adds factor a a'."""
     for i in range(len(row)):
         if row[i] != 0.0:
@@ -166,7 +166,7 @@ def add_square(matrix: Matrix, row: Vector, factor: float) -> None:
                 into[k] += scaled * row[k]
 
 
-def add_product(left: Matrix, right: Matrix, into: Matrix) -> None:
+def _add_product(left: Matrix, right: Matrix, into: Matrix) -> None:
     """Adds half the product of two matrices."""
     n = len(left)
     for i in range(n):

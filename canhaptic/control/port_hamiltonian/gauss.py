@@ -7,14 +7,14 @@ def solve_linear(matrix: Matrix, right: Vector) -> bool:
     """Solves in place by elimination with row pivots; returns False where the matrix is singular."""
     n = len(right)
     for column in range(n):
-        pivot = pivot_of(matrix, column)
+        pivot = _pivot_of(matrix, column)
         if not abs(matrix[pivot][column]) > 0.0:
             return False
         if pivot != column:
             for k in range(column, n):
                 matrix[pivot][k], matrix[column][k] = matrix[column][k], matrix[pivot][k]
             right[pivot], right[column] = right[column], right[pivot]
-        eliminate(matrix, right, column)
+        _eliminate(matrix, right, column)
     for back in range(n):
         index = n - 1 - back
         row, total = matrix[index], right[index]
@@ -24,7 +24,7 @@ def solve_linear(matrix: Matrix, right: Vector) -> bool:
     return True
 
 
-def pivot_of(matrix: Matrix, column: int) -> int:
+def _pivot_of(matrix: Matrix, column: int) -> int:
     """Returns the row, from the diagonal down, with the largest entry of a column."""
     pivot, largest = column, abs(matrix[column][column])
     for row in range(column + 1, len(matrix)):
@@ -33,7 +33,7 @@ def pivot_of(matrix: Matrix, column: int) -> int:
     return pivot
 
 
-def eliminate(matrix: Matrix, right: Vector, column: int) -> None:
+def _eliminate(matrix: Matrix, right: Vector, column: int) -> None:
     """Takes a column out of all rows below its diagonal."""
     n, above = len(right), matrix[column]
     for index in range(column + 1, n):

@@ -31,7 +31,7 @@ from canhaptic.control.port_hamiltonian.storages import (
 from canhaptic.control.port_hamiltonian.user_energy import UserEnergies
 from canhaptic.errors import ParameterError
 
-Rows = Sequence[Sequence[float]]
+_Rows = Sequence[Sequence[float]]
 
 _ROUNDING: Final = 1e-12
 
@@ -53,9 +53,9 @@ class Network:
         storages: Sequence[Storage | UserEnergy],
         dissipators: Sequence[Dissipator] = (),
         *,
-        gain: Rows,
-        structure: Rows | Callable[[Sequence[float]], Rows] | None = None,
-        origin: Rows | None = None,
+        gain: _Rows,
+        structure: _Rows | Callable[[Sequence[float]], _Rows] | None = None,
+        origin: _Rows | None = None,
     ) -> None:
         """Makes and checks a network.
 
@@ -86,19 +86,19 @@ class Network:
             check_rows("origin", origin, n, self.ports)
         self.origin = [list(row) for row in (self._natural_origin() if origin is None else origin)]
 
-    def _constant(self, structure: Rows | Callable[[Sequence[float]], Rows] | None) -> Rows:
+    def _constant(self, structure: _Rows | Callable[[Sequence[float]], _Rows] | None) -> _Rows:
         """Returns J, or that of a function at the state 0, after checking that it is skew."""
         n = self.states
         if callable(structure):
             chance = np.random.default_rng(0)
             for _ in range(8):
-                check_skew(structure([float(v) for v in chance.normal(size=n)]), n)
+                _check_skew(structure([float(v) for v in chance.normal(size=n)]), n)
             structure = structure([0.0] * n)
-        constant: Rows = _zeros(n, n) if structure is None else structure
-        check_skew(constant, n)
+        constant: _Rows = _zeros(n, n) if structure is None else structure
+        _check_skew(constant, n)
         return constant
 
-    def _natural_origin(self) -> Rows:
+    def _natural_origin(self) -> _Rows:
         tables = self.tables
         still = [0.0] * self.ports
         return [
@@ -111,7 +111,7 @@ class Network:
         ]
 
     def _tabled(
-        self, storages: list[Storage | UserEnergy], dampers: list[Damper], structure: Rows, gain: Rows
+        self, storages: list[Storage | UserEnergy], dampers: list[Damper], structure: _Rows, gain: _Rows
     ) -> NetworkTables:
         n = self.states
         stiffness, hardening, lower, upper = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
@@ -148,7 +148,7 @@ class Network:
             beside=[-1 if damper.beside is None else damper.beside for damper in dampers],
         )  # fmt: skip
 
-    def _rows_of(self, damper: Damper, structure: Rows, gain: Rows) -> tuple[list[float], list[float]]:
+    def _rows_of(self, damper: Damper, structure: _Rows, gain: _Rows) -> tuple[list[float], list[float]]:
         """Returns the rows a and b of a damper; beside a storage they are those of its own flow."""
         where = damper.beside
         if where is not None:
@@ -172,7 +172,7 @@ class Network:
         return on_states, on_ports
 
 
-def check_rows(name: str, rows: Rows, count: int, length: int) -> None:
+def check_rows(name: str, rows: _Rows, count: int, length: int) -> None:
     """Checks the shape of a matrix and that it is finite.
 
     Raises:
@@ -187,7 +187,7 @@ def check_rows(name: str, rows: Rows, count: int, length: int) -> None:
                 raise ParameterError(f"network: {name}[{i}][{j}]: got {value!r}, expected a finite number")
 
 
-def check_skew(structure: Rows, states: int) -> None:
+def _check_skew(structure: _Rows, states: int) -> None:
     """Checks that a structure creates no energy.
 
     Raises:

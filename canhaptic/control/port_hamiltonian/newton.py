@@ -21,7 +21,7 @@ from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, 
 from canhaptic.control.port_hamiltonian.equation import Workspace, dissipate, drive, evaluate, linearise
 from canhaptic.control.port_hamiltonian.gauss import solve_linear
 
-EVALUATIONS: Final = 60
+_EVALUATIONS: Final = 60
 """Most evaluations of the equation in one sample."""
 _BY_RESIDUAL: Final = 18
 """Evaluations after which a residual that falls step by step has not fallen enough."""
@@ -66,35 +66,35 @@ def advance(
         return 1
     for i in range(len(room.scale)):
         room.scale[i] = math.sqrt(abs(tables.stiffness[i])) + _LEAST_SCALE
-    evaluations = by_residual(tables, state, displacement, sample_time, room, user)
+    evaluations = _by_residual(tables, state, displacement, sample_time, room, user)
     if evaluations < 0:
         evaluations = by_power(tables, state, displacement, sample_time, room, user, -evaluations)
     return evaluations
 
 
-def by_residual(
+def _by_residual(
     tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
 ) -> int:
     """Takes Newton steps, each as far as the residual falls; returns the evaluations, negative where that ends."""
     worst = evaluate(tables, state, displacement, sample_time, room, user)
     evaluations = 1
     while worst > _CLOSE:
-        before, merit = worst, merit_of(room)
+        before, merit = worst, _merit_of(room)
         linearise(tables, sample_time, room, user)
         if not solve_linear(room.jacobian, room.residual):
             return -evaluations
         for i in range(len(room.step)):
             room.direction[i] = room.residual[i]
-        worst, tried = descend(tables, state, displacement, sample_time, room, user, merit)
+        worst, tried = _descend(tables, state, displacement, sample_time, room, user, merit)
         evaluations += tried
         if worst <= _FLOOR and worst > 0.25 * before:
             break  # Newton's method gains nothing more: rounding
-        if evaluations >= _BY_RESIDUAL or (tried == _HALVINGS and worst > _ROUNDING and not merit_of(room) < merit):
+        if evaluations >= _BY_RESIDUAL or (tried == _HALVINGS and worst > _ROUNDING and not _merit_of(room) < merit):
             return -evaluations
     return evaluations
 
 
-def merit_of(room: Workspace) -> float:
+def _merit_of(room: Workspace) -> float:
     """Returns the size of the residual in the scale of the sample."""
     total = 0.0
     for i in range(len(room.residual)):
@@ -103,7 +103,7 @@ def merit_of(room: Workspace) -> float:
     return total
 
 
-def descend(
+def _descend(
     tables: NetworkTables,
     state: Vector,
     displacement: Vector,
@@ -120,7 +120,7 @@ def descend(
             room.step[i] -= (share - taken) * room.direction[i]
         taken = share
         worst = evaluate(tables, state, displacement, sample_time, room, user)
-        if worst <= _ROUNDING or merit_of(room) < before:
+        if worst <= _ROUNDING or _merit_of(room) < before:
             return worst, tried
         share *= 0.5
     return worst, _HALVINGS
@@ -142,23 +142,23 @@ def by_power(
     worst = evaluate(tables, state, displacement, sample_time, room, user)
     evaluations, whole = spent + 1, True
     while worst > _CLOSE:
-        if evaluations >= EVALUATIONS:
+        if evaluations >= _EVALUATIONS:
             return -evaluations
         before, near = worst, worst <= _FLOOR
-        power = aim(tables, sample_time, room, user)
+        power = _aim(tables, sample_time, room, user)
         if not (power > 0.0 or near):  # upwards, along a slope below 0: as if it were level
             for i in range(len(room.slopes)):
                 room.slopes[i] = max(room.slopes[i], 0.0)
-            power = aim(tables, sample_time, room, user)
-        left = 1 if whole or near or not power > 0.0 else EVALUATIONS - evaluations
-        worst, tried = go_down(tables, state, displacement, sample_time, room, user, power, left)
+            power = _aim(tables, sample_time, room, user)
+        left = 1 if whole or near or not power > 0.0 else _EVALUATIONS - evaluations
+        worst, tried = _go_down(tables, state, displacement, sample_time, room, user, power, left)
         evaluations, whole = evaluations + tried, False
         if worst <= _FLOOR and worst > 0.25 * before:
             break
     return evaluations
 
 
-def aim(tables: NetworkTables, sample_time: float, room: Workspace, user: Any) -> float:
+def _aim(tables: NetworkTables, sample_time: float, room: Workspace, user: Any) -> float:
     """Writes Newton's direction and the change of the efforts along it; returns the power, 0 where it has none."""
     n = len(room.step)
     linearise(tables, sample_time, room, user)
@@ -174,10 +174,10 @@ def aim(tables: NetworkTables, sample_time: float, room: Workspace, user: Any) -
         room.weights[i] = weight
     if user is not None:
         user.add_change(room.direction, room.weights)
-    return power_of(room)
+    return _power_of(room)
 
 
-def power_of(room: Workspace) -> float:
+def _power_of(room: Workspace) -> float:
     """Returns r . de."""
     total = 0.0
     for i in range(len(room.residual)):
@@ -185,7 +185,7 @@ def power_of(room: Workspace) -> float:
     return total
 
 
-def go_down(
+def _go_down(
     tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any,
     power: float, left: int,
 ) -> tuple[float, int]:  # fmt: skip
@@ -209,7 +209,7 @@ def go_down(
         for i in range(len(room.step)):
             room.step[i] = room.before[i] - share * room.direction[i]
         worst = evaluate(tables, state, displacement, sample_time, room, user)
-        here = power_of(room) if worst < math.inf else -math.inf
+        here = _power_of(room) if worst < math.inf else -math.inf
         if worst <= _FLOOR or abs(here) <= _LEVEL * power or (high == 0.0 and 0.0 < here <= _STEEP * power):
             return worst, tried
         if here < 0.0:

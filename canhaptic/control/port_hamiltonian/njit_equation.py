@@ -18,7 +18,7 @@ from canhaptic.control.port_hamiltonian.njit_registry import MODULES, plain_func
 
 
 @cache
-def compiled_advance() -> Callable[..., int]:
+def _compiled_advance() -> Callable[..., int]:
     """Returns `step.advance`, compiled at its first call."""
     names = {name: value for module in MODULES for name, value in vars(module).items()}
     for function in plain_functions():
@@ -38,7 +38,7 @@ class CompiledEquation:
             network: Its structure may change later; everything else stays.
             room: Lists that receive what a step finds.
         """
-        self._advance, self._lists, self._structure = compiled_advance(), room, network.structure
+        self._advance, self._lists, self._structure = _compiled_advance(), room, network.structure
         self._tables = NetworkTables(*[_array(value) for value in network])
         self._room = Workspace(*[_array(value) for value in room])
         n, ports = len(network.stiffness), len(network.gain[0])

@@ -10,7 +10,7 @@ from canhaptic.control.port_hamiltonian.network import Network
 from canhaptic.errors import ParameterError
 
 
-def never_left(network: Network) -> bool:
+def _never_left(network: Network) -> bool:
     """Returns True where some storage or dissipator can be felt at every position."""
     tables = network.tables
     if network.user is not None or tables.coupled:
@@ -23,7 +23,7 @@ def never_left(network: Network) -> bool:
     )  # fmt: skip
 
 
-def compiled_equation(tables: NetworkTables, room: equation.Workspace, network: Network) -> Any:
+def _compiled_equation(tables: NetworkTables, room: equation.Workspace, network: Network) -> Any:
     """Returns the equation of a network, compiled.
 
     Raises:
@@ -71,10 +71,10 @@ class SampledNetwork:
         self._network, self._sample_time = network, sample_time
         self.tables = tables._replace(structure=[list(row) for row in tables.structure])
         self.user = network.user
-        self.always = never_left(network)
+        self.always = _never_left(network)
         self.edged = [i for i in range(n) if tables.lower[i] != tables.upper[i]]
         self.room = equation.new_workspace(n, len(tables.viscous))
-        self._equation = compiled_equation(self.tables, self.room, network) if compiled else None
+        self._equation = _compiled_equation(self.tables, self.room, network) if compiled else None
         self._next, self._ahead = [0.0] * n, [0.0] * n
         self.begin((0.0,) * network.ports)
 

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from canhaptic.units import Parameters, quantity
 
-Row = tuple[float, ...]
+_Row = tuple[float, ...]
 
 
 class Spring(Parameters):
@@ -85,7 +85,7 @@ Storage: TypeAlias = Annotated[Spring | DoubleWell | Mass | QuadraticForm, Field
 """What a scene can name."""
 
 
-def symmetric_positive(matrix: tuple[Row, ...], name: str, consequence: str) -> None:
+def symmetric_positive(matrix: tuple[_Row, ...], name: str, consequence: str) -> None:
     """Checks that a matrix is square, symmetric and positive semidefinite.
 
     Raises:

@@ -8,8 +8,8 @@ from pydantic import model_validator
 from canhaptic.units import Parameters, quantity
 
 Direction = Literal["to_drive", "to_master"]
-Probability = Annotated[float, quantity("1", ge=0.0, le=1.0)]
-CobId = Annotated[int, quantity("1", ge=0, le=0x7FF)]
+_Probability = Annotated[float, quantity("1", ge=0.0, le=1.0)]
+_CobId = Annotated[int, quantity("1", ge=0, le=0x7FF)]
 
 _NANO: Final = 1e9
 _EFFECTS: Final = (
@@ -43,21 +43,21 @@ class BusEffects(Parameters):
     `during` too.
     """
 
-    drop: Probability = 0.0
+    drop: _Probability = 0.0
     """Share of frames that are lost."""
     drop_burst: Annotated[float, quantity("count", ge=1.0, le=1e4)] | None = None
     """Mean number of frames lost in a row (Gilbert's two states); None: each frame is lost on its own."""
-    duplicate: Probability = 0.0
+    duplicate: _Probability = 0.0
     """Share of frames that arrive twice."""
-    reorder: Probability = 0.0
+    reorder: _Probability = 0.0
     """Share of frames that are held back for `reorder_delay` while those behind them pass."""
     reorder_delay: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 1e-3
     """For which a reordered frame is held back."""
-    truncate: Probability = 0.0
+    truncate: _Probability = 0.0
     """Share of frames that lose bytes at their end."""
-    corrupt: Probability = 0.0
+    corrupt: _Probability = 0.0
     """Share of frames that arrive with one bit of their data turned, as behind a gateway with a fault."""
-    refuse: Probability = 0.0
+    refuse: _Probability = 0.0
     """Share of the master's frames that its interface refuses to send (ENOBUFS)."""
     delay: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
     """Every frame arrives so much later."""
@@ -65,13 +65,13 @@ class BusEffects(Parameters):
     """And later again by anything between zero and this; no frame overtakes another of its direction."""
     direction: Literal["both", "to_drive", "to_master"] = "both"
     """Of the frames that suffer."""
-    ids: tuple[CobId, ...] | None = None
+    ids: tuple[_CobId, ...] | None = None
     """COB-IDs that suffer; None: all."""
     during: tuple[Window, ...] = ()
     """When they suffer; empty: always."""
     foreign_rate: Annotated[float, quantity("Hz", ge=0.0, le=1e5)] = 0.0
     """Frames of other devices per second, at random times (Poisson), seen by master and drives."""
-    foreign_ids: tuple[CobId, ...] = (0x7F0,)
+    foreign_ids: tuple[_CobId, ...] = (0x7F0,)
     """COB-IDs that these frames take in turn; those of an axis make them impostors."""
     wire_time: bool = False
     """Whether each frame takes its worst-case time at `bus.bitrate`, one at a time, lowest COB-ID first."""

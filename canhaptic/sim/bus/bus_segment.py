@@ -12,7 +12,7 @@ from canhaptic.sim.bus.bus_effects import BusEffects, Direction, Schedule
 from canhaptic.sim.bus.frame_effects import Flight, frame_effects, stream
 from canhaptic.sim.drive.timers import NEVER
 
-Delivery = Callable[[can.Message, int], None]
+_Delivery = Callable[[can.Message, int], None]
 """Called as deliver(frame, now [ns]) when it arrives."""
 Counts = Counter[tuple[str, str, int]]
 """Frames struck, by (effect, direction, COB-ID)."""
@@ -20,7 +20,7 @@ Counts = Counter[tuple[str, str, int]]
 _SECOND: Final = 1_000_000_000  # [ns]
 
 
-def worst_case_bits(length: int) -> int:
+def _worst_case_bits(length: int) -> int:
     """Returns the most bits of a classic frame with `length` data bytes, interframe space included.
 
     47 bits around the data and one stuff bit in every four of the 34 + 8 n that are stuffed (Davis et al. 2007, eq. 1).
@@ -37,12 +37,12 @@ class Wire:
 
     def __init__(self, bitrate: int) -> None:
         self._bitrate = bitrate
-        self._waiting: list[tuple[int, int, can.Message, Delivery]] = []
+        self._waiting: list[tuple[int, int, can.Message, _Delivery]] = []
         self._number = 0
-        self._current: tuple[can.Message, Delivery] | None = None
+        self._current: tuple[can.Message, _Delivery] | None = None
         self._end = NEVER
 
-    def request(self, message: can.Message, deliver: Delivery) -> None:
+    def request(self, message: can.Message, deliver: _Delivery) -> None:
         """Lets a frame wait for the wire."""
         self._number += 1
         heapq.heappush(self._waiting, (message.arbitration_id, self._number, message, deliver))
@@ -55,7 +55,7 @@ class Wire:
         if self._current is None and self._waiting:
             _, _, message, deliver = heapq.heappop(self._waiting)
             self._current = (message, deliver)
-            self._end = now + -(-worst_case_bits(len(message.data)) * _SECOND // self._bitrate)
+            self._end = now + -(-_worst_case_bits(len(message.data)) * _SECOND // self._bitrate)
 
     def next_due(self) -> int:
         """Returns when the frame on the wire ends [ns]."""
@@ -108,7 +108,7 @@ class BusSegment:
         seed: int,
         counts: Counts,
         wire: Wire | None,
-        deliver: Delivery,
+        deliver: _Delivery,
     ) -> None:
         def count(effect: str, cob_id: int) -> None:
             counts[effect, direction, cob_id] += 1
@@ -117,7 +117,7 @@ class BusSegment:
         self._ids: Container[int] = range(0x800) if effects.ids is None else frozenset(effects.ids)
         self._during = Schedule(effects.during) if effects.during else None
         self._freeze = Schedule(effects.freeze) if effects.freeze else None
-        self._deliver: Delivery = deliver if wire is None else lambda m, _now: wire.request(m, deliver)
+        self._deliver: _Delivery = deliver if wire is None else lambda m, _now: wire.request(m, deliver)
         self._queue: list[tuple[int, int, can.Message]] = []
         self._number = 0
         self._last_due = -NEVER

@@ -21,7 +21,7 @@ from canhaptic.sim.bus.frame_effects import Refuse
 from canhaptic.sim.drive.timers import NEVER
 
 
-class BusClock(Protocol):
+class _BusClock(Protocol):
     """Time as the owner of the connection sees it."""
 
     def now(self) -> int:
@@ -52,7 +52,7 @@ class FaultyBus(can.BusABC):
         self.channel_info = f"{getattr(bus, 'channel_info', 'bus')} with faults"
         self.counts: Counts = Counter()
         self._bus = bus
-        self._clock: BusClock | None = None
+        self._clock: _BusClock | None = None
         self._ready: deque[can.Message] = deque()
         is_master = side == "master"
         self._out: Direction = "to_drive" if is_master else "to_master"
@@ -69,7 +69,7 @@ class FaultyBus(can.BusABC):
         self._is_pumped = False  # by a far side, which collects what the connection receives
         self._epoch: int | None = None
 
-    def use(self, clock: BusClock) -> None:
+    def use(self, clock: _BusClock) -> None:
         """Sets the clock by which frames are late."""
         self._clock = clock
 
@@ -129,7 +129,7 @@ class FaultyBus(can.BusABC):
     def around(self, far_side: SimulatedPeer) -> SimulatedPeer:
         """Returns a far side whose frames come and go through the faults, for the master's clock to drive."""
         self._is_pumped = True
-        return FaultyFarSide(self, far_side)
+        return _FaultyFarSide(self, far_side)
 
     def advance(self, now: int) -> None:
         """Delivers what is due up to `now` [ns], each at its own time."""
@@ -222,7 +222,7 @@ class FaultyBus(can.BusABC):
             self._wire.request(message, deliver)
 
 
-class FaultyFarSide:
+class _FaultyFarSide:
     """Simulated drives behind a faulty bus (a `SimulatedPeer`), driven by the master's clock.
 
     Args:

@@ -22,28 +22,28 @@ class Flight(NamedTuple):
     keeps_order: bool  # False: the ones behind it may overtake
 
 
-Count = Callable[[str, int], None]
+_Count = Callable[[str, int], None]
 """Called as count(effect, COB-ID) for each frame that an effect struck."""
 
 
-class FrameEffect(Protocol):
+class _FrameEffect(Protocol):
     """What happens to one frame: nothing, another due time, another content, no frame, or two."""
 
     def apply(self, flight: Flight) -> list[Flight]:
         """Returns what becomes of the frame."""
 
 
-def with_data(message: can.Message, data: bytearray) -> can.Message:
+def _with_data(message: can.Message, data: bytearray) -> can.Message:
     """Returns a copy of a frame with other data."""
     changed = copy.copy(message)
     changed.data, changed.dlc = data, len(data)
     return changed
 
 
-class Drop:
+class _Drop:
     """Loses frames, each on its own or in runs (Gilbert, 1960: two states, lost and heard)."""
 
-    def __init__(self, effects: BusEffects, random: Random, count: Count) -> None:
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         share, burst = effects.drop, effects.drop_burst
         self._after_heard = share if burst is None else share / (burst * (1.0 - share))
         self._after_lost = share if burst is None else 1.0 - 1.0 / burst
@@ -59,10 +59,10 @@ class Drop:
         return []
 
 
-class Truncate:
+class _Truncate:
     """Cuts bytes off the end of the data."""
 
-    def __init__(self, effects: BusEffects, random: Random, count: Count) -> None:
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._share, self._random, self._count = effects.truncate, random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
@@ -72,13 +72,13 @@ class Truncate:
             return [flight]
         self._count("truncate", message.arbitration_id)
         kept = self._random.randrange(len(message.data))
-        return [flight._replace(message=with_data(message, bytearray(message.data[:kept])))]
+        return [flight._replace(message=_with_data(message, bytearray(message.data[:kept])))]
 
 
-class Corrupt:
+class _Corrupt:
     """Turns one bit of the data."""
 
-    def __init__(self, effects: BusEffects, random: Random, count: Count) -> None:
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._share, self._random, self._count = effects.corrupt, random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
@@ -90,13 +90,13 @@ class Corrupt:
         bit = self._random.randrange(8 * len(message.data))
         data = bytearray(message.data)
         data[bit // 8] ^= 1 << bit % 8
-        return [flight._replace(message=with_data(message, data))]
+        return [flight._replace(message=_with_data(message, data))]
 
 
-class Delay:
+class _Delay:
     """Lets every frame arrive later, by a fixed time and a random one."""
 
-    def __init__(self, effects: BusEffects, random: Random, count: Count) -> None:
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._delay, self._jitter = round(effects.delay * 1e9), round(effects.jitter * 1e9)
         self._random = random
 
@@ -106,10 +106,10 @@ class Delay:
         return [flight._replace(due=flight.due + later)]
 
 
-class Duplicate:
+class _Duplicate:
     """Lets a frame arrive twice, one right behind the other."""
 
-    def __init__(self, effects: BusEffects, random: Random, count: Count) -> None:
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._share, self._random, self._count = effects.duplicate, random, count
 
     def apply(self, flight: Flight) -> list[Flight]:
@@ -117,13 +117,13 @@ class Duplicate:
         if self._random.random() >= self._share:
             return [flight]
         self._count("duplicate", flight.message.arbitration_id)
-        return [flight, flight._replace(message=with_data(flight.message, bytearray(flight.message.data)))]
+        return [flight, flight._replace(message=_with_data(flight.message, bytearray(flight.message.data)))]
 
 
-class Reorder:
+class _Reorder:
     """Holds a frame back while others overtake it."""
 
-    def __init__(self, effects: BusEffects, random: Random, count: Count) -> None:
+    def __init__(self, effects: BusEffects, random: Random, count: _Count) -> None:
         self._share, self._hold = effects.reorder, round(effects.reorder_delay * 1e9)
         self._random, self._count = random, count
 
@@ -146,14 +146,14 @@ class Refuse:
         return self._random.random() < self._share
 
 
-_CLASSES: dict[str, Callable[[BusEffects, Random, Count], FrameEffect]] = {
-    "drop": Drop,
-    "truncate": Truncate,
-    "corrupt": Corrupt,
-    "delay": Delay,
-    "jitter": Delay,
-    "duplicate": Duplicate,
-    "reorder": Reorder,
+_CLASSES: dict[str, Callable[[BusEffects, Random, _Count], _FrameEffect]] = {
+    "drop": _Drop,
+    "truncate": _Truncate,
+    "corrupt": _Corrupt,
+    "delay": _Delay,
+    "jitter": _Delay,
+    "duplicate": _Duplicate,
+    "reorder": _Reorder,
 }
 
 
@@ -162,7 +162,7 @@ def stream(seed: int, direction: str, effect: str) -> Random:
     return Random(f"canhaptic bus {seed} {direction} {effect}")
 
 
-def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: Count) -> list[FrameEffect]:
+def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _Count) -> list[_FrameEffect]:
     """Returns the effects on single frames that a scene names for one direction, in the order in which they act."""
     if not effects.suffers(direction):
         return []

@@ -14,13 +14,13 @@ from canhaptic.sim.textbook.reference_elements import Floats
 from canhaptic.sim.textbook.reference_model import Model, Modes
 from canhaptic.sim.textbook.reference_motion import Motion, motion_of
 
-Step = Callable[[Model, float, Floats, float, Modes, float], Floats]
+_Step = Callable[[Model, float, Floats, float, Modes, float], Floats]
 _LARGEST: Final = 1e6  # [m or rad] beyond which a motion counts as diverged
 _CLOSE: Final = 1e-13  # relative change at which the implicit step is solved
 _MOST_CORRECTIONS: Final = 8
 
 
-def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step: Step, substeps: int) -> Motion:
+def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step: _Step, substeps: int) -> Motion:
     """Returns the motion under the torques; not finite from where it diverges.
 
     Args:
@@ -51,7 +51,7 @@ def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step
     return motion_of(states)
 
 
-def semi_implicit_euler(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
+def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
     """Returns the state after a step of order 1: positions move with the new velocities."""
     rates = model.rates(now, state, torque, modes)
     after = [value + step * rate for value, rate in zip(state, rates, strict=True)]
@@ -60,7 +60,7 @@ def semi_implicit_euler(model: Model, now: float, state: Floats, torque: float, 
     return after
 
 
-def runge_kutta_4(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
+def _runge_kutta_4(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
     """Returns the state after a step of the classical method of order 4."""
     half = 0.5 * step
     a = model.rates(now, state, torque, modes)
@@ -71,7 +71,7 @@ def runge_kutta_4(model: Model, now: float, state: Floats, torque: float, modes:
     return [y + step / 6.0 * (ka + 2.0 * kb + 2.0 * kc + kd) for y, ka, kb, kc, kd in slopes]
 
 
-class ImplicitMidpoint:
+class _ImplicitMidpoint:
     """Steps of the implicit midpoint rule, order 2, solved by Newton's method with a kept Jacobian."""
 
     def __init__(self) -> None:
@@ -112,9 +112,9 @@ class ImplicitMidpoint:
         return self._solvers[key]
 
 
-METHODS: Final[Mapping[str, tuple[int, Callable[[], Step]]]] = {
-    "semi-implicit Euler": (1, lambda: semi_implicit_euler),
-    "implicit midpoint": (2, ImplicitMidpoint),
-    "RK4": (4, lambda: runge_kutta_4),
+METHODS: Final[Mapping[str, tuple[int, Callable[[], _Step]]]] = {
+    "semi-implicit Euler": (1, lambda: _semi_implicit_euler),
+    "implicit midpoint": (2, _ImplicitMidpoint),
+    "RK4": (4, lambda: _runge_kutta_4),
 }
 """Name -> (order while nothing switches, maker of its step)."""

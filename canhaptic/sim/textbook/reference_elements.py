@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
 Floats = list[float]
-Value = Callable[[float, Any, float], float]
+_Value = Callable[[float, Any, float], float]
 
 POSITION, VELOCITY = 0, 1
 _NEGLIGIBLE: Final = 1e-12  # of a guard's scale: less than that below zero is rounding
@@ -20,7 +20,7 @@ class Transition(NamedTuple):
 
     element: int
     mode: str
-    value: Value
+    value: _Value
     rounding: float  # in the unit of the value
     reset: Callable[[Floats], None] | None = None
 
@@ -52,7 +52,7 @@ class Element(Protocol):
         """Returns the ways out of a mode; `index` is its own place among the elements."""
 
 
-class Smooth:
+class _Smooth:
     """What elements without modes share."""
 
     modes: tuple[str, ...] = ("only",)
@@ -62,7 +62,7 @@ class Smooth:
         return ()
 
 
-class Drag(Smooth):
+class Drag(_Smooth):
     """Viscous friction on the motor: -damping v."""
 
     def __init__(self, damping: float) -> None:
@@ -73,7 +73,7 @@ class Drag(Smooth):
         forces[0] -= self._damping * state[VELOCITY]
 
 
-class ReferenceDetents(Smooth):
+class ReferenceDetents(_Smooth):
     """Cogging: -amplitude sin(2 pi q / pitch + phase)."""
 
     def __init__(self, amplitude: float, pitch: float, phase: float) -> None:
@@ -84,7 +84,7 @@ class ReferenceDetents(Smooth):
         forces[0] -= self._amplitude * math.sin(self._wave_number * state[POSITION] + self._phase)
 
 
-class Shaft(Smooth):
+class Shaft(_Smooth):
     """Spring and damper between motor and load."""
 
     def __init__(self, stiffness: float, damping: float, twist: int, load_velocity: int) -> None:
@@ -97,7 +97,7 @@ class Shaft(Smooth):
         forces[1] += force
 
 
-class ReferenceHand(Smooth):
+class ReferenceHand(_Smooth):
     """K (x_u - q) + D (v_u - v) + push on the last body; its work goes to the last state.
 
     Args:
@@ -138,7 +138,7 @@ class ReferenceHand(Smooth):
         rates[-1] = force * velocity
 
 
-class LuGre(Smooth):
+class LuGre(_Smooth):
     """Bristles that bend and slip; the deflection is a state."""
 
     def __init__(self, friction: Any, deflection: int) -> None:
@@ -220,7 +220,7 @@ class ReferenceStickSlip:
     """
 
     def __init__(
-        self, kinetic: float, static: float, excess: float, stribeck_velocity: float, velocity: float, others: Value
+        self, kinetic: float, static: float, excess: float, stribeck_velocity: float, velocity: float, others: _Value
     ) -> None:
         self._kinetic, self._static, self._excess = kinetic, static, excess
         self._stribeck_velocity, self._others = stribeck_velocity, others

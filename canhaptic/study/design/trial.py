@@ -37,7 +37,7 @@ _USER: Final = "simulation.user"
 ALGORITHM: Final = "guarded"
 STIFFEST: Final = 1e8
 """Largest stiffness that a scene may ask for [N/m or N*m/rad]."""
-MOST_DAMPING: Final = 1e6  # [N*s/m or N*m*s/rad]
+_MOST_DAMPING: Final = 1e6  # [N*s/m or N*m*s/rad]
 _HAND: Final = {"stiffness": 300.0, "damping": 3.0}
 """Of a scene without a hand: an ordinary grip."""
 _LEAN: Final = 0.25
@@ -45,7 +45,7 @@ _LEAN: Final = 0.25
 _DEEPEST: Final = 0.1
 """Depth [m or rad] to which the hand leans into the softest wall that is tried."""
 DURATION: Final = 2.0  # [s]
-SLACK: Final = 0.05
+_SLACK: Final = 0.05
 """Part by which a wall may miss the tolerance and yet not stand against a larger one: where counts and holds happen to
 fall makes the shares of neighbours differ by some tenths of a per cent."""
 _BATCHES: Final = 5.0
@@ -72,7 +72,7 @@ class TrialVerdict:
     least_interaction: Array  # true, eq. 3 [J]
     least_judged: Array  # that, with what declared damping of the device dissipates at least where it is declared [J]
     passed: Any
-    nearly: Any  # whether it passes with the tolerance wider by `SLACK`
+    nearly: Any  # whether it passes with the tolerance wider by `_SLACK`
 
     def last(self) -> "TrialVerdict":
         """Returns that of the last wall alone."""
@@ -145,7 +145,7 @@ class Trial:
         ran = (result.status == COMPLETED).reshape(2, count) & (figures["diverged"] == 0.0) & (figures["contact"] > 0.0)
         passive = ran.all(axis=0) & (judged >= -self._allowance)
         error = np.maximum(np.abs(share - 1.0), np.where(damping > 0.0, np.abs(damped - 1.0), 0.0))
-        within = [passive & (error <= tolerance) for tolerance in (self._tolerance, self._tolerance * (1.0 + SLACK))]
+        within = [passive & (error <= tolerance) for tolerance in (self._tolerance, self._tolerance * (1.0 + _SLACK))]
         return TrialVerdict(share, damped, least, judged, *within)
 
     def _look_at(self, result: ChunkResult) -> None:
@@ -203,7 +203,7 @@ def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:
 
 
 def _recipe(scene: Scene, hands: Mapping[str, tuple[float, float]], engine: Engine) -> Recipe:
-    varied = [ranged(STIFFNESS, 1e-3, STIFFEST, 2, "log"), ranged(DAMPING, 0.0, MOST_DAMPING, 2)]
+    varied = [ranged(STIFFNESS, 1e-3, STIFFEST, 2, "log"), ranged(DAMPING, 0.0, _MOST_DAMPING, 2)]
     points = make_points([*varied, *(listed(key, values) for key, values in hands.items())], [ALGORITHM])
     cycles = _BATCHES * DURATION / scene.bus.sample_time
     chosen = chosen_engine(engine, pays=cycles >= _WORTH_COMPILING)

@@ -51,7 +51,7 @@ _ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class _Design:
     """A wall, and what it costs."""
 
     stiffness: float  # [N/m or N*m/rad]
@@ -66,7 +66,7 @@ def design_wall(
     tolerance: float = TOLERANCE,
     engine: Engine = "auto",
     progress: Callable[[int, int], None] = lambda _tried, _most: None,
-) -> Design:
+) -> _Design:
     """Returns the stiffest wall for the rig of a scene, and the largest damping at that stiffness.
 
     Args:
@@ -95,7 +95,7 @@ def design_wall(
     result |= {"margin": margin, "tolerance": tolerance, "walls": trial.walls}
     result |= {"tried_below": len(below), "failing_below": int((~below).sum())}
     result["trade"] = [{"stiffness": k, "damping": d} for k, d in trade]
-    return Design(stiffness, damping, trade, result)
+    return _Design(stiffness, damping, trade, result)
 
 
 class _WallSearch:

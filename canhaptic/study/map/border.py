@@ -43,7 +43,7 @@ _ENERGIES: Final = {
 _ANGLES: Final = 4096
 
 
-class Border(NamedTuple):
+class _Border(NamedTuple):
     """The largest value of a key that passes, and all below it; shape of the other keys of a field.
 
     NaN where a scene was not run; 0 where not even the least passes; `open` where the largest does, too.
@@ -67,7 +67,7 @@ def usual_judgement(field: MapField) -> str:
     return "passive" if field.has("least_interaction") else "margin"
 
 
-def passes(field: MapField, judgement: str) -> Mask:
+def _passes(field: MapField, judgement: str) -> Mask:
     """Returns which scenes pass, shaped as a figure of the field."""
     if judgement != "stable":
         return np.asarray(field.figure(_ENERGIES[judgement]) >= -PASSIVE_TOLERANCE)
@@ -83,10 +83,10 @@ def passes(field: MapField, judgement: str) -> Mask:
 def passing_share(field: MapField, judgement: str) -> float:
     """Returns the share of the judged scenes that pass."""
     judged = field.judged()
-    return float((passes(field, judgement) & judged).sum() / max(1, judged.sum()))
+    return float((_passes(field, judgement) & judged).sum() / max(1, judged.sum()))
 
 
-def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> Border:
+def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> _Border:
     """Returns the largest value of a key that passes, the worst over every key that is not kept.
 
     Args:
@@ -97,7 +97,7 @@ def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> Bor
     """
     order = [field.keys.index(name) for name in (key, *kept)]
     others = [i for i in range(len(field.keys) + 1) if i not in order]
-    passed = passes(field, judgement).transpose(*order, *others)
+    passed = _passes(field, judgement).transpose(*order, *others)
     judged = field.judged().transpose(*order, *others)
     folded = tuple(range(1 + len(kept), passed.ndim))
     values = np.sort(field.values[key])
@@ -106,10 +106,10 @@ def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> Bor
     known = np.asarray(np.asarray(judged.any(axis=folded)).all(axis=0))
     count = np.logical_and.accumulate(good, axis=0).sum(axis=0)
     largest = np.where(count > 0, values[np.maximum(count, 1) - 1], 0.0)
-    return Border(np.where(known, largest, np.nan), known & (count == len(values)))
+    return _Border(np.where(known, largest, np.nan), known & (count == len(values)))
 
 
-def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
+def _colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
     """Returns the largest stiffness [N/m or N*m/rad] that the condition above permits.
 
     Args:
@@ -129,14 +129,14 @@ def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, d
     return float((left[asked] / of_spring[asked]).min())
 
 
-class Theory(NamedTuple):
+class _Theory(NamedTuple):
     """What theory permits at one place of a map [N/m or N*m/rad]; None where it says nothing."""
 
     colgate: float | None
     abbott_okamura: float | None
 
 
-def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
+def theory_at(field: MapField, values: Mapping[str, float]) -> _Theory:
     """Returns the lines of theory for the plain wall at some values of a field's keys.
 
     Args:
@@ -147,14 +147,14 @@ def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
     [axis] = scene.axes
     simulation, environment = axis.simulation, axis.environment.parameters
     if simulation is None or not hasattr(environment, "stiffness"):
-        return Theory(None, None)
+        return _Theory(None, None)
     delay = scene.bus.delay
     device = simulation.plant.damping + viscous_friction(simulation)
     wall = float(getattr(environment, "damping", 0.0))
-    colgate = colgate_stiffness(device, wall, scene.bus.sample_time, delay)
+    colgate = _colgate_stiffness(device, wall, scene.bus.sample_time, delay)
     counts = [hint.limit for hint in stability_hints(axis) if "quantisation" in hint.what]
     friction = counts[0] if counts and counts[0] and math.isfinite(counts[0]) else None
-    return Theory(colgate, friction if delay == 0 and wall == 0.0 else None)
+    return _Theory(colgate, friction if delay == 0 and wall == 0.0 else None)
 
 
 def _scene_at(field: MapField, values: Mapping[str, float]) -> Scene:

@@ -79,7 +79,7 @@ class Cells:
 
     def edges(self) -> tuple[Array, Array]:
         """Returns the edges of the cells along x and y, shapes (nx + 1,) and (ny + 1,)."""
-        return edges_of(self.x, log=self.x_log), edges_of(self.y, log=self.y_log)
+        return _edges_of(self.x, log=self.x_log), _edges_of(self.y, log=self.y_log)
 
 
 Panel = Lines | Cells
@@ -90,7 +90,7 @@ def _few(values: Array) -> list[float]:
     return found if len(found) <= _FEW else []
 
 
-def edges_of(values: Array, *, log: bool) -> Array:
+def _edges_of(values: Array, *, log: bool) -> Array:
     """Returns the edges of cells around sorted values, shape (n + 1,): halfway between neighbours."""
     scaled = np.log(values) if log else values
     if len(values) == 1:

@@ -11,7 +11,7 @@ from canhaptic.study.map.border import JUDGEMENTS, border_of, theory_at, usual_j
 from canhaptic.study.map.field import MapField
 from canhaptic.study.map.panel import Cells, Lines, Panel, PanelCurve
 
-STIFFNESS: Final = "environment.stiffness"
+_STIFFNESS: Final = "environment.stiffness"
 _PREFERRED: Final = ("bus.rate", "environment.damping")
 _MOST_LINES: Final = 5
 _LOG_SPAN: Final = 8.0
@@ -56,7 +56,7 @@ def _check(field: MapField, chosen: Chosen) -> None:
 
 def _usual_panels(field: MapField, chosen: Chosen) -> list[Panel]:
     free = [key for key in field.keys if key != chosen.x] or field.keys
-    z = STIFFNESS if STIFFNESS in free else free[-1]
+    z = _STIFFNESS if _STIFFNESS in free else free[-1]
     if len(field.keys) == 1:
         return [
             _profile(field, z, metric) for metric in ("margin", "stiffness_rendered.share", _ERROR) if field.has(metric)
@@ -96,7 +96,7 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
         )
         of_level = "" if level is None or y is None else f", {y.rpartition('.')[2]} {level:.3g}"
         lines.append(PanelCurve(f"measured{of_level}", places, _positive(kept[order]), "measured", colour))
-        if z == STIFFNESS and field.algorithm == "direct":
+        if z == _STIFFNESS and field.algorithm == "direct":
             lines += _theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
     if border.open.any():
         note += f"; on top: all of the range, {field.values[z].max():.3g}, passes"
@@ -132,7 +132,9 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
         return _profile(field, field.keys[0], metric)
     others = sorted(field.keys, key=_preference)
     x = chosen.x or next(key for key in others if key != chosen.y)
-    y = chosen.y or (STIFFNESS if STIFFNESS in others and x != STIFFNESS else next(key for key in others if key != x))
+    y = chosen.y or (
+        _STIFFNESS if _STIFFNESS in others and x != _STIFFNESS else next(key for key in others if key != x)
+    )
     values, label, kind = _shown(field, metric)
     title = f"{field.algorithm}: {label}"
     if field.is_grid:

@@ -72,14 +72,14 @@ def continuous_reference(
         whole = Plant(plant, user, [*effects, effect], step, seed)
         position, velocity = _march(whole, times)
         method = "exact between events" if whole.is_exact else "exact but for the effects that declare an order"
-    torque = environment_torque(environment, position, velocity, times[1] * 1e-9 if len(times) > 1 else 1.0)
+    torque = _environment_torque(environment, position, velocity, times[1] * 1e-9 if len(times) > 1 else 1.0)
     ends = 0.5 * (torque[1:] + torque[:-1])
     mean = np.concatenate([[0.0], ends.reshape(-1, readings).mean(axis=1)]) if cycles > 1 else torque[:1]
     variation = float(np.abs(np.diff(torque, prepend=0.0)).sum())
     return Reference(position[::readings], mean, variation, np.array(times) * 1e-9, torque, method)
 
 
-def environment_torque(environment: Environment, position: Array, velocity: Array, step: float) -> Array:
+def _environment_torque(environment: Environment, position: Array, velocity: Array, step: float) -> Array:
     """Returns the torque of the continuous environment along a motion [N or N*m], shape (n,).
 
     Strains that relax are followed over half a step before and half a step after the motion: second order in the step.

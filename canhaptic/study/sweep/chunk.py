@@ -36,11 +36,11 @@ FIGURES: Final = (*ALL, RADIUS)
 USUAL: Final = (*METRICS, RADIUS)
 """Metrics that need no continuous run beside each scene."""
 STATUS: Final = ("pending", "completed", "refused", "failed")
-COMPLETED, REFUSED, FAILED = (STATUS.index(name) for name in ("completed", "refused", "failed"))
+COMPLETED, REFUSED, _FAILED = (STATUS.index(name) for name in ("completed", "refused", "failed"))
 ENGINES: Final = ("none", "closed form", "numpy", "numba", "scalar")
 SLOTS: Final = 32
 """Different remarks that one chunk keeps."""
-MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set with its values says which"
+_MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set with its values says which"
 
 _CLOSED_FORM, _SCALAR = ENGINES.index("closed form"), ENGINES.index("scalar")
 BATCHED: Final = frozenset(f"{section}.{name}" for section, names in BATCH_KEYS.items() for name in names)
@@ -204,7 +204,7 @@ class _Chunk:
                 try:
                     figures = run_scalar(scene, cycles_in(self._recipe, scene), asked)
                 except CanHapticError as error:
-                    status, remark = FAILED, str(error).splitlines()[0]
+                    status, remark = _FAILED, str(error).splitlines()[0]
                     continue
                 for metric in asked:
                     self._figures[f"{name}/{metric}"][row] = figures[metric]
@@ -223,7 +223,7 @@ class _Chunk:
         if remark not in self._texts:
             if len(self._texts) == SLOTS:
                 return SLOTS
-            self._texts.append(remark if len(self._texts) < SLOTS - 1 else MORE)
+            self._texts.append(remark if len(self._texts) < SLOTS - 1 else _MORE)
         return self._texts.index(remark) + 1 if remark in self._texts else SLOTS
 
 

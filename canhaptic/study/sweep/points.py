@@ -19,7 +19,7 @@ from canhaptic.study.sweep.vary import Value, Varied, listed
 
 CONTROLLER: Final = "controller"
 """Name of the passivity algorithm among the varied keys; each point is judged under every one."""
-MOST_SCENES: Final = 100_000_000
+_MOST_SCENES: Final = 100_000_000
 Column = Array | list[Value]
 """Values of one key for consecutive scenes: numbers, or YAML texts."""
 
@@ -91,9 +91,9 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
         if one.is_open and not samples:
             raise InputError(f"--vary {one}: has no number of values; add :N, or sample it with --sample lhs:N")
     points = Points(tuple(varied), samples, seed)
-    if len(points) > MOST_SCENES:
+    if len(points) > _MOST_SCENES:
         raise InputError(
-            f"got {len(points)} scenes, expected at most {MOST_SCENES}; take fewer values, or --sample lhs:N"
+            f"got {len(points)} scenes, expected at most {_MOST_SCENES}; take fewer values, or --sample lhs:N"
         )
     return points
 

@@ -44,7 +44,7 @@ _MOST_LOSSES: Final = 3
 """Pools lost in a row without a chunk finished in between."""
 
 
-class Sweep(NamedTuple):
+class _Sweep(NamedTuple):
     """A sweep that can be begun, or gone on with."""
 
     recipe: Recipe
@@ -86,14 +86,14 @@ def sweep(
         in_flight: Chunks submitted and not yet written, at most.
         progress: Told now and then how far it is.
         stop_requested: Asked now and then; True ends the sweep after the chunks under way.
-        options: As for `make_sweep`.
+        options: As for `_make_sweep`.
 
     Raises:
         InputError: Bad input, or a file of another sweep.
         LogWriteError: The file cannot be written.
         WorkersLostError: The workers die again and again.
     """
-    asked, path = make_sweep(scene, vary, **options), Path(out)
+    asked, path = _make_sweep(scene, vary, **options), Path(out)
     if resume and path.exists():
         with SweepTable(path) as table:
             _check_same(table, asked)
@@ -105,7 +105,7 @@ def sweep(
         return run.state
 
 
-def make_sweep(
+def _make_sweep(
     scene: Scene,
     vary: Sequence[str | Varied],
     *,
@@ -118,7 +118,7 @@ def make_sweep(
     engine: Engine = "auto",
     chunk: int | None = None,
     beyond_bus: bool = False,
-) -> Sweep:
+) -> _Sweep:
     """Returns a sweep, everything checked that can be before a scene runs.
 
     Args:
@@ -162,13 +162,13 @@ def make_sweep(
     batches = max(-(-count // chunk), count // max(1, together))
     pays = count * per_scene >= WORTH_COMPILING or batches * per_scene >= _WORTH_COMPILING
     recipe = replace(recipe, engine=chosen_engine(engine, pays))
-    return Sweep(recipe, points, chunk, _identity(scene, recipe, points))
+    return _Sweep(recipe, points, chunk, _identity(scene, recipe, points))
 
 
 class _Run:
     """A sweep on its way: which chunks are out, which are in the file."""
 
-    def __init__(self, asked: Sweep, table: SweepTable, progress: Callable[[Progress], None]) -> None:
+    def __init__(self, asked: _Sweep, table: SweepTable, progress: Callable[[Progress], None]) -> None:
         self._asked, self._table, self._progress = asked, table, progress
         done = table.done()
         self._waiting = np.flatnonzero(~done).tolist()[::-1]
@@ -289,13 +289,13 @@ def _hash(varied: Varied) -> str:
     return hashlib.sha256(json.dumps(varied.values).encode()).hexdigest()
 
 
-def _columns(scene: Scene, asked: Sweep) -> Columnset:
+def _columns(scene: Scene, asked: _Sweep) -> Columnset:
     figures = tuple(f"{axis}/{metric}" for axis in asked.recipe.axes for metric in asked.recipe.metrics)
     notes = {"scene": scene.text, "source": scene.source, "overrides": json.dumps(scene.overrides)}
     return Columnset(figures, asked.identity, notes)
 
 
-def _check_same(table: SweepTable, asked: Sweep) -> None:
+def _check_same(table: SweepTable, asked: _Sweep) -> None:
     """Refuses to go on with a file of something else.
 
     Raises:

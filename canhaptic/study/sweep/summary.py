@@ -17,10 +17,10 @@ from canhaptic.view.si import si
 
 _MOST_REMARKS: Final = 20
 
-Summary = dict[str, Any]
+_Summary = dict[str, Any]
 
 
-def summary(table: SweepTable) -> Summary:
+def summary(table: SweepTable) -> _Summary:
     """Returns the account of a sweep as plain values: what `canhaptic sweep --json` prints."""
     done = table.done()
     counts: Counter[tuple[str, str, str]] = Counter()
@@ -76,7 +76,7 @@ def _shares(selected: Selected) -> dict[str, Any]:
     return found
 
 
-def summary_report(found: Summary) -> RenderableType:
+def summary_report(found: _Summary) -> RenderableType:
     """Returns tables of a summary."""
     heading = Text(" ")
     heading.append(found["scene"], style="bold")
@@ -85,7 +85,7 @@ def summary_report(found: Summary) -> RenderableType:
     return Group(*parts)
 
 
-def _counts(found: Summary) -> RenderableType:
+def _counts(found: _Summary) -> RenderableType:
     lines = [Text(f" computed by: {_listed(found['engines'])}"), Text(f" status:      {_listed(found['status'])}")]
     style = {"refused": "yellow", "failed": "red"}
     lines += [
@@ -112,7 +112,7 @@ _COLUMNS: Final = {
 }
 
 
-def _shares_table(found: Summary) -> Table:
+def _shares_table(found: _Summary) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("axis, algorithm", no_wrap=True)
     shown = [

@@ -30,9 +30,9 @@ from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import ENGINES, SLOTS, STATUS, ChunkResult
 from canhaptic.study.sweep.points import Column, Points
 
-FORMAT: Final = "canhaptic sweep"
-VERSION: Final = 1
-TEXT_BYTES: Final = 320
+_FORMAT: Final = "canhaptic sweep"
+_VERSION: Final = 1
+_TEXT_BYTES: Final = 320
 _KEPT: Final = "what was finished is kept, --resume goes on"
 _NOTHING_RUN: Final = "nothing has been run"
 _ROOM_OF_LAYOUT: Final = 1 << 20
@@ -180,7 +180,7 @@ class SweepTable:
         start = self.span(chunk)[0]
         rows: dict[str, NDArray[Any]] = {_path_of(name): values for name, values in result.figures.items()}
         rows |= {"status": result.status, "engine": result.engine, "remark": result.remark}
-        texts = np.zeros(SLOTS, dtype=f"S{TEXT_BYTES}")
+        texts = np.zeros(SLOTS, dtype=f"S{_TEXT_BYTES}")
         texts[: len(result.texts)] = [_cut(text) for text in result.texts]
         for path, values in rows.items():
             self._writer.put(path, start, values)
@@ -300,14 +300,14 @@ _Fills = dict[str, tuple[int, NDArray[Any]]]
 def _lay_out(file: Any, points: Points, chunk: int, columns: Columnset) -> _Fills:
     """Makes all columns, each in one piece with its room allotted; returns what each one begins with."""
     count, chunks = len(points), -(-len(points) // chunk)
-    file.attrs["format"], file.attrs["format_version"], file.attrs["chunk"] = FORMAT, VERSION, chunk
+    file.attrs["format"], file.attrs["format_version"], file.attrs["chunk"] = _FORMAT, _VERSION, chunk
     file.attrs["identity"] = json.dumps(columns.identity, sort_keys=True)
     for name, text in columns.notes.items():
         file.attrs[name] = text
     nothing, zero = np.array(np.nan), np.array(0, dtype="u1")
     fills: _Fills = {_path_of(name): (count, nothing) for name in columns.figures}
     fills |= dict.fromkeys(("status", "engine", "remark"), (count, zero))
-    fills |= {"texts": (chunks * SLOTS, np.array(b"", dtype=f"S{TEXT_BYTES}")), "done": (chunks, zero)}
+    fills |= {"texts": (chunks * SLOTS, np.array(b"", dtype=f"S{_TEXT_BYTES}")), "done": (chunks, zero)}
     for name, (length, fill) in fills.items():
         _column(file, name, length, fill.dtype)
     file["status"].attrs["names"], file["engine"].attrs["names"] = json.dumps(STATUS), json.dumps(ENGINES)
@@ -343,10 +343,10 @@ def _opened(path: Path) -> Any:
             f"{path}: cannot be read as a sweep ({reason}); give a file made by canhaptic sweep"
         ) from error
     version = file.attrs.get("format_version", 0)
-    if file.attrs.get("format") != FORMAT or version > VERSION:
+    if file.attrs.get("format") != _FORMAT or version > _VERSION:
         found = file.attrs.get("format", "no canhaptic sweep")
         file.close()
-        raise LogFormatError(f"{path}: is {found!r} version {version}, expected {FORMAT!r} up to {VERSION}")
+        raise LogFormatError(f"{path}: is {found!r} version {version}, expected {_FORMAT!r} up to {_VERSION}")
     return file
 
 
@@ -370,4 +370,4 @@ def _path_of(figure: str) -> str:
 
 def _cut(text: str) -> bytes:
     """Returns a text that fits its slot, whole letters only."""
-    return text.encode()[:TEXT_BYTES].decode("utf-8", "ignore").encode()
+    return text.encode()[:_TEXT_BYTES].decode("utf-8", "ignore").encode()

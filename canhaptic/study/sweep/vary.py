@@ -20,7 +20,7 @@ from canhaptic.scene.document import parse_yaml
 from canhaptic.study.loop import Array
 from canhaptic.units import parse_unit
 
-MOST_VALUES: Final = 1_000_000
+_MOST_VALUES: Final = 1_000_000
 """Of one key."""
 Value = float | str
 """A number in SI, or the YAML text of anything else."""
@@ -149,8 +149,8 @@ def _range(text: str, key: str, parts: list[str]) -> Varied:
 
 
 def _spaced(text: str, low: float, high: float, count: int, spacing: str) -> tuple[float, ...]:
-    if not 2 <= count <= MOST_VALUES:
-        raise _refused(text, f"got {count} values", f"expected 2 to {MOST_VALUES}")
+    if not 2 <= count <= _MOST_VALUES:
+        raise _refused(text, f"got {count} values", f"expected 2 to {_MOST_VALUES}")
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise _refused(text, f"got {low:g} to {high:g}", "expected finite ends, the lower one first")
     if spacing == "log" and not low > 0.0:

@@ -17,7 +17,7 @@ from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.mechanisms.user_function import UserFunction
-from canhaptic.control.multi_axis import NETWORKS, why_interpreted
+from canhaptic.control.multi_axis import NETWORKS, _why_interpreted
 from canhaptic.control.port_hamiltonian.network import Network, UserEnergy
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box
@@ -230,8 +230,8 @@ def test_an_error_leaves_a_compiled_group_to_be_reset(monkeypatch):
 def test_what_python_alone_can_do_is_named_and_interpreted():
     mechanism = UserFunction(lambda q: [q[0], q[1]], lambda _q: [[1.0, 0.0], [0.0, 1.0]], at=(0.0, 0.0))
     controller = group(BOX, kinematics=mechanism, compiled=True)
-    assert "function of one's own" in why_interpreted(controller)
-    assert why_interpreted(group(BOX)) == ""
+    assert "function of one's own" in _why_interpreted(controller)
+    assert _why_interpreted(group(BOX)) == ""
 
 
 def test_energies_given_as_functions_are_refused_in_a_group():

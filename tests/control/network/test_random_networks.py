@@ -5,13 +5,13 @@ import random
 import pytest
 from networks import random_network, tangled_network
 
-from canhaptic.control.multi_axis.energy_along_scale import FURTHEST, EnergyAlongScale
-from canhaptic.control.multi_axis.torque_scaling import EVALUATIONS as SCALE_EVALUATIONS
+from canhaptic.control.multi_axis.energy_along_scale import _FURTHEST, EnergyAlongScale
+from canhaptic.control.multi_axis.torque_scaling import _EVALUATIONS as SCALE_EVALUATIONS
 from canhaptic.control.port_hamiltonian import newton as step
 from canhaptic.control.port_hamiltonian.discrete_gradient import stored_energy
 from canhaptic.control.port_hamiltonian.equation import new_workspace
 from canhaptic.control.port_hamiltonian.network import DoubleWell, Mass, Network, Spring, UserEnergy
-from canhaptic.control.port_hamiltonian.newton import EVALUATIONS, advance
+from canhaptic.control.port_hamiltonian.newton import _EVALUATIONS, advance
 
 ON_A_MASS = [[0.0, -1.0], [1.0, 0.0]]
 
@@ -49,7 +49,7 @@ def judge(cases, seed):
     for _ in range(cases):
         network, state, motion, sample_time = random_sample(rng)
         evaluations, error, received, lost, step = judge_model_step(network, state, motion, sample_time)
-        assert abs(evaluations) <= EVALUATIONS
+        assert abs(evaluations) <= _EVALUATIONS
         if evaluations > 0:
             assert error <= 1e-12
         else:
@@ -67,11 +67,11 @@ def judge_scaled_step(rng, network, state, step, received, lost):
     taken = line.taken(scale.share, loss).energy
     size = max(stored_energy(network.tables, state), abs(energy), abs(loss * scale.share))
     assert scale.evaluations <= SCALE_EVALUATIONS
-    assert abs(scale.share) <= FURTHEST or energy <= 0.0
-    if scale.found and abs(scale.share) < FURTHEST:
+    assert abs(scale.share) <= _FURTHEST or energy <= 0.0
+    if scale.found and abs(scale.share) < _FURTHEST:
         assert abs(taken - energy) <= 1e-12 * size
     elif energy > 0.0:  # more came in than the furthest step takes up: what is over leaks, nothing is created
-        assert abs(scale.share) == FURTHEST
+        assert abs(scale.share) == _FURTHEST
         assert taken <= energy + 1e-12 * size
 
 
@@ -98,7 +98,7 @@ def test_networks_in_which_anything_acts_on_anything_are_solved_but_for_a_few():
         state = [rng.gauss(0.0, 1.0) * 10.0 ** rng.uniform(-5, -2) for _ in range(network.states)]
         motion, sample_time = [rng.gauss(0.0, 1.0) * 10.0 ** rng.uniform(-7, -2.5)], 10.0 ** rng.uniform(-4, -2)
         evaluations, error, *_ = judge_model_step(network, state, motion, sample_time)
-        assert abs(evaluations) <= EVALUATIONS
+        assert abs(evaluations) <= _EVALUATIONS
         assert evaluations < 0 or error <= 1e-10  # forces of springs on springs cancel to that rounding
         unsolved += evaluations < 0
     assert unsolved <= 50
@@ -120,7 +120,7 @@ def test_energies_given_as_functions_are_solved_as_those_of_the_table():
         for storage in (given, tabled):
             network = Network([storage, mass], gain=[[1.0], [0.0]], structure=ON_A_MASS)
             room = new_workspace(2, 0)
-            assert 0 < advance(network.tables, state, [1e-4], 1e-3, room, network.user) <= EVALUATIONS
+            assert 0 < advance(network.tables, state, [1e-4], 1e-3, room, network.user) <= _EVALUATIONS
             steps.append(list(room.step))
         assert steps[0] == pytest.approx(steps[1], rel=1e-6, abs=1e-9)
 

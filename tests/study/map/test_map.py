@@ -8,11 +8,11 @@ import pytest
 
 from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
-from canhaptic.study.map.border import Border, border_of, colgate_stiffness, passes, theory_at, usual_judgement
+from canhaptic.study.map.border import _Border, _colgate_stiffness, _passes, border_of, theory_at, usual_judgement
 from canhaptic.study.map.field import fields_of
 from canhaptic.study.map.map_page import write_map
 from canhaptic.study.map.map_picture import draw_map
-from canhaptic.study.map.panel import Cells, Lines, edges_of
+from canhaptic.study.map.panel import Cells, Lines, _edges_of
 from canhaptic.study.map.panels import Chosen, panels_of
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.sweep_table import SweepTable
@@ -84,16 +84,16 @@ def test_the_border_found_by_marching_is_that_of_colgate_within_three_per_cent(t
 
 
 def test_colgates_condition_in_its_closed_forms():
-    assert colgate_stiffness(1.0, 0.0, 1e-3, 0) == pytest.approx(2000.0)  # b > k T / 2
-    assert colgate_stiffness(1.0, 0.3, 1e-3, 0) == pytest.approx(1400.0)  # b > k T / 2 + B
-    assert colgate_stiffness(3.0, 0.0, 1e-3, 1) == pytest.approx(2000.0, rel=1e-5)  # b > 3 k T / 2
-    assert colgate_stiffness(1.0, 1.5, 1e-3, 0) == 0.0
+    assert _colgate_stiffness(1.0, 0.0, 1e-3, 0) == pytest.approx(2000.0)  # b > k T / 2
+    assert _colgate_stiffness(1.0, 0.3, 1e-3, 0) == pytest.approx(1400.0)  # b > k T / 2 + B
+    assert _colgate_stiffness(3.0, 0.0, 1e-3, 1) == pytest.approx(2000.0, rel=1e-5)  # b > 3 k T / 2
+    assert _colgate_stiffness(1.0, 1.5, 1e-3, 0) == 0.0
 
 
 def test_colgates_condition_is_that_of_the_energy_of_any_motion():
     random = np.random.default_rng(1)
     period, damping, delay = 1e-3, 2.0, 1
-    stiffness = colgate_stiffness(damping, 0.0, period, delay)
+    stiffness = _colgate_stiffness(damping, 0.0, period, delay)
     for factor, is_passive in ((0.99, True), (1.05, False)):
         motions = [random.normal(size=400).cumsum() for _ in range(50)]
         motions += [np.sin(np.arange(4000) * angle) for angle in np.linspace(0.02, 3.1, 60)]  # from and back to rest
@@ -134,8 +134,8 @@ def test_the_border_beside_dry_friction_and_a_coarse_encoder_is_that_of_abbott_a
         [field] = fields_of(table)
         assert theory_at(field, {}).abbott_okamura == pytest.approx(2000.0)
         assert usual_judgement(field) == "covered"
-        assert passes(field, "covered")[:, 0].tolist() == [True, True, True, False, False, False]
-        assert not passes(field, "passive").any()  # the port gives out energy; the friction of the device takes it
+        assert _passes(field, "covered")[:, 0].tolist() == [True, True, True, False, False, False]
+        assert not _passes(field, "passive").any()  # the port gives out energy; the friction of the device takes it
 
 
 def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_column(two_controllers):
@@ -145,7 +145,7 @@ def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_colu
         by_both = border_of(direct, "environment.stiffness", ["bus.rate", "environment.damping"], "passive")
         worst = border_of(direct, "environment.stiffness", ["bus.rate"], "passive")
         assert worst.value.tolist() == by_both.value.min(axis=1).tolist()
-        assert passes(guarded, "passive").all()
+        assert _passes(guarded, "passive").all()
         assert border_of(guarded, "environment.stiffness", ["bus.rate"], "passive").open.all()
         field = direct
 
@@ -160,7 +160,7 @@ def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_colu
                 energy[2, 1, 0] = -1.0
                 return energy
 
-        found: Border = border_of(Doctored(), "environment.stiffness", ["bus.rate"], "passive")
+        found: _Border = border_of(Doctored(), "environment.stiffness", ["bus.rate"], "passive")
     assert found.value.tolist() == [field.values["environment.stiffness"][4], field.values["environment.stiffness"][1]]
     assert found.open.tolist() == [True, False]
 
@@ -219,8 +219,8 @@ def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(request,
 
 
 def test_edges_lie_halfway_between_neighbours():
-    assert edges_of(np.array([1.0, 2.0, 4.0]), log=False).tolist() == [0.5, 1.5, 3.0, 5.0]
-    assert edges_of(np.array([1.0, 100.0]), log=True) == pytest.approx([0.1, 10.0, 1000.0])
+    assert _edges_of(np.array([1.0, 2.0, 4.0]), log=False).tolist() == [0.5, 1.5, 3.0, 5.0]
+    assert _edges_of(np.array([1.0, 100.0]), log=True) == pytest.approx([0.1, 10.0, 1000.0])
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import run_scalar
 from canhaptic.study.sweep import sweep
-from canhaptic.study.sweep.chunk import MORE, SLOTS
+from canhaptic.study.sweep.chunk import _MORE, SLOTS
 from canhaptic.study.sweep.selected import Selected
 from canhaptic.study.sweep.summary import summary
 from canhaptic.study.sweep.sweep_table import SweepTable
@@ -75,8 +75,8 @@ def test_a_range_beyond_what_the_bus_carries_is_refused_exactly_where_the_scene_
 def test_more_reasons_than_a_chunk_keeps_are_said_to_be_more(demo, tmp_path):
     with run(demo, ["bus.rate=1500:9000:60"], tmp_path / "a.h5", cycles=20, chunk=60) as table:
         assert table.status().tolist() == [2] * 60
-        assert table.remark(0) != table.remark(1) != MORE
-        assert {table.remark(row) for row in range(SLOTS - 1, 60)} == {MORE}
+        assert table.remark(0) != table.remark(1) != _MORE
+        assert {table.remark(row) for row in range(SLOTS - 1, 60)} == {_MORE}
 
 
 def test_an_algorithm_without_what_it_rests_on_is_told_of_the_plant_in_every_row(tmp_path):

@@ -9,7 +9,7 @@ from canhaptic.control.port_hamiltonian.storages import Storage
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters
 
-Rows = tuple[tuple[float, ...], ...]
+_Rows = tuple[tuple[float, ...], ...]
 
 
 class General(Parameters):
@@ -19,13 +19,13 @@ class General(Parameters):
     """What stores energy, in the order of the states x."""
     dissipators: tuple[Dissipator, ...] = ()
     """What dissipates: R and S of the equation."""
-    structure: Rows | None = None
+    structure: _Rows | None = None
     """J, skew; None: zero."""
-    gain: Rows
+    gain: _Rows
     """g, one row for each state, one column for each port."""
-    origin: Rows | None = None
+    origin: _Rows | None = None
     """x(0) over the ports' first coordinates; None: walls where they are, masses at rest."""
-    ports: Rows | None = None
+    ports: _Rows | None = None
     """Rows of the ports over task space; None: its coordinates."""
     offset: tuple[float, ...] | None = None
     """Taken off the ports' coordinates; None: zeros."""

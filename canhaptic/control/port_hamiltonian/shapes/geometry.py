@@ -11,14 +11,14 @@ from typing import NamedTuple, Protocol
 from canhaptic.control.port_hamiltonian.network import Network
 from canhaptic.errors import ParameterError
 
-Rows = tuple[tuple[float, ...], ...]
+_Rows = tuple[tuple[float, ...], ...]
 
 
 class Coordinates(NamedTuple):
     """The ports' coordinates at a position and their gradients."""
 
     values: tuple[float, ...]  # (ports,)
-    rows: Rows  # d values / d position, (ports, dimensions)
+    rows: _Rows  # d values / d position, (ports, dimensions)
 
 
 class Geometry(Protocol):
