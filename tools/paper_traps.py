@@ -20,7 +20,7 @@ from canhaptic.control.passivity.root import solve_balance
 from canhaptic.control.passivity.storage import Account
 from canhaptic.control.recovery import largest_stable_damping, least_oscillating_damping
 from canhaptic.study.loop import render
-from canhaptic.study.standard import (
+from tools.bench.standard_cases import (
     FIGURES_7_9,
     LEANING,
     TREMBLING,

@@ -9,8 +9,8 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import UserParameters
 from canhaptic.study.loop import Recorder, render
-from canhaptic.study.standard import standard_case
-from canhaptic.study.users import USERS, HandPlant
+from tools.bench.standard_cases import standard_case
+from tools.bench.user_laws import USERS, HandPlant
 
 MS = 1_000_000
 

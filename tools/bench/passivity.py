@@ -23,7 +23,8 @@ from canhaptic.sim.user import UserParameters
 from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
-from canhaptic.study.standard import (
+from tools.bench.report import Row, publish
+from tools.bench.standard_cases import (
     FIGURES_4_5,
     FIGURES_7_9,
     LEANING,
@@ -33,8 +34,7 @@ from canhaptic.study.standard import (
     standard_reference,
     user_f,
 )
-from canhaptic.study.users import USERS
-from tools.bench.report import Row, publish
+from tools.bench.user_laws import USERS
 
 STIFFNESSES = (1e2, 1e3, 1e4, 1e5, 1e6)
 DAMPINGS = (0.0, 5.0, 50.0, 500.0)

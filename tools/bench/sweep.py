@@ -23,10 +23,10 @@ from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.batch.scalar import run_case
 from canhaptic.study.map.stability_map import Loops, decay_per_hold
-from canhaptic.study.standard import PLANT, USER_S, standard_case
 from tools.bench.plants.peers import mujoco_rollout
 from tools.bench.plants.scenes import easy
 from tools.bench.report import Row, publish
+from tools.bench.standard_cases import PLANT, USER_S, standard_case
 
 SCENES, CYCLES, RATE, REPEATS = 10_000, 1000, 1000.0, 5
 FIVE = ("diverged", "least_interaction", "margin", "believed_error", "torque_peak")

@@ -13,7 +13,7 @@ from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.batch.scalar import axis_of
 from canhaptic.study.figures import METRICS, metrics_of, sums_of
 from canhaptic.study.loop import LoopCase
-from canhaptic.study.standard import standard_case
+from tools.bench.standard_cases import standard_case
 
 PLANT = PlantParameters(mass=0.25, damping=0.1, initial_position=0.002)
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=4.0))

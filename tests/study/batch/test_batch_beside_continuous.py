@@ -20,7 +20,7 @@ from canhaptic.study.loop import render
 from canhaptic.study.reference.continuous_ode import integrate
 from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.scenes import environment_of, loop_case, plant_parts
-from canhaptic.study.standard import standard_case
+from tools.bench.standard_cases import standard_case
 
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
 BASES: dict[str, dict[str, Any]] = {

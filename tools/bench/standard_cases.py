@@ -15,7 +15,7 @@ from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.user import SinusoidMotion, UserParameters
 from canhaptic.study.loop import LoopCase
 from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
-from canhaptic.study.users import USERS, HandPlant
+from tools.bench.user_laws import USERS, HandPlant
 
 PLANT: Final = PlantParameters(mass=0.25, damping=0.1)
 USER_S: Final = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
