@@ -39,8 +39,19 @@ class Dictionary(Protocol):
     def __iter__(self) -> Iterator[int]:
         """Yields the indices."""
 
+    def __getitem__(self, index: int, /) -> Any:
+        """Returns an object: a `Variable`, or what has some in `subindices`."""
+
     def get_variable(self, index: int, subindex: int = 0) -> Variable | None:
         """Returns an object or one of its subindices; None where it is not listed."""
+
+
+def variables(dictionary: Dictionary) -> Iterator[Variable]:
+    """Yields every object without subindices, and every subindex of the others."""
+    for index in dictionary:
+        item = dictionary[index]
+        members = getattr(item, "subindices", None)
+        yield from (item,) if members is None else members.values()
 
 
 def is_writable(dictionary: Dictionary, index: int, subindex: int = 0) -> bool:

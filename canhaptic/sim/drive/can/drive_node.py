@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import can
-from canopen.objectdictionary import ObjectDictionary, datatypes
+from canopen.objectdictionary import ObjectDictionary
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import (
@@ -21,6 +21,7 @@ from canhaptic.canopen.objects import (
     NMT_COB_ID,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
+    DataType,
     NmtCommand,
     NmtState,
 )
@@ -99,7 +100,7 @@ class SimulatedDrive:
             store, self.servo, timers, self._emergency, parameters, self._send, self._lose, self._change_routes
         )
         self._abort_option = store.find(ABORT_CONNECTION_OPTION)
-        self._error_behaviour = store.entry(ERROR_BEHAVIOUR, datatypes.UNSIGNED8, 1)
+        self._error_behaviour = store.entry(ERROR_BEHAVIOUR, DataType.UNSIGNED8, 1)
         self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
         self._routes: dict[int, Handler] = {}
         self._are_routes_stale = True

@@ -3,9 +3,15 @@
 from collections.abc import Callable
 from typing import Final
 
-from canopen.objectdictionary import datatypes
-
-from canhaptic.canopen.objects import COB_ID_INVALID, EMCY_BASE, EMCY_COB_ID, ERROR_CODE, ERROR_REGISTER, SdoAbort
+from canhaptic.canopen.objects import (
+    COB_ID_INVALID,
+    EMCY_BASE,
+    EMCY_COB_ID,
+    ERROR_CODE,
+    ERROR_REGISTER,
+    DataType,
+    SdoAbort,
+)
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 
 _ERROR_HISTORY: Final = 0x1003
@@ -31,9 +37,9 @@ class EmergencyProducer:
     """
 
     def __init__(self, store: ObjectStore, node_id: int, send: Callable[[int, bytes], None]) -> None:
-        self._register = store.entry(ERROR_REGISTER, datatypes.UNSIGNED8)
-        self._error_code = store.entry(ERROR_CODE, datatypes.UNSIGNED16)
-        self._cob_id = store.entry(EMCY_COB_ID, datatypes.UNSIGNED32)
+        self._register = store.entry(ERROR_REGISTER, DataType.UNSIGNED8)
+        self._error_code = store.entry(ERROR_CODE, DataType.UNSIGNED16)
+        self._cob_id = store.entry(EMCY_COB_ID, DataType.UNSIGNED32)
         self._default_cob_id = EMCY_BASE + node_id
         self._send = send
         self._count = store.find(_ERROR_HISTORY)

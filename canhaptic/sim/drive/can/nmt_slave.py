@@ -4,12 +4,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from canopen.objectdictionary import datatypes
-
 from canhaptic.canopen.objects import (
     CONSUMER_HEARTBEAT_TIME,
     HEARTBEAT_BASE,
     PRODUCER_HEARTBEAT_TIME,
+    DataType,
     NmtCommand,
     SdoAbort,
 )
@@ -38,7 +37,7 @@ class HeartbeatProducer:
     """
 
     def __init__(self, store: ObjectStore, timers: Timers, send: Callable[[], None], now: Callable[[], int]) -> None:
-        self._time = store.entry(PRODUCER_HEARTBEAT_TIME, datatypes.UNSIGNED16)
+        self._time = store.entry(PRODUCER_HEARTBEAT_TIME, DataType.UNSIGNED16)
         self._timers, self._send, self._now = timers, send, now
         self._timer = timers.add(self._beat)
         self._time.changed = self.restart

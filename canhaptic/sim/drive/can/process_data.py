@@ -4,9 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from canopen.objectdictionary import datatypes
-
-from canhaptic.canopen.objects import COMMUNICATION_CYCLE_PERIOD, SYNC_COB_ID, SYNC_FRAME_COB_ID, SdoAbort
+from canhaptic.canopen.objects import COMMUNICATION_CYCLE_PERIOD, SYNC_COB_ID, SYNC_FRAME_COB_ID, DataType, SdoAbort
 from canhaptic.sim.drive.can import emergency as emcy
 from canhaptic.sim.drive.can.pdo import Pdo, find_pdos
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
@@ -61,9 +59,9 @@ class ProcessData:
         self._pdo_timers = {pdo: timers.add(partial(self._time_out, pdo)) for pdo in self._rpdos}
         self._pdo_timers |= {pdo: timers.add(partial(self._send_by_timer, pdo)) for pdo in self._tpdos}
         self._sync_timer = timers.add(self._lose_sync)
-        self._sync_cob_id = store.entry(SYNC_COB_ID, datatypes.UNSIGNED32)
+        self._sync_cob_id = store.entry(SYNC_COB_ID, DataType.UNSIGNED32)
         self._sync_cob_id.check = _check_sync_cob_id
-        self._cycle_period = store.entry(COMMUNICATION_CYCLE_PERIOD, datatypes.UNSIGNED32)
+        self._cycle_period = store.entry(COMMUNICATION_CYCLE_PERIOD, DataType.UNSIGNED32)
         self._sync_cob_id.changed = self._cycle_period.changed = on_change
         self.routes()
 

@@ -2,9 +2,7 @@
 
 from collections.abc import Callable
 
-from canopen.objectdictionary import datatypes
-
-from canhaptic.canopen.objects import MAX_TORQUE, RATED_TORQUE, TARGET_TORQUE
+from canhaptic.canopen.objects import MAX_TORQUE, RATED_TORQUE, TARGET_TORQUE, DataType
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.object_store import ObjectStore
@@ -21,7 +19,7 @@ class TorqueStage:
     """
 
     def __init__(self, store: ObjectStore, parameters: SimulatedDriveParameters, on_change: Callable[[], None]) -> None:
-        self._target = store.entry(TARGET_TORQUE, datatypes.INTEGER16)
+        self._target = store.entry(TARGET_TORQUE, DataType.INTEGER16)
         self._max_torque = store.find(MAX_TORQUE)
         self._rated = store.find(RATED_TORQUE)
         self._parameters = parameters

@@ -8,33 +8,32 @@ import struct
 from collections.abc import Callable, Mapping, Set
 from typing import Final
 
-from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
-
-from canhaptic.canopen.objects import SdoAbort
+from canhaptic.canopen.dictionary import Dictionary, Variable, variables
+from canhaptic.canopen.objects import DataType, SdoAbort
 from canhaptic.errors import ParameterError
 
 Value = int | float | bytes
 
 _INTEGERS: Final[dict[int, tuple[int, bool]]] = {  # data type -> (bytes, signed); CiA 301, 7.4
-    datatypes.BOOLEAN: (1, False),
-    datatypes.INTEGER8: (1, True),
-    datatypes.INTEGER16: (2, True),
-    datatypes.INTEGER24: (3, True),
-    datatypes.INTEGER32: (4, True),
-    datatypes.INTEGER40: (5, True),
-    datatypes.INTEGER48: (6, True),
-    datatypes.INTEGER56: (7, True),
-    datatypes.INTEGER64: (8, True),
-    datatypes.UNSIGNED8: (1, False),
-    datatypes.UNSIGNED16: (2, False),
-    datatypes.UNSIGNED24: (3, False),
-    datatypes.UNSIGNED32: (4, False),
-    datatypes.UNSIGNED40: (5, False),
-    datatypes.UNSIGNED48: (6, False),
-    datatypes.UNSIGNED56: (7, False),
-    datatypes.UNSIGNED64: (8, False),
+    DataType.BOOLEAN: (1, False),
+    DataType.INTEGER8: (1, True),
+    DataType.INTEGER16: (2, True),
+    DataType.INTEGER24: (3, True),
+    DataType.INTEGER32: (4, True),
+    DataType.INTEGER40: (5, True),
+    DataType.INTEGER48: (6, True),
+    DataType.INTEGER56: (7, True),
+    DataType.INTEGER64: (8, True),
+    DataType.UNSIGNED8: (1, False),
+    DataType.UNSIGNED16: (2, False),
+    DataType.UNSIGNED24: (3, False),
+    DataType.UNSIGNED32: (4, False),
+    DataType.UNSIGNED40: (5, False),
+    DataType.UNSIGNED48: (6, False),
+    DataType.UNSIGNED56: (7, False),
+    DataType.UNSIGNED64: (8, False),
 }
-_REALS: Final = {datatypes.REAL32: struct.Struct("<f"), datatypes.REAL64: struct.Struct("<d")}
+_REALS: Final[dict[int, struct.Struct]] = {DataType.REAL32: struct.Struct("<f"), DataType.REAL64: struct.Struct("<d")}
 _PDO_CODES: Final = {(1, True): "b", (2, True): "h", (4, True): "i", (8, True): "q"}
 _COUNTING_OBJECTS: Final = (range(0x1003, 0x1004), range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 
@@ -65,9 +64,9 @@ class Entry:
         self.index, self.subindex, self.data_type = index, subindex, data_type
         size, is_signed = _INTEGERS.get(data_type, (0, False))
         self.low: float = -(1 << (8 * size - 1)) if is_signed else 0
-        self.high: float = (1 << (8 * size - is_signed)) - 1 if data_type != datatypes.BOOLEAN else 1
+        self.high: float = (1 << (8 * size - is_signed)) - 1 if data_type != DataType.BOOLEAN else 1
         self.size = size
-        signed_code = _PDO_CODES.get((size, True), "") if data_type != datatypes.BOOLEAN else ""
+        signed_code = _PDO_CODES.get((size, True), "") if data_type != DataType.BOOLEAN else ""
         self.code = signed_code if is_signed else signed_code.upper()
         if data_type in _REALS:
             self.size, self.low, self.high = _REALS[data_type].size, float("-inf"), float("inf")
@@ -129,19 +128,17 @@ class ObjectStore:
 
     def __init__(
         self,
-        dictionary: ObjectDictionary,
+        dictionary: Dictionary,
         values: Mapping[tuple[int, int], int | float | str],
         absent: Set[tuple[int, int | None]] = frozenset(),
         refused: Mapping[tuple[int, int], int] | None = None,
     ) -> None:
         self._entries: dict[tuple[int, int], Entry] = {}
         self._hidden: dict[tuple[int, int], Entry] = {}
-        for item in dictionary.values():
-            members = (item,) if isinstance(item, ODVariable) else tuple(item.subindices.values())
-            for variable in members:
-                place = (variable.index, variable.subindex)
-                if not absent or not {place, (variable.index, None)} & absent:
-                    self._entries[place] = _entry(variable)
+        for variable in variables(dictionary):
+            place = (variable.index, variable.subindex)
+            if not absent or not {place, (variable.index, None)} & absent:
+                self._entries[place] = _entry(variable)
         self._indices = {index for index, _ in self._entries}
         self._fill_counts()
         for place, value in values.items():
@@ -244,8 +241,8 @@ def _require(value: Value | None) -> Value:
     return value
 
 
-def _entry(variable: ODVariable) -> Entry:
-    data_type = variable.data_type if variable.data_type is not None else datatypes.DOMAIN
+def _entry(variable: Variable) -> Entry:
+    data_type = variable.data_type if variable.data_type is not None else DataType.DOMAIN
     entry = Entry(variable.index, variable.subindex, data_type, variable.access_type, variable.pdo_mappable)
     if entry.size:
         entry.low = entry.low if variable.min is None else max(entry.low, variable.min)
@@ -257,7 +254,7 @@ def _entry(variable: ODVariable) -> Entry:
 def _typed(data_type: int, value: int | float | str | bytes | None) -> Value | None:
     """Returns a value of a dictionary or scene as the store keeps it; None when it has another type."""
     if isinstance(value, str):
-        value = value.encode("utf-16-le" if data_type == datatypes.UNICODE_STRING else "latin-1", errors="replace")
+        value = value.encode("utf-16-le" if data_type == DataType.UNICODE_STRING else "latin-1", errors="replace")
     if data_type in _INTEGERS:
         return int(value) if isinstance(value, int) else None
     if data_type in _REALS:

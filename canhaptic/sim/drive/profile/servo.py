@@ -5,8 +5,6 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import Any, Final, Protocol
 
-from canopen.objectdictionary import datatypes
-
 from canhaptic.canopen.objects import (
     CONTROLWORD,
     CURRENT_ACTUAL,
@@ -22,6 +20,7 @@ from canhaptic.canopen.objects import (
     TORQUE_ACTUAL,
     TORQUE_DEMAND,
     VELOCITY_ACTUAL,
+    DataType,
     SdoAbort,
     StatusBit,
 )
@@ -99,18 +98,18 @@ class Servo:
         self._rounds = parameters.encoder == "round"
         is_ideal = getattr(motor, "has_ideal_encoder", not hasattr(motor, "encoder_position"))
         self._read_encoder: Callable[[Motor], float] | None = None if is_ideal else attrgetter("encoder_position")
-        self._controlword = store.entry(CONTROLWORD, datatypes.UNSIGNED16)
-        self._statusword = store.entry(STATUSWORD, datatypes.UNSIGNED16)
-        self._mode = store.entry(MODES_OF_OPERATION, datatypes.INTEGER8)
-        self._mode_display = store.entry(MODES_OF_OPERATION_DISPLAY, datatypes.INTEGER8)
+        self._controlword = store.entry(CONTROLWORD, DataType.UNSIGNED16)
+        self._statusword = store.entry(STATUSWORD, DataType.UNSIGNED16)
+        self._mode = store.entry(MODES_OF_OPERATION, DataType.INTEGER8)
+        self._mode_display = store.entry(MODES_OF_OPERATION_DISPLAY, DataType.INTEGER8)
         self._supported_modes = store.find(SUPPORTED_DRIVE_MODES)
-        self._quick_stop_option = store.entry(QUICK_STOP_OPTION, datatypes.INTEGER16)
-        self._target: Any = store.entry(TARGET_TORQUE, datatypes.INTEGER16)
-        self._torque_demand = store.entry(TORQUE_DEMAND, datatypes.INTEGER16)
-        self._torque_actual = store.entry(TORQUE_ACTUAL, datatypes.INTEGER16)
-        self._current_actual = store.entry(CURRENT_ACTUAL, datatypes.INTEGER16)
-        self._position = store.entry(POSITION_ACTUAL, datatypes.INTEGER32)
-        self.velocity_entry = store.entry(VELOCITY_ACTUAL, datatypes.INTEGER32)
+        self._quick_stop_option = store.entry(QUICK_STOP_OPTION, DataType.INTEGER16)
+        self._target: Any = store.entry(TARGET_TORQUE, DataType.INTEGER16)
+        self._torque_demand = store.entry(TORQUE_DEMAND, DataType.INTEGER16)
+        self._torque_actual = store.entry(TORQUE_ACTUAL, DataType.INTEGER16)
+        self._current_actual = store.entry(CURRENT_ACTUAL, DataType.INTEGER16)
+        self._position = store.entry(POSITION_ACTUAL, DataType.INTEGER32)
+        self.velocity_entry = store.entry(VELOCITY_ACTUAL, DataType.INTEGER32)
         self.measures_velocity = False
         self._stage = TorqueStage(store, parameters, self._reload_limits)
         self._meter = TorqueMeter(motor, parameters)
