@@ -33,7 +33,7 @@ from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters
 from tools.field_words import first_sentence, words_of
 

@@ -14,9 +14,9 @@ from canhaptic.audit.user_checks import check
 from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
-from canhaptic.logs.bus_sink import CONVERTIBLE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export
+from canhaptic.logs.log_file import CONVERTIBLE
 from canhaptic.logs.repair import repair
 from canhaptic.view.energy_table import energy_report, make_console
 from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report

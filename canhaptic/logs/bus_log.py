@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Final, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.logs.bus_sink import CONVERTIBLE, FRAME_RING, aside_files
+from canhaptic.logs.bus_sink import FRAME_RING, aside_files
+from canhaptic.logs.log_file import CONVERTIBLE
 from canhaptic.logs.ring import Record, Recorder
 from canhaptic.logs.writer_process import WriterProcess
 

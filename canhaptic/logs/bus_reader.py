@@ -8,8 +8,7 @@ from typing import Any, Final, NamedTuple
 import can
 
 from canhaptic.errors import LogFormatError
-from canhaptic.logs.bus_sink import CONVERTIBLE
-from canhaptic.logs.log_file import log_file
+from canhaptic.logs.log_file import CONVERTIBLE, log_file
 
 _LINE: Final = re.compile(
     r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)(?:\s+([RTrt]))?\s*"

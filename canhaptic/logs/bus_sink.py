@@ -16,7 +16,6 @@ from canhaptic.logs.ring import RingShape, SharedArea
 
 FRAME_RING: Final = RingShape("=qIBBBx8s", 65_536)  # timestamp [ns], identifier, length, is_rx, bus, data
 _RECORD: Final = struct.Struct(FRAME_RING.record)
-CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})
 _BLOCK: Final = 4096  # frames formatted at a time
 _LAST_STANDARD_ID: Final = 0x7FF
 

@@ -1,8 +1,12 @@
 """Files that should be logs."""
 
 from pathlib import Path
+from typing import Final
 
 from canhaptic.errors import LogFormatError
+
+CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})
+"""Suffixes of bus logs that python-can reads and writes."""
 
 
 def log_file(path: str | Path) -> Path:

@@ -19,7 +19,7 @@ from canhaptic.scene.simulated_defaults import mirror_quirks
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Motion, Parameters
 
 LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")

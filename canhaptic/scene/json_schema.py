@@ -17,7 +17,7 @@ from canhaptic.sim.bus.bus_effects import BusEffects
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 
 
 def scene_schema() -> Schema:

@@ -12,7 +12,7 @@ from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.scene.buses import FurtherBus, NamedBus
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
 
 if TYPE_CHECKING:

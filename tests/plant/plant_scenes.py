@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import AccuracyParameters, Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 MS = 1_000_000
 MASS, DAMPING = 0.25, 0.1

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.splitting import fixed_point
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 TORQUES = [1.5 + 0.5 * math.sin(0.1 * k) for k in range(40)]
 COGGING = {"type": "cogging", "amplitude": 0.5, "pitch": 4e-3, "phase": 0.3}

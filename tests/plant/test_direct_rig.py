@@ -6,7 +6,7 @@ import pytest
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 MS = 1_000_000
 

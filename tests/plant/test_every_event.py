@@ -11,9 +11,9 @@ from scipy.linalg import expm
 
 from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
 from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model
-from canhaptic.sim.user import UserParameters
 from tools.bench.plants.random_scenes import apart, random_scene
 
 

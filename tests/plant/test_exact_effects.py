@@ -18,7 +18,7 @@ from plant_scenes import (
     run,
 )
 
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 
 TORQUES = [2.0 * math.sin(0.05 * k) for k in range(150)]
 

@@ -9,7 +9,7 @@ from plant_scenes import DAMPING, MASS, MS, ReferenceMode, Way, hand, largest_fl
 
 from canhaptic.errors import EventLimitError
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 CURRENT = {"type": "current_loop", "time_constant": 5e-5}
 

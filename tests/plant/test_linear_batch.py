@@ -5,7 +5,7 @@ import pytest
 from plant_scenes import MS, make_plant
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tools.bench.plants.linear_batch import LinearBatch
 
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 MS = 1_000_000
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plant_scenes import make_plant, residual
 
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 
 def decades(low: float, high: float) -> st.SearchStrategy[float]:

@@ -6,7 +6,7 @@ from plant_scenes import MS
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.map.stability_map import Loops, decay_per_hold, loop_matrices
 
 

@@ -17,7 +17,7 @@ from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import InputError
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.reference.continuous_ode import integrate
 from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.reference.continuous_wall import continuous_effect

@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.loop import Recorder, render
 from tools.bench.standard_cases import standard_case
 from tools.bench.user_laws import USERS, HandPlant

@@ -19,7 +19,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.root import solve_balance
 from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render

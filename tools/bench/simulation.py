@@ -13,7 +13,7 @@ from time import perf_counter
 import numpy as np
 
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.map.stability_map import Loops, decay_per_hold, loop_matrices
 from tools.bench.plants import precision
 from tools.bench.plants.effects import effect_rows

@@ -12,7 +12,7 @@ from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.grasp_change import GraspChange
 from canhaptic.sim.plant.effects.tremor import Tremor
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.loop import LoopCase
 from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
 from tools.bench.user_laws import USERS, HandPlant

@@ -16,7 +16,7 @@ import numpy as np
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.batch import METRICS
 from canhaptic.study.batch.cases import loop_in_arrays
 from canhaptic.study.batch.marching import march

@@ -21,7 +21,7 @@ from canhaptic.sim.plant.mode_matrices import Mode, initial_state
 from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
 from canhaptic.sim.plant.splitting import Splitting
 from canhaptic.sim.plant.timetable import Timetable
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
 
 _ACCOUNTS: Final = ("motor", "user", "dissipated")

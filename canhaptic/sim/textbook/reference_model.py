@@ -11,6 +11,7 @@ from typing import Any, Final
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.reference_elements import (
     POSITION,
     VELOCITY,
@@ -26,7 +27,6 @@ from canhaptic.sim.textbook.reference_elements import (
     Shaft,
     Transition,
 )
-from canhaptic.sim.user import UserParameters
 
 MOTOR_WORK, USER_WORK = -2, -1
 """Places of the works in the state [J]."""

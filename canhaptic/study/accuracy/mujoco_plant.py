@@ -13,8 +13,8 @@ import numpy as np
 
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.reference_motion import Motion
-from canhaptic.sim.user import UserParameters
 from canhaptic.study.scenes import viscous_friction
 
 _EXPRESSIBLE: Final = ("viscous_friction", "encoder_noise", "encoder_quantisation")

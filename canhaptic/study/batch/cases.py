@@ -10,7 +10,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.batch.plants import plant_numbers, why_not_linear
 from canhaptic.study.batch.program import BatchCase, Structure, build_program, numbers_of

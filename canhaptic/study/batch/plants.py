@@ -1,6 +1,6 @@
 """The flow of many linear plants over one sample time, in arrays: mass, bearings and a hand that follows sinusoids.
 
-    m v' = torque - b v + K (x_u - q) + D (v_u - v) + push        (`canhaptic.sim.user`, `canhaptic.sim.plant.plant`)
+    m v' = torque - b v + K (x_u - q) + D (v_u - v) + push   (`user` and `plant` of canhaptic.sim.plant)
 
 The states are those of `Plant`, in its order, and so is the flow: exp(F T) by a series and doubling. The sum of a row
 is taken term by term and not by a matrix product, so that a position may differ from that of `Plant` by a few units in
@@ -18,7 +18,7 @@ from canhaptic.sim.plant.assembly import PlantModel as PlantScene
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import flow_changes
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.batch.varied import simulation_with
 from canhaptic.study.loop import Array
 

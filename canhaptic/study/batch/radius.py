@@ -7,7 +7,7 @@ import numpy as np
 
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.batch.cases import check_values
 from canhaptic.study.loop import Array
 from canhaptic.study.map.stability_map import Loops, decay_per_hold

@@ -8,7 +8,7 @@ import numpy as np
 from canhaptic.control.environments.environment import Environment
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import UserParameters
+from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.loop import Array
 from canhaptic.study.reference.continuous_wall import continuous_effect
 

@@ -24,7 +24,7 @@ from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHan
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
-from canhaptic.sim.user import SinusoidMotion
+from canhaptic.sim.plant.user import SinusoidMotion
 from canhaptic.units import Parameters
 
 LOSSES = {"lost_commands": 0.3, "lost_samples": 0.1}

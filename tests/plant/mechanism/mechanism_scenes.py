@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
-from canhaptic.sim.user import SinusoidMotion
+from canhaptic.sim.plant.user import SinusoidMotion
 
 MS = 1_000_000
 LINKS: dict[str, Any] = {

@@ -12,7 +12,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 MASSES = np.array([STAGE["mass_x"], STAGE["mass_y"]])
 DAMPINGS = np.array([STAGE["damping_x"], STAGE["damping_y"]])

@@ -8,7 +8,7 @@ from canhaptic.scene.models import AxisSimulation, ComponentSpec
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FOLDER = REPOSITORY / "configs" / "accuracy"

@@ -7,7 +7,7 @@ import numpy as np
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch.cases import loop_in_arrays
 from canhaptic.study.batch.program import BatchCase
 from canhaptic.study.batch.scalar import axis_of

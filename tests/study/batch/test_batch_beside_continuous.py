@@ -10,7 +10,7 @@ from test_scenes import demo, many
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.registry import load
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
 from canhaptic.study.batch.batch_reference import ContinuousRuns, why_not_continuous
 from canhaptic.study.batch.cases import loop_in_arrays

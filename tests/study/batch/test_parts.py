@@ -11,7 +11,7 @@ from canhaptic.scene.models import AxisSimulation, ComponentSpec
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.batch.graph import Graph
 from canhaptic.study.batch.layout import known_values
 from canhaptic.study.batch.lowering import Lowering

@@ -9,7 +9,7 @@ import numpy as np
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import AccuracyParameters, Plant, PlantParameters
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 
 @dataclass(frozen=True)

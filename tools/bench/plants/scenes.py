@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import AccuracyParameters, Plant, PlantParameters
-from canhaptic.sim.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 Array = NDArray[np.float64]
 PERIOD_NS: Final = 1_000_000

@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import model_validator
 
-from canhaptic.sim.user import SinusoidMotion
+from canhaptic.sim.plant.user import SinusoidMotion
 from canhaptic.units import Parameters, quantity
 
 Force = Annotated[float, quantity("N", ge=-1e6, le=1e6)]
