@@ -139,10 +139,16 @@ def tried_setting(
     return Setting(accuracy, error, plant.products)
 
 
-def observed(plant: Plant, torques: Sequence[float]) -> Motion:
-    """Returns the motion of a plant under the torques, from its start."""
+def observed(plant: Plant, torques: Sequence[float], hold_ns: int | None = None) -> Motion:
+    """Returns the motion of a plant under the torques, from its start.
+
+    Args:
+        plant: Not begun.
+        torques: Of each hold [N or N*m].
+        hold_ns: Length of a hold [ns]; None: the sample time of the plant.
+    """
     plant.begin(0)
-    period, table = plant.sample_time_ns, np.empty((len(torques), 4))
+    period, table = hold_ns or plant.sample_time_ns, np.empty((len(torques), 4))
     for k, torque in enumerate(torques):
         plant.advance_to((k + 1) * period, torque)
         energy = plant.energy()

@@ -46,8 +46,11 @@ def _priced(prices: Sequence[PlantPrice]) -> str:
     errors = [(price.error, price.unit) for price in prices if price.error is not None]
     if not errors:
         return f"{text}, exact to rounding"
-    error, unit = max(errors)
-    return f"{text}, estimated error {error:.1g} {unit} over {min(price.periods for price in prices)} periods"
+    (error, _, doubt), unit = max(errors, key=lambda one: (bool(one[0].doubt), one[0].size))
+    periods = min(price.periods for price in prices)
+    if doubt:
+        return f"{text}, ERROR NOT KNOWN over {periods} periods: {doubt}"
+    return f"{text}, estimated error {error:.1g} {unit} over {periods} periods"
 
 
 def _spent(plants: Sequence[Plant], periods: int) -> str:

@@ -1,8 +1,9 @@
 """What the simulated plant of a run costs and errs by, found in a moment after the run: for the line that it prints.
 
 The scene's own controller drives a fresh plant without a bus, over the first periods of the run. The plant is timed
-there, and run again coarser; the declared order, and for events the bracket that halves with every bit, turn the
-difference into an error. An estimate, without a reference: `canhaptic accuracy` has one.
+there, and run again with halved steps (sample time and substeps alike) and with coarser event bits; the declared order,
+and for events the bracket that halves with every bit, turn the differences into an error. Where the steps do not
+converge, the line says so. An estimate, without a reference: `canhaptic accuracy` has one.
 """
 
 from collections.abc import Sequence
@@ -17,12 +18,27 @@ from canhaptic.scene.accuracy_choice import observed, simulation_of, torque_hist
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.plant import AccuracyParameters, Plant
+from canhaptic.sim.plant.propagator import Array
 
-_PRODUCTS: Final = 12_000
-"""Of the plant that is timed: about 50 ms."""
+_PRODUCTS: Final = 6_000
+"""Of the plant that is timed: about 25 ms; the halved steps cost six times that."""
 _FEWEST, _MOST = 50, 1000  # periods
 _BITS_COARSER: Final = 6
 _NS_PER_US: Final = 1e3
+_FLOOR: Final = 1e-9
+"""Of the travel: differences below it tell no order."""
+_COARSE: Final = 0.03
+"""Of the travel: a difference of halved steps from which on no order can be relied on."""
+_SUSPECT: Final = 1e3
+"""Times the bracket of events: a difference of halved steps above it is no matter of brackets."""
+
+
+class ErrorEstimate(NamedTuple):
+    """Of the position at any SYNC, largest over the periods that it was found over."""
+
+    size: float  # [m or rad]
+    travel: float  # of the position over those periods [m or rad]
+    doubt: str = ""  # why it cannot be trusted; empty where it can
 
 
 class PlantPrice(NamedTuple):
@@ -30,7 +46,7 @@ class PlantPrice(NamedTuple):
 
     unit: str
     microseconds: float  # per period, of the plant alone
-    error: float | None  # of the position [m or rad]; None: exact, to rounding
+    error: "ErrorEstimate | None"  # None: exact, to rounding
     periods: int  # that it was found over
 
 
@@ -67,38 +83,70 @@ def _price(axis: AxisScene, scene: Scene, plant: Plant, periods: int) -> PlantPr
     return PlantPrice(axis.parameters.unit, spent / holds / _NS_PER_US, error, holds)
 
 
-def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> float | None:
-    """Returns the estimated largest error of the position at any SYNC [m or rad]; None where the plant is exact.
+def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> ErrorEstimate | None:
+    """Returns the estimated largest error of the position at any SYNC; None where the plant is exact to rounding.
 
     Args:
         simulation: With the accuracy to be judged.
         torques: Of each hold [N or N*m].
         sample_time_ns: Of a hold [ns].
     """
-    plant, accuracy = build_plant(replace(simulation, compiled=False), sample_time_ns), simulation.accuracy
+    accuracy = simulation.accuracy
+    plant = build_plant(replace(simulation, compiled=False), sample_time_ns)
     switches = any(part.has_guards for part in plant.scene.parts)
     if plant.is_exact and not switches:
         return None
-    position = observed(plant, torques).position
+    runs = _Runs(simulation, torques, sample_time_ns)
+    travel = max(float(np.ptp(runs.of(accuracy))), 1e-12)
+    step = runs.apart(accuracy, 2)
+    bracket = _bracket_error(runs, accuracy) if switches else 0.0
+    if plant.is_exact:
+        doubt = _moved(step, travel) if step > _SUSPECT * max(bracket, _FLOOR * travel) else ""
+        return ErrorEstimate(max(bracket, 2.0 * step), travel, doubt)
+    order = _order(simulation)
+    error = step * 2.0**order / (2.0**order - 1.0) + bracket
+    slow = step > _FLOOR * travel and runs.between(accuracy, 2, 4) > step * 2.0 ** (-0.5 * order)
+    doubt = f"{_moved(step, travel)}; raise accuracy.substeps" if slow or step > _COARSE * travel else ""
+    return ErrorEstimate(error, travel, doubt)
 
-    def apart(other: AccuracyParameters) -> float:
-        changed = build_plant(replace(simulation, accuracy=other, compiled=False), sample_time_ns)
-        return float(np.abs(observed(changed, torques).position - position).max())
 
-    error = 0.0
-    if switches:
-        less = max(1, accuracy.event_bits - _BITS_COARSER)
-        more = accuracy.event_bits + _BITS_COARSER if accuracy.event_bits == less else less
-        factor = 2.0 ** abs(accuracy.event_bits - more)
-        coarse = apart(accuracy.model_copy(update={"event_bits": more}))
-        error += coarse / (factor - 1.0) if more < accuracy.event_bits else coarse * factor / (factor - 1.0)
-    if not plant.is_exact:
-        factor = 2.0 ** (1 if switches else _order(simulation))
-        if accuracy.substeps > 1:
-            error += apart(accuracy.model_copy(update={"substeps": accuracy.substeps // 2})) / (factor - 1.0)
-        else:
-            error += apart(accuracy.model_copy(update={"substeps": 2})) * factor / (factor - 1.0)
-    return error
+def _moved(step: float, travel: float) -> str:
+    return f"halving the steps moves the position by {100.0 * step / travel:.2g} % of its travel"
+
+
+class _Runs:
+    """Positions at the SYNCs of one torque history, at several accuracies and lengths of step."""
+
+    def __init__(self, simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> None:
+        self._simulation, self._torques, self._period = simulation, torques, sample_time_ns
+        self._found: dict[tuple[AccuracyParameters, int], Array] = {}
+
+    def of(self, accuracy: AccuracyParameters, finer: int = 1) -> Array:
+        """Returns the positions with a plant whose sample time, and so its substeps, are `finer` times shorter."""
+        key = (accuracy, finer)
+        if key not in self._found:
+            changed = replace(self._simulation, accuracy=accuracy, compiled=False)
+            plant = build_plant(changed, max(1, self._period // finer))
+            self._found[key] = observed(plant, self._torques, self._period).position
+        return self._found[key]
+
+    def apart(self, accuracy: AccuracyParameters, finer: int) -> float:
+        """Returns the largest difference from the same with shorter steps [m or rad]."""
+        return self.between(accuracy, 1, finer)
+
+    def between(self, accuracy: AccuracyParameters, one: int, other: int) -> float:
+        """Returns the largest difference of two lengths of step [m or rad]."""
+        return float(np.abs(self.of(accuracy, one) - self.of(accuracy, other)).max())
+
+
+def _bracket_error(runs: _Runs, accuracy: AccuracyParameters) -> float:
+    """Returns what the width of the bracket of events leaves, which halves with every bit [m or rad]."""
+    less = max(1, accuracy.event_bits - _BITS_COARSER)
+    more = accuracy.event_bits + _BITS_COARSER if accuracy.event_bits == less else less
+    factor = 2.0 ** abs(accuracy.event_bits - more)
+    other = runs.of(accuracy.model_copy(update={"event_bits": more}))
+    apart = float(np.abs(other - runs.of(accuracy)).max())
+    return apart / (factor - 1.0) if more < accuracy.event_bits else apart * factor / (factor - 1.0)
 
 
 def _order(simulation: AxisSimulation) -> int:

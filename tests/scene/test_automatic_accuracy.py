@@ -22,7 +22,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.scene.parts import build_plant
-from canhaptic.scene.plant_price import estimated_error, plant_prices
+from canhaptic.scene.plant_price import PlantPrice, estimated_error, plant_prices
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_motion import difference
 
@@ -118,7 +118,31 @@ def test_the_estimated_error_is_that_of_the_reference_within_a_factor_of_four(tm
     true = difference(observed(build_plant(simulation, period), torques), exact, 0.25, 1e-3).position
     estimated = estimated_error(simulation, torques, period)
     assert estimated is not None
-    assert true / 4.0 < estimated < true * 4.0
+    assert not estimated.doubt
+    assert true / 4.0 < estimated.size < true * 4.0
+
+
+COARSE = ("bus.rate=40 Hz", "simulation.effects=[{type: cogging, amplitude: 1.5 N, pitch: 5 mm}]", QUICK_HAND)
+
+
+def test_an_estimate_that_cannot_be_trusted_says_so_and_what_to_do(tmp_path: Path) -> None:
+    """Cogging with several detents a hold: one substep is off by a seventh of the travel, 16 by 0.1 %."""
+    for substeps, trusted in ((1, False), (16, True)):
+        scene = load_scene(scene_file(tmp_path), [*COARSE, f"accuracy={{substeps: {substeps}}}"])
+        simulation, period = simulation_of(scene.axes[0]), scene.bus.sample_time_ns
+        torques = torque_history(scene.axes[0], scene, 20)
+        exact = reference(textbook_model(simulation), torques, period)
+        true = difference(observed(build_plant(simulation, period), torques), exact, 0.25, 25e-3).position
+        estimated = estimated_error(simulation, torques, period)
+        assert estimated is not None
+        assert (not estimated.doubt) is trusted
+        if trusted:
+            assert true < 4.0 * estimated.size < 16.0 * true
+        else:
+            assert true > 0.1 * estimated.travel
+            assert "raise accuracy.substeps" in estimated.doubt
+        line = method_line(scene, [], 60, [PlantPrice("m", 1.0, estimated, 60)])
+        assert ("ERROR NOT KNOWN" in line) is not trusted
 
 
 def test_the_line_of_a_run_has_its_price_and_its_error(tmp_path: Path) -> None:
