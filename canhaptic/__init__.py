@@ -1,9 +1,9 @@
 """canhaptic: passive haptic rendering on industrial CiA 402 servo drives over CAN.
 
-    from canhaptic import build, load_scene, run
+    import canhaptic
 
-    with build(load_scene("configs/demo.yaml")) as experiment:
-        run(experiment.cycle, cycles=1000)
+    result = canhaptic.simulate("configs/demo.yaml", {"environment.stiffness": "500 N/m"})
+    print(result.account["handle"].margin)
 
 Names are imported when they are first used, so that `import canhaptic` costs nothing.
 """
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from canhaptic.scene.load import load_scene as load_scene
     from canhaptic.sim.plant.direct_rig import DirectRig as DirectRig
     from canhaptic.sim.plant.plant import Plant as Plant
+    from canhaptic.simulation import SimulationResult as SimulationResult
+    from canhaptic.simulation import simulate as simulate
 
 _PUBLIC: Final = {
     "CanHapticError": "canhaptic.errors",
@@ -37,14 +39,21 @@ _PUBLIC: Final = {
     "LoopProperties": "canhaptic.control.passivity.controller",
     "Plant": "canhaptic.sim.plant.plant",
     "Rig": "canhaptic.drive.rig",
+    "SimulationResult": "canhaptic.simulation",
     "build": "canhaptic.scene.build",
     "build_controller": "canhaptic.control.passivity",
     "load_scene": "canhaptic.scene.load",
     "run": "canhaptic.cycle",
     "run_result": "canhaptic.result",
+    "simulate": "canhaptic.simulation",
 }
 
 __all__ = list(_PUBLIC)
+
+
+def __dir__() -> list[str]:
+    """Returns the public names."""
+    return sorted(__all__)
 
 
 def __getattr__(name: str) -> Any:

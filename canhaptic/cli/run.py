@@ -15,11 +15,9 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
 from canhaptic.host.socketcan_state import require_preflight
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.guesses import require_no_guesses
-from canhaptic.scene.method import method_line
-from canhaptic.scene.plant_price import plant_prices
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,44 +77,12 @@ def _run(
     status = "completed" if error is None else f"failed: {type(error).__name__}"
     if error is None and stop.requested():
         status = "stopped"
-    result = _account(experiment, status, elapsed)
+    result = experiment_account(experiment, status, elapsed)
     try:
         experiment.close(status)
     except CanHapticError as raised:
         error = error or raised
     return result, error
-
-
-def _account(experiment: Experiment, status: str, elapsed: float) -> dict[str, Any]:
-    scene, cycle = experiment.scene, experiment.cycle
-    result = run_result(
-        cycle,
-        [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
-        status=status,
-        config_hash=scene.config_hash(),
-        sample_time=scene.bus.sample_time,
-        method=method_line(
-            scene, experiment.plants, cycle.cycles, plant_prices(scene, experiment.plants, cycle.cycles)
-        ),
-    )
-    names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
-    result["plants"] = {
-        name: {"events": plant.events, "products": plant.products}
-        for name, plant in zip(names, experiment.plants, strict=False)
-    }
-    # In lock-step virtual time stands still within a cycle: its durations say nothing.
-    durations = result["timing"] if experiment.pace == "real" else {}
-    result["timing"] = {
-        "pace": experiment.pace,
-        "cycles_per_second": cycle.cycles / elapsed if elapsed else 0.0,
-        **durations,
-        **{f"realtime_{name}": answer for name, answer in experiment.rig.realtime.report.items()},
-    }
-    totals = {name: bus.totals() for name, bus in experiment.faulty_buses.items()}
-    if totals:
-        result["bus_effects"] = totals.get("", totals)  # the only bus may have no name
-    result["logs"] = {"dropped": sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log)}
-    return result
 
 
 def _report(result: dict[str, Any], error: CanHapticError | None, arguments: argparse.Namespace) -> None:

@@ -8,7 +8,7 @@ Identity of every step, whatever the algorithm (to 1e-12 of the largest term); f
 """
 
 from enum import IntEnum
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 
 class Branch(IntEnum):
@@ -53,6 +53,25 @@ class EnergyBalance(NamedTuple):
     damping_rendered: float  # damping of model plus modulated damper inside the command [N*s/m or N*m*s/rad]
     certificate: int  # Certificate
     state: float  # displacement of the storage after this step [m or rad]
+
+
+Verdict = Literal["yes", "no", "in doubt"]
+"""Whether a port was passive; "in doubt" where energy that lost samples leave open decides."""
+
+PASSIVE_TOLERANCE: Final = 1e-6
+"""Energy below zero that still counts as zero [J]."""
+
+
+def passive_verdict(least_interaction: float, unsure: float = 0.0) -> Verdict:
+    """Returns whether a port was passive (eq. 3).
+
+    Args:
+        least_interaction: Least sum of interaction energy after any hold, doubt taken off [J].
+        unsure: The doubt in it [J].
+    """
+    if least_interaction >= -PASSIVE_TOLERANCE:
+        return "yes"
+    return "in doubt" if least_interaction + unsure >= -PASSIVE_TOLERANCE else "no"
 
 
 _OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.GROUP.value)

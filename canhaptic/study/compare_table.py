@@ -8,8 +8,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.units import effort_unit
-from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 
 _COLUMNS: Final = 6

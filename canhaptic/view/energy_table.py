@@ -9,6 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, passive_verdict
 from canhaptic.units import damping_unit
 from canhaptic.view.si import si
 
@@ -16,8 +17,12 @@ _PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
 _PORTS_PER_TABLE: Final = 4
 _WIDTHS: Final = (34, 18)  # of a column, where there are few ports and where there are many
 _NOTHING: Final = "-   "
-PASSIVE_TOLERANCE: Final = 1e-6  # [J] below zero that still counts as zero
 
+_VERDICTS: Final[dict[Verdict, Text]] = {
+    "yes": Text("yes   ", style="bold green"),
+    "in doubt": Text("in doubt   ", style="bold yellow"),
+    "no": Text("NO   ", style="bold red"),
+}
 _ROUNDING: Final = 1e-9
 """Part of the largest damping below which the least is none."""
 _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
@@ -148,12 +153,8 @@ def _longest_hold(port: _Result) -> str:
 
 def _passive(port: _Result) -> Text:
     """Returns yes, NO, or that only the energy in doubt, booked at its worst, lies between them."""
-    least = port["least_interaction"]
-    if least >= -PASSIVE_TOLERANCE:
-        return Text("yes   ", style="bold green")
-    if least + port.get("unsure", 0.0) >= -PASSIVE_TOLERANCE:
-        return Text("in doubt   ", style="bold yellow")
-    return Text("NO   ", style="bold red")
+    verdict = passive_verdict(port["least_interaction"], port.get("unsure", 0.0))
+    return _VERDICTS[verdict].copy()
 
 
 def _damping(port: _Result) -> str:

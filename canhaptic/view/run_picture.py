@@ -57,6 +57,15 @@ def draw_energy(
     Raises:
         InputError: The log holds no cycle there, matplotlib is not installed, or the file cannot be written.
     """
+    mpl, _ = matplotlib_figure()
+    with mpl.rc_context(STYLE):
+        save_picture(energy_figure(log, start, stop, other), path)
+
+
+def energy_figure(
+    log: EnergyLog, start: float | None = None, stop: float | None = None, other: EnergyLog | None = None
+) -> Any:
+    """Returns the matplotlib figure of a run; the arguments are those of `draw_energy`."""
     rows = rows_to_draw(log, start, stop)
     mpl, figure_type = matplotlib_figure()
     with mpl.rc_context(STYLE):
@@ -72,7 +81,7 @@ def draw_energy(
                 overlay.draw_over(panels[:, column], picture.scales)
             panels[-1, column].set_xlabel("time [s]" + picture.faults())
         figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
-        save_picture(figure, path)
+    return figure
 
 
 def _caption(log: EnergyLog) -> str:

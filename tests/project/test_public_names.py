@@ -6,8 +6,8 @@ import pytest
 import canhaptic
 
 
-def test_every_public_name_can_be_imported_and_there_are_at_most_twenty() -> None:
-    assert len(canhaptic.__all__) <= 20
+def test_every_public_name_can_be_imported_and_there_are_few() -> None:
+    assert len(canhaptic.__all__) <= 30
     for name in canhaptic.__all__:
         assert getattr(canhaptic, name).__name__ == name
 

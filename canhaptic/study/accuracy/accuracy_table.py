@@ -8,9 +8,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.study.accuracy.advice import FLOOR
 from canhaptic.units import effort_unit
-from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 from canhaptic.view.si import si
 
 Row = Mapping[str, Any]

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
+from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
@@ -30,7 +31,6 @@ from canhaptic.study.sweep.places import places_of
 from canhaptic.study.sweep.points import CONTROLLER, Column, make_points
 from canhaptic.study.sweep.recipe import Recipe, make_recipe
 from canhaptic.study.sweep.vary import listed, ranged
-from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 
 STIFFNESS, DAMPING = "environment.stiffness", "environment.damping"
 _USER: Final = "simulation.user"

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch import scene_with
@@ -24,7 +25,6 @@ from canhaptic.study.map.field import MapField, Mask
 from canhaptic.study.scenes import viscous_friction
 from canhaptic.study.sweep.chunk import BATCHED, RADIUS
 from canhaptic.study.sweep.places import batch_key
-from canhaptic.view.energy_table import PASSIVE_TOLERANCE
 
 JUDGEMENTS: Final = {
     "stable": "stable",

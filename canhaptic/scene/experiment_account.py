@@ -1,0 +1,46 @@
+"""The account of an experiment that has run: the energies of each port, and how and how fast the run was computed."""
+
+from typing import Any
+
+from canhaptic.result import run_result
+from canhaptic.scene.build import Experiment
+from canhaptic.scene.method import method_line
+from canhaptic.scene.plant_price import plant_prices
+
+
+def experiment_account(experiment: Experiment, status: str, elapsed: float) -> dict[str, Any]:
+    """Returns what `canhaptic run --json` prints; energies in [J], times in [s].
+
+    Args:
+        experiment: After its run, whether that reached its end or not.
+        status: "completed", "stopped" or the reason of a stop.
+        elapsed: Time that the run took [s].
+    """
+    scene, cycle = experiment.scene, experiment.cycle
+    prices = plant_prices(scene, experiment.plants, cycle.cycles)
+    account = run_result(
+        cycle,
+        [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
+        status=status,
+        config_hash=scene.config_hash(),
+        sample_time=scene.bus.sample_time,
+        method=method_line(scene, experiment.plants, cycle.cycles, prices),
+    )
+    names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
+    account["plants"] = {
+        name: {"events": plant.events, "products": plant.products}
+        for name, plant in zip(names, experiment.plants, strict=False)
+    }
+    # In lock-step virtual time does not pass within a cycle: its durations say nothing.
+    durations = account["timing"] if experiment.pace == "real" else {}
+    account["timing"] = {
+        "pace": experiment.pace,
+        "cycles_per_second": cycle.cycles / elapsed if elapsed else 0.0,
+        **durations,
+        **{f"realtime_{name}": answer for name, answer in experiment.rig.realtime.report.items()},
+    }
+    totals = {name: bus.totals() for name, bus in experiment.faulty_buses.items()}
+    if totals:
+        account["bus_effects"] = totals.get("", totals)  # the only bus may have no name
+    account["logs"] = {"dropped": sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log)}
+    return account

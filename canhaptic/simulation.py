@@ -1,0 +1,371 @@
+"""A scene simulated from Python, and its result: the account of energy, every sampled quantity, and pictures.
+
+import canhaptic
+
+result = canhaptic.simulate("configs/demo.yaml", {"environment.stiffness": "500 N/m"})
+print(result.account["handle"].margin)       # [J]
+result.plot()
+"""
+
+import base64
+import html
+import io
+import json
+import shutil
+import sys
+import tempfile
+import weakref
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.control.balance import Verdict, passive_verdict
+from canhaptic.cycle import run
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import CanHapticError, InputError
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.load import load_scene, scene_from_mapping
+from canhaptic.scene.models import Scene
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+
+_LOG_NAME: Final = "run.h5"
+
+
+@dataclass(frozen=True, slots=True)
+class PortAccount:
+    """The account of energy of one axis, or of a group of axes. Energies in [J].
+
+    Attributes:
+        name: Of the axis or group.
+        energy_in: What came in through the port.
+        energy_out: What went out through it.
+        stored: What the virtual environment holds at the end.
+        dissipated: What it dissipated.
+        deficit: What it gave out beyond what it held, summed.
+        margin: Least sum of interaction energy less dissipated energy (eq. 4); below 0: not passive.
+        least_interaction: Least sum of interaction energy after any hold (eq. 3), as the controller knows it.
+        true_least_interaction: The same sum by the plant's own energy; NaN for an axis that has none of its own.
+        certificate: Weakest certificate of the run by name, `none` where nothing was certified.
+        passive: Verdict on `least_interaction`; an axis in a group has that of the group.
+        group: The group that the axis belongs to, whose account counts; empty otherwise.
+    """
+
+    name: str
+    energy_in: float
+    energy_out: float
+    stored: float
+    dissipated: float
+    deficit: float
+    margin: float
+    least_interaction: float
+    true_least_interaction: float
+    certificate: str
+    passive: Verdict
+    group: str = ""
+
+
+class Account(Mapping[str, PortAccount]):
+    """The accounts of all ports by name; `raw` is the whole account as `canhaptic run --json` prints it."""
+
+    def __init__(self, raw: Mapping[str, Any]) -> None:
+        self.raw: Mapping[str, object] = dict(raw)
+        self._ports = {name: _port_account(name, raw) for name in raw["ports"]}
+
+    def __getitem__(self, name: str) -> PortAccount:
+        return self._ports[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._ports)
+
+    def __len__(self) -> int:
+        return len(self._ports)
+
+    @property
+    def passive(self) -> Verdict:
+        """The worst verdict of all ports."""
+        verdicts = {port.passive for port in self._ports.values()}
+        return "no" if "no" in verdicts else "in doubt" if "in doubt" in verdicts else "yes"
+
+    def __repr__(self) -> str:
+        return f"<Account: passive {self.passive}; {', '.join(self._ports)}>"
+
+
+class SimulationResult:
+    """What a simulated run gave: its account, every quantity of its energy log, and pictures.
+
+    The log is kept in a temporary file until the result is deleted; `save` keeps it.
+
+    Attributes:
+        scene: What was simulated.
+        account: Energies of each port.
+        error: What ended the run before its time; None for a run that completed.
+        sample_time: [s].
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        raw: Mapping[str, Any],
+        error: CanHapticError | None,
+        folder: Path,
+    ) -> None:
+        self.scene = scene
+        self.account = Account(raw)
+        self.error = error
+        self.sample_time = scene.bus.sample_time
+        self._path = folder / _LOG_NAME
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+
+    @property
+    def status(self) -> str:
+        """How the run ended: "completed" or "failed: ..."."""
+        return str(self.account.raw["status"])
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Time of each SYNC since the first [s], shape (n_cycles,)."""
+        with self.log() as log:
+            return log.time
+
+    def log(self) -> EnergyLog:
+        """Opens the energy log of the run, for everything that is not here; close it, or use it as a context."""
+        return EnergyLog.open(self._path)
+
+    def to_numpy(self) -> dict[str, NDArray[np.float64]]:
+        """Returns every sampled quantity of every port as an array of shape (n_cycles,), in SI.
+
+        The name is `PORT.QUANTITY`, such as `handle.position`; `true.PORT.QUANTITY` is what the plant says.
+
+        Example:
+            >>> depth = result.to_numpy()["handle.position"].min()  # doctest: +SKIP
+        """
+        return {name: values for name, _, values in self._columns()}
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Returns the quantities of `to_numpy` as a table over time [s].
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise InputError("to_pandas() needs pandas; install it with: pip install pandas") from error
+        return pandas.DataFrame(self.to_numpy(), index=pandas.Index(self.time, name="time [s]"))
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Returns the quantities of `to_numpy` as a dataset over `time` [s], each with its unit as an attribute.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise InputError("to_xarray() needs xarray; install it with: pip install xarray") from error
+        arrays = {name: ("time", values, {"units": unit}) for name, unit, values in self._columns()}
+        time = ("time", self.time, {"units": "s"})
+        return xarray.Dataset(arrays, coords={"time": time}, attrs={"status": self.status})
+
+    def plot(self, other: "SimulationResult | None" = None) -> "Figure":
+        """Returns a figure of position, torque and energy over time; `other` is drawn over it in dashed lines.
+
+        Raises:
+            InputError: matplotlib is not installed, or the run ended before its first cycle.
+
+        Example:
+            >>> guarded.plot(other=unprotected).savefig("both.png")  # doctest: +SKIP
+        """
+        from canhaptic.view.run_picture import energy_figure
+
+        with ExitStack() as stack:
+            log, *second = [stack.enter_context(run.log()) for run in (self, other) if run is not None]
+            figure: Figure = energy_figure(log, other=second[0] if second else None)
+        return figure
+
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Writes the energy log (HDF5) of the run, for `canhaptic inspect` and `EnergyLog.open`; returns its path.
+
+        Raises:
+            InputError: The file exists already, or cannot be written.
+        """
+        target = Path(path)
+        try:
+            with target.open("xb") as file, self._path.open("rb") as log:
+                shutil.copyfileobj(log, file)
+        except OSError as error:
+            raise InputError(f"{target}: the log cannot be saved ({error.strerror}); choose another name") from error
+        return target
+
+    def __repr__(self) -> str:
+        cycles = self.account.raw["cycles"]
+        return f"<SimulationResult {self.scene.source}: {self.status}, {cycles} cycles, passive {self.account.passive}>"
+
+    def _repr_html_(self) -> str:
+        """Returns the verdict, the energies and the picture for a notebook."""
+        rows = "".join(
+            f"<tr><th>{html.escape(name)}</th><td>{port.passive}</td><td>{port.energy_in:.4g}</td>"
+            f"<td>{port.energy_out:.4g}</td><td>{port.dissipated:.4g}</td><td>{html.escape(port.certificate)}</td></tr>"
+            for name, port in self.account.items()
+        )
+        names = ("", "passive", "in [J]", "out [J]", "dissipated [J]", "certificate")
+        head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
+        return f"<p><b>{html.escape(self.status)}</b></p><table>{head}{rows}</table>{self._embedded_picture()}"
+
+    def _embedded_picture(self) -> str:
+        try:
+            figure = self.plot()
+        except InputError:  # no matplotlib, or nothing to draw: the table is shown alone
+            return ""
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png")
+        return f'<img alt="run" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
+
+    def _columns(self) -> list[tuple[str, str, NDArray[np.float64]]]:
+        with self.log() as log:
+            return [
+                (f"{prefix}{port}.{name}", quantities.unit(name), np.asarray(quantities[name], dtype=np.float64))
+                for prefix, ports in (("", log.ports), ("true.", log.truth))
+                for port, quantities in ports.items()
+                for name in quantities
+            ]
+
+
+def simulate(
+    scene: str | PathLike[str] | Mapping[str, object] | Scene,
+    changes: Mapping[str, object] | None = None,
+    *,
+    duration: float | None = None,
+    progress: bool = True,
+    check: bool = True,
+) -> SimulationResult:
+    """Simulates a scene on the virtual bus, as fast as this machine allows, and returns what happened.
+
+    Args:
+        scene: A scene file, a mapping with the keys of one, or a scene that was loaded.
+        changes: Values laid over the scene, by path: `{"environment.stiffness": "500 N/m"}`. Not for a loaded scene.
+        duration: Length of the run [s]; by default the scene's.
+        progress: Whether a progress bar is shown in a terminal or a notebook.
+        check: Whether a run that ends by itself before its time raises; otherwise the result carries its `error`.
+
+    Raises:
+        SceneError: The scene is wrong; lists every fault.
+        InputError: The scene simulates nothing, or neither it nor the call gives a duration.
+        RigError: The run ended before its time, and `check` is true.
+
+    Example:
+        >>> result = canhaptic.simulate("configs/demo.yaml", {"environment.damping": 0.0})  # doctest: +SKIP
+        >>> result.account["handle"].passive  # doctest: +SKIP
+        'yes'
+    """
+    loaded = _scene(scene, changes or {})
+    if not loaded.simulated:
+        raise InputError(
+            f"{loaded.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`); "
+            "a real rig is started on purpose, by `canhaptic run`"
+        )
+    length = duration if duration is not None else loaded.run.duration
+    if length is None:
+        raise InputError(
+            f"{loaded.source}: duration: missing; add it to the scene or call simulate(..., duration=10.0)"
+        )
+    cycles = max(1, round(length / loaded.bus.sample_time))
+    folder = Path(tempfile.mkdtemp(prefix="canhaptic-"))
+    try:
+        raw, error = _run(build(loaded, "free", folder / _LOG_NAME, None), cycles, progress)
+        if error is not None and check:
+            raise error
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return SimulationResult(loaded, raw, error, folder)
+
+
+def _scene(scene: str | PathLike[str] | Mapping[str, object] | Scene, changes: Mapping[str, object]) -> Scene:
+    overrides = [f"{path}={json.dumps(value)}" for path, value in changes.items()]
+    if isinstance(scene, Scene):
+        if changes:
+            raise InputError(
+                "changes: a loaded scene takes none; give them to load_scene, or give the file to simulate"
+            )
+        return scene
+    if isinstance(scene, Mapping):
+        return scene_from_mapping(scene, overrides=overrides)
+    return load_scene(Path(scene), overrides)
+
+
+def _run(experiment: Experiment, cycles: int, progress: bool) -> tuple[dict[str, Any], CanHapticError | None]:
+    """Runs to the end, wherever that is; returns the account and what ended the run before its time."""
+    error: CanHapticError | None = None
+    clock = WallClock()
+    begin = clock.now()
+    with experiment:
+        try:
+            with _bar(cycles, progress) as bar:
+                run(experiment.cycle, cycles, progress=bar)
+        except CanHapticError as raised:
+            error = raised
+        status = "completed" if error is None else f"failed: {error}"
+        raw = experiment_account(experiment, status, (clock.now() - begin) * 1e-9)
+        experiment.close(status)
+    return raw, error
+
+
+@contextmanager
+def _bar(cycles: int, wanted: bool) -> "Iterator[_Bar | None]":
+    """Yields a progress bar where somebody can see it: in a terminal or a notebook."""
+    if not wanted or not (sys.stderr.isatty() or "ipykernel" in sys.modules):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr="ipykernel" not in sys.modules)
+    with Progress(console=console, auto_refresh=False, transient=True) as display:
+        yield _Bar(display, cycles)
+
+
+class _Bar:
+    """Takes the number of completed cycles; draws one of a thousand."""
+
+    def __init__(self, display: Any, cycles: int) -> None:
+        self._display = display
+        self._task = display.add_task("simulating", total=cycles)
+
+    def __call__(self, cycles: int) -> None:
+        if cycles % 1000 == 0:
+            self._display.update(self._task, completed=cycles, refresh=True)
+
+
+def _port_account(name: str, raw: Mapping[str, Any]) -> PortAccount:
+    port = raw["ports"][name]
+    group = port.get("group", "")
+    whole = raw["ports"][group] if group else port
+    truth = raw["truth"].get(name, {})
+    return PortAccount(
+        name=name,
+        energy_in=port["in"],
+        energy_out=port["out"],
+        stored=whole["stored"],
+        dissipated=whole["dissipated"],
+        deficit=whole["deficit"],
+        margin=whole["margin"]["value"],
+        least_interaction=whole["least_interaction"],
+        true_least_interaction=truth.get("least_interaction", float("nan")),
+        certificate=whole["certificate"],
+        passive=passive_verdict(whole["least_interaction"], whole.get("unsure", 0.0)),
+        group=group,
+    )
