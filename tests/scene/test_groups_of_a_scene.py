@@ -10,9 +10,9 @@ import pytest
 from scene_text import REPOSITORY
 
 from canhaptic.cli.main import main
-from canhaptic.control.certificates.group_certificates import axes_of
-from canhaptic.control.certificates.per_axis_certificates import PerAxisBound
 from canhaptic.control.multi_axis.axis_group import AxisGroup
+from canhaptic.control.multi_axis.group_certificates import axes_of
+from canhaptic.control.multi_axis.per_axis_certificates import PerAxisBound
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.build import build

@@ -3,12 +3,12 @@
 import math
 from collections.abc import Sequence
 
-from canhaptic.control.certificates import group_certificates as bound
 from canhaptic.control.certificates import lost_samples
-from canhaptic.control.certificates.group_certificates import AxisLimits
 from canhaptic.control.certificates.lost_samples import Gap
-from canhaptic.control.certificates.per_axis_certificates import PerAxisBound
+from canhaptic.control.multi_axis import group_certificates as bound
+from canhaptic.control.multi_axis.group_certificates import AxisLimits
 from canhaptic.control.multi_axis.group_commands import GroupCommands, Values
+from canhaptic.control.multi_axis.per_axis_certificates import PerAxisBound
 from canhaptic.control.passivity.settlement import settle
 
 

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar, Final
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.certificates.group_certificates import axes_of, taken_by_mover
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_account import GroupAccount
+from canhaptic.control.multi_axis.group_certificates import axes_of, taken_by_mover
 from canhaptic.control.multi_axis.group_commands import EndedHold, GroupCommand, GroupCommands, Values, as_applied
 from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
 from canhaptic.control.multi_axis.requested_efforts import GroupMotion, RequestedEfforts

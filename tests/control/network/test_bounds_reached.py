@@ -5,11 +5,11 @@ import random
 
 import pytest
 
-from canhaptic.control.certificates.group_certificates import axes_of
 from canhaptic.control.certificates.lost_samples import Gap, worst, worst_damped
-from canhaptic.control.certificates.per_axis_certificates import PerAxisBound
 from canhaptic.control.multi_axis.group_account import GroupAccount
+from canhaptic.control.multi_axis.group_certificates import axes_of
 from canhaptic.control.multi_axis.group_commands import GroupCommands
+from canhaptic.control.multi_axis.per_axis_certificates import PerAxisBound
 from canhaptic.control.passivity.controller import LoopProperties
 
 T, MASS, PULL = 2e-3, 0.3, 1.5

@@ -23,7 +23,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from canhaptic.control.certificates.group_certificates import AxisLimits, share_within
+from canhaptic.control.multi_axis.group_certificates import AxisLimits, share_within
 from canhaptic.control.multi_axis.group_commands import Values
 
 _PASSES: Final = 24
