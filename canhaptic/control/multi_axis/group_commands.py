@@ -1,7 +1,8 @@
 """The torques of a group from their computation to the end of the hold in which they acted, with what was in them."""
 
 from collections import deque
-from math import isfinite
+from collections.abc import Sequence
+from math import inf, isfinite
 from typing import NamedTuple
 
 from canhaptic.errors import ControlError
@@ -33,15 +34,17 @@ class EndedHold(NamedTuple):
 class GroupCommands:
     """Positions and commands of the holds that have not been booked yet."""
 
-    def __init__(self, axes: int, delay: int, ports: int = 0) -> None:
+    def __init__(self, axes: int, delay: int, largest: Sequence[float | None], ports: int = 0) -> None:
         """Makes an empty queue.
 
         Args:
             axes: Motor axes.
             delay: Whole holds between computation and action.
+            largest: Largest torque of each axis that limiter and drive let act [N*m or N]; None: any.
             ports: Of the network, where the commands name the efforts there.
         """
         self.axes, self.delay = axes, delay
+        self._largest = tuple([inf if limit is None else limit for limit in largest])
         zeros = (0.0,) * axes
         self.nothing = GroupCommand(zeros, zeros, zeros, (0.0,) * ports)
         self.reset()
@@ -97,7 +100,8 @@ class GroupCommands:
         """Takes note of a SYNC without all samples; returns the torques of the newest command, repeated."""
         newest = self._queue[-1]
         if self._positions is not None:
-            self._skipped += (self._queue.popleft().torques,)
+            lost = self._queue.popleft().torques
+            self._skipped += (tuple([min(max(t, -most), most) for t, most in zip(lost, self._largest, strict=True)]),)
             self._queue.append(newest)
         return newest.torques
 

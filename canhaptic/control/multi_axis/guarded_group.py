@@ -80,7 +80,7 @@ class GuardedGroup:
         self._limits = [loop.torque_limit or math.inf for loop in loops]
         self._quanta = [loop.torque_quantum for loop in loops]
         self._quantised = any(self._quanta)
-        self._commands = GroupCommands(axes, delay)
+        self._commands = GroupCommands(axes, delay, self._limits)
         self.lost_frames, self._splits = parameters.lost_frames, parameters.lost_frames > 0
         self._account = GroupAccount(known, self._commands, parameters.credit, parameters.lost_frames)
         self.reset()

@@ -52,7 +52,7 @@ class ScaledGroup:
         self.axes = axes = kinematics.axes
         self._sample_time, self._alpha = loops[0].sample_time, parameters.alpha
         self._caps = [min(_NO_CAP, damping_cap(loops[0].delay, lo.moving_mass, self._sample_time)) for lo in loops]
-        self._commands = GroupCommands(axes, loops[0].delay, motion.ports)
+        self._commands = GroupCommands(axes, loops[0].delay, [loop.torque_limit for loop in loops], motion.ports)
         self.reset()
 
     def reset(self) -> None:

@@ -26,6 +26,7 @@ class Direct:
         self._books = HoldAccount(
             delay=loop.delay,
             sample_time=loop.sample_time,
+            largest=loop.torque_limit,
             estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
             certificate=Certificate.NONE.value,
         )

@@ -41,6 +41,7 @@ class EnergyBounding:
         self._books = HoldAccount(
             delay=loop.delay,
             sample_time=loop.sample_time,
+            largest=loop.torque_limit,
             estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
             certificate=Certificate.DEVICE_DAMPING.value,
         )

@@ -112,7 +112,7 @@ class Guarded:
         self._window = None
         if loop.encoder_count:
             self._window = AdaptiveWindow(sample_time, loop.encoder_count, max(2, round(_LONGEST_WINDOW / sample_time)))
-        self._in_flight = CommandsInFlight(loop.delay)
+        self._in_flight = CommandsInFlight(loop.delay, loop.torque_limit)
         self.reset()
 
     def reset(self) -> None:
@@ -130,8 +130,7 @@ class Guarded:
         The next `step` books the displacement over all holds with the torque read back, less what that leaves open.
         """
         in_flight = self._in_flight
-        self._skipped += (in_flight.torques[0],)
-        in_flight.lose_hold()
+        self._skipped += (in_flight.lose_hold(),)
         torque = in_flight.torques[-1]
         self._under_way.append(torque)
         return AT_REST._replace(torque=torque, h_s=self._h_s, h_dis=self._h_dis, branch=_HELD, state=self._stored)

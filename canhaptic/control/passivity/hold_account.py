@@ -45,6 +45,7 @@ class HoldAccount:
         sample_time: float,
         certificate: int,
         estimator: AdaptiveWindow | None = None,
+        largest: float | None = None,
     ) -> None:
         """Opens the books of one axis.
 
@@ -53,8 +54,9 @@ class HoldAccount:
             sample_time: [s].
             certificate: What the algorithm promises (`Certificate`).
             estimator: Of the velocity that the damper uses; None for that of the last hold.
+            largest: Largest torque that limiter and drive let act [N or N*m]; None: any.
         """
-        self._in_flight = CommandsInFlight(delay)
+        self._in_flight = CommandsInFlight(delay, largest)
         self._sample_time = sample_time
         self._certificate = certificate
         self._estimator = estimator

@@ -7,7 +7,7 @@ the paper's algorithm has a pole at -1.618 for a delay of one sample.
 """
 
 from collections import deque
-from math import isfinite
+from math import inf, isfinite
 from typing import TypeAlias
 
 from canhaptic.errors import ControlError
@@ -22,15 +22,20 @@ NO_TORQUE: Command = (0.0, 0.0, 0.0)
 class CommandsInFlight:
     """Position and commands of the holds that have not been booked yet.
 
+    Args:
+        delay: Whole holds between computation and action.
+        largest: Largest torque that limiter and drive let act [N*m or N]; None: any.
+
     Attributes:
         holds: How many holds the displacement last returned spans; 1 unless positions were lost.
         uncertainty: Largest error of torque applied times that displacement [J]; 0 for one hold.
     """
 
-    __slots__ = ("_delay", "_lost", "_position", "_previous", "_queue", "holds", "uncertainty")
+    __slots__ = ("_delay", "_largest", "_lost", "_position", "_previous", "_queue", "holds", "uncertainty")
 
-    def __init__(self, delay: int) -> None:
+    def __init__(self, delay: int, largest: float | None = None) -> None:
         self._delay = delay
+        self._largest = inf if largest is None else largest
         self.reset()
 
     def reset(self) -> None:
@@ -81,13 +86,20 @@ class CommandsInFlight:
         self.uncertainty = sum(abs(torque - torque_applied) for torque in self._lost) * excursion
         self._lost.clear()
 
-    def lose_hold(self) -> None:
-        """Takes note of a SYNC without a position: one more hold to be booked later, the newest command repeated."""
-        if self._position is None:
-            return
-        newest = self._queue[-1]
-        self._lost.append(self._queue.popleft()[0])
-        self._queue.append(newest)
+    def lose_hold(self) -> float:
+        """Takes note of a SYNC without a position: one more hold to be booked later, the newest command repeated.
+
+        Returns:
+            The torque of the hold, as far as it can have acted [N or N*m].
+        """
+        largest = self._largest
+        torque = min(max(self._queue[0][0], -largest), largest)
+        if self._position is not None:
+            newest = self._queue[-1]
+            self._lost.append(torque)
+            self._queue.popleft()
+            self._queue.append(newest)
+        return torque
 
     def send(self, torque: float, damper: float, modulated: float) -> None:
         """Takes the command that was just computed.

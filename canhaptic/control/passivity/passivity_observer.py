@@ -47,6 +47,7 @@ class PassivityObserver:
         self._books = HoldAccount(
             delay=loop.delay,
             sample_time=loop.sample_time,
+            largest=loop.torque_limit,
             estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
             certificate=Certificate.NONE.value,
         )

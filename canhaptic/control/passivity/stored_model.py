@@ -39,6 +39,7 @@ class StoredModel:
         self._books = HoldAccount(
             delay=loop.delay,
             sample_time=loop.sample_time,
+            largest=loop.torque_limit,
             estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
             certificate=Certificate.NONE.value,
         )

@@ -145,7 +145,7 @@ def test_a_mover_in_holds_of_lost_samples_is_booked_at_its_worst():
     random_of, closest = random.Random(3), -math.inf
     loop = LoopProperties(sample_time=T, delay=1, moving_mass=MASS)
     for _ in range(500):
-        account = GroupAccount(axes_of((loop,), 0.0, None), GroupCommands(1, 1, 1), 0.0, 1)
+        account = GroupAccount(axes_of((loop,), 0.0, None), GroupCommands(1, 1, [None], 1), 0.0, 1)
         mass, torques = Mass(0.0), [random_of.uniform(0.0, 3.0) for _ in range(2)]
         held = (torques[0], torques[0], torques[1])  # the second is an older one, or the same again
         moved = [mass.hold(torque) for torque in held]
