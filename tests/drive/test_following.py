@@ -102,6 +102,37 @@ def test_a_limit_that_is_read_back_is_recorded_and_stops_nothing(bench: MakeBenc
     assert samples[-1].torque_applied == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("read_back", ["demand", "actual"])
+@pytest.mark.parametrize("commanded", [0.5, 0.0, -2.0])
+def test_a_limit_explains_no_torque_that_is_larger_or_turned(
+    bench: MakeBench, read_back: str, commanded: float
+) -> None:
+    """Bit 11 is on, and the drive holds an old torque: a limit can only make a torque smaller."""
+    b = bench([axis(read_back=read_back)])
+    tampered = Tampered(b)
+    b.rig.start()
+    b.run(10, torque=2.0)
+    tampered.set, tampered.torque = LIMITED, 200
+    b.run(3, torque=2.0)
+    b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 else message
+    with pytest.raises(CommandLostError, match=rf"{STOP} SYNCs in a row.*COMMAND_LOST"):
+        b.run(STOP + 2, torque=commanded)
+    assert is_without_torque(b)
+
+
+def test_a_command_above_the_limit_now_and_then_excuses_no_frozen_torque(bench: MakeBench) -> None:
+    b = bench()
+    tampered = Tampered(b)
+    b.rig.start()
+    b.run(10, torque=2.0)
+    tampered.set, tampered.torque = LIMITED, 200
+    for cycle in range(2 * STOP):
+        b.run(1, torque=4.0 if cycle % 2 else 1.0)
+    with pytest.raises(CommandLostError):
+        b.run(1, torque=1.0)
+    assert is_without_torque(b)
+
+
 def test_a_limit_that_nobody_reads_back_stops_the_rig(bench: MakeBench) -> None:
     b = bench([axis(read_back="none")])
     tampered = Tampered(b)

@@ -127,13 +127,14 @@ READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
     "demand": (
         "0x6074 stays as it was for `bus.stop_cycles` SYNCs although another torque was sent",
         "stop after more than `bus.hold_cycles` SYNCs in a row",
-        "recorded: the torque that was given is read back, and the account is exact",
+        "recorded: the torque that was given is read back, and the account is exact; one that is larger than the "
+        "command, or turned, is no limit and counts as an old torque",
     ),
     "actual": (
         "0x6077 stays within `torque_tolerance` of an old command for `bus.stop_cycles` SYNCs although commands more "
         "than twice as far from it were sent; what is nearer cannot be told from noise",
         "stop after more than `bus.hold_cycles` SYNCs in a row",
-        "recorded: the torque that was given is read back",
+        "recorded: the torque that was given is read back; one that is larger than the command, or turned, is no limit",
     ),
     "none": (
         "cannot be told by the master; the drive's own deadline of the RPDO (0x1400:05) ends it after "

@@ -240,8 +240,10 @@ class TorqueAxis(ABC):
             reported, self._reported = self._reported, reported
         if not self._reads_demand:
             self._judge_measured(reported, believed)
-        elif reported == believed or reported != self._held_before or self._values[0] & _LIMITED:
+        elif reported == believed or reported != self._held_before:
             self._stale_holds, self._stale_samples = 0, self._periods
+        elif self._is_reduced(reported, believed, 0.0):
+            self._stale_samples = self._periods
         else:
             self._stale_holds += 1
             self._stale_samples += self._periods
@@ -259,10 +261,19 @@ class TorqueAxis(ABC):
         tolerance = self._tolerance
         if abs(measured - believed) <= tolerance:
             self._followed, self._stale_holds = believed, 0
-        elif abs(measured - self._followed) > tolerance or self._values[0] & _LIMITED:
+        elif abs(measured - self._followed) > tolerance:
             self._stale_holds = 0
-        elif abs(believed - self._followed) > 2.0 * tolerance:
+        elif abs(believed - self._followed) > 2.0 * tolerance and not self._is_reduced(measured, believed, tolerance):
             self._stale_holds += 1
+
+    def _is_reduced(self, applied: int, commanded: int, tolerance: float) -> bool:
+        """Whether a limit that the drive shows (bit 11) explains a torque: it makes one smaller and never turns it.
+
+        Whether the command is followed cannot be told then.
+        """
+        if not self._values[0] & _LIMITED:
+            return False
+        return min(commanded, 0) - tolerance <= applied <= max(commanded, 0) + tolerance
 
     def watch_statusword(self) -> None:
         """Watches more than the state from now on, the rig being enabled.
