@@ -4,26 +4,29 @@ Bokeh is imported when a report is written, not before. Colours are those of Oka
 """
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from canhaptic.audit.extent import rows_between, rows_to_draw
+from canhaptic.control.balance import passive_verdict
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import CycleTiming
 from canhaptic.view.decimate import decimate
 from canhaptic.view.html_page import require_bokeh, write_page
-from canhaptic.view.series import PortSeries
+from canhaptic.view.series import PortSeries, losses
 from canhaptic.view.si import si
+from canhaptic.view.task_plane import task_plane
+from canhaptic.view.verdict import verdict_bar
 
 if TYPE_CHECKING:
     from canhaptic.view.html_panels import Panels
 
 _BUCKETS: Final = 1000
 _LINK_POINTS: Final = 4000
-_NS_PER_US: Final = 1000.0
+_S_PER_NS: Final = 1e-9
 _STYLE: Final = (
     "<style>body{font-family:system-ui,sans-serif;margin:12px 18px;color:#222}"
     "table.account td,table.account th{padding:1px 14px 1px 0;text-align:right}"
@@ -59,35 +62,32 @@ def write_html(
     panels = Panels(float(result["from"]), float(result["to"]))
     further = rows_between(other, start, stop) if other is not None and other.rows else None
     tabs = []
-    for name in log.ports:
+    for name in sorted(log.ports, key=lambda name: name not in log.groups):  # groups first: they have the account
         second = PortSeries(other, name, further) if other and further and name in other.ports else None
-        wall = log.attributes.get(f"{name}.wall_position")
-        tabs.append(panels.port(PortSeries(log, name, rows), second, wall))
+        tabs.append(panels.port(PortSeries(log, name, rows), second, task_plane(log, name, rows)))
     common = [_timing(log, rows, panels), _link(log, rows, panels)]
-    page = panels.page(_heading(log, result, other), tabs, [panel for panel in common if panel is not None])
+    heading = _heading(log, result, other, panels.empty)
+    page = panels.page(heading, tabs, [panel for panel in common if panel is not None])
     write_page(page, f"{log.path.name} - canhaptic", path)
 
 
 def _timing(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
-    parts = {name: log.timing.read(name, rows.start, rows.stop) / _NS_PER_US for name in CycleTiming._fields}
+    parts = {name: log.timing.read(name, rows.start, rows.stop) * _S_PER_NS for name in CycleTiming._fields}
     if not any(values.any() for values in parts.values()):
         return None  # in lock-step virtual time stands still within a cycle
     shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in parts.values()]))
     time = log.timing["sync_index"][rows][shown] * log.sample_time
     columns = {name: values[shown].astype(np.float32) for name, values in parts.items()}
-    return panels.timing({"time": time, **columns}, log.sample_time_ns / _NS_PER_US)
+    return panels.timing({"time": time, **columns}, log.sample_time)
 
 
 def _link(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
-    """Missed TPDOs and dropped cycles, summed: a flat line at zero is a good link."""
-    lost = {
-        f"{name}: TPDOs missed": np.cumsum(port.read("fresh", rows.start, rows.stop) == 0)
-        for name, port in log.ports.items()
-        if name not in log.groups
-    }
-    lost["cycles not in the log"] = np.cumsum(log.timing.read("dropped_before", rows.start, rows.stop), dtype=np.int64)
-    count = rows.stop - rows.start
-    picks = [np.array([0, count - 1])]
+    """What was lost, summed; no panel where nothing was."""
+    lost = {name: np.cumsum(values) for name, values in losses(log, rows.start, rows.stop).items()}
+    if not any(total[-1] for total in lost.values()):
+        panels.empty.append("lost")
+        return None
+    picks = [np.array([0, rows.stop - rows.start - 1])]
     for total in lost.values():
         changes = np.flatnonzero(np.diff(total, prepend=0))
         picks.append(changes[:: max(1, len(changes) // _LINK_POINTS)])
@@ -96,13 +96,13 @@ def _link(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
     return panels.link({"time": time} | {name: total[shown].astype(np.float32) for name, total in lost.items()})
 
 
-def _heading(log: EnergyLog, result: dict[str, Any], other: EnergyLog | None) -> str:
+def _heading(log: EnergyLog, result: dict[str, Any], other: EnergyLog | None, empty: Sequence[str]) -> str:
     facts = [
         f"<b>{html.escape(log.path.name)}</b>",
         html.escape(str(result["status"])),
         f"{result['cycles']} cycles at {si(result['rate'], 'Hz', 3)}",
         f"configuration {result['config_hash'][:12]}",
-        f"link {100.0 * result['link']['success_rate']:.6g} %" if "success_rate" in result["link"] else "",
+        f"link {100.0 * result['link']['success_rate']:.6g} %",
         f"over it, dashed: <b>{html.escape(other.path.name)}</b>" if other is not None else "",
     ]
     rows = [f"<tr><th>port</th>{''.join(f'<th>{title}</th>' for title in _ACCOUNT)}</tr>"]
@@ -110,7 +110,15 @@ def _heading(log: EnergyLog, result: dict[str, Any], other: EnergyLog | None) ->
         cells = "".join(f"<td>{_cell(value, port)}</td>" for value in _ACCOUNT.values())
         rows.append(f"<tr><td><b>{html.escape(name)}</b></td>{cells}</tr>")
     line = " &nbsp; ".join(fact for fact in facts if fact)
-    return f"{_STYLE}<p>{line}</p><table class='account'>{''.join(rows)}</table>"
+    left_out = f"<p>zero throughout, not drawn: {html.escape(', '.join(empty))}</p>" if empty else ""
+    return f"{_STYLE}<p>{line}</p>{_verdicts(result)}<table class='account'>{''.join(rows)}</table>{left_out}"
+
+
+def _verdicts(result: dict[str, Any]) -> str:
+    accounts = {name: port for name, port in result["ports"].items() if "least_interaction" in port}
+    return verdict_bar(
+        {name: passive_verdict(port["least_interaction"], port.get("unsure", 0.0)) for name, port in accounts.items()}
+    )
 
 
 def _cell(value: Callable[[dict[str, Any]], float], port: dict[str, Any]) -> str:

@@ -10,14 +10,17 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.audit.extent import contacts
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.signals import CycleTiming
+from canhaptic.view.series import COLUMNS, PortFacts, losses, port_facts
 
 _Array = NDArray[Any]
 
 _MOST_AT_ONCE: Final = 200_000  # rows; a viewer that comes late takes the past in pieces
-_PORT_COLUMNS: Final = ("position", "torque_command", "torque_applied", "h_i", "h_r", "h_dis", "statusword", "fresh")
+_S_PER_NS: Final = 1e-9
 
 
 class News(NamedTuple):
@@ -27,12 +30,16 @@ class News(NamedTuple):
     rows: int  # in the log, so far
     restarted: bool  # another run has begun in this file: what was drawn is past
     time: _Array  # of the new rows [s]
-    cycle_time: _Array  # [s]
+    timing: dict[str, _Array]  # durations within each new cycle [s]
+    lost: dict[str, _Array]  # of the new rows, summed from the beginning
     ports: dict[str, dict[str, _Array]]  # new rows, with energies summed from the beginning
-    units: dict[str, str]  # of each port's position
+    contacts: dict[str, list[tuple[float, float]]]  # first and last time in each contact, of the new rows [s]
+    facts: dict[str, PortFacts]
+    least_interaction: dict[str, float]  # least sum of the interaction energy since the beginning [J]
     events: list[Event]  # all so far
     fresh_share: float  # TPDOs that came, of all expected, since the beginning
     group_of: dict[str, str]  # of each axis in a group, whose account is the group's
+    sample_time: float  # [s]
 
     @property
     def groups(self) -> frozenset[str]:
@@ -53,7 +60,8 @@ class LiveLog:
 
     def _forget(self) -> None:
         self._rows = 0
-        self._sums: dict[str, tuple[float, float]] = {}
+        self._sums: dict[tuple[str, str], float] = {}  # of each port's column; losses belong to port ""
+        self._least: dict[str, float] = {}
         self._expected = self._missed = 0
         self._run: tuple[Any, ...] = ()
 
@@ -72,34 +80,46 @@ class LiveLog:
             self._forget()
         self._run = run
         start, stop = self._rows, min(log.rows, self._rows + _MOST_AT_ONCE)
-        index = log.timing.read("sync_index", start, stop)
-        busy = sum(
-            (log.timing.read(name, start, stop) for name in ("sync_to_last_tpdo", "compute", "send")),
-            start=np.zeros(stop - start),
-        )
+        time = log.timing.read("sync_index", start, stop) * log.sample_time
         ports = {name: self._port(log, name, start, stop) for name in log.ports}
+        lost = {name: self._summed("", name, values) for name, values in losses(log, start, stop).items()}
+        touched = {name: contacts(log.ports[name].read("branch", start, stop)) for name in log.ports}
         self._rows = stop
         return News(
             log.status,
             log.rows,
             restarted,
-            index * log.sample_time,
-            busy * 1e-9,
+            time,
+            {name: log.timing.read(name, start, stop) * _S_PER_NS for name in CycleTiming._fields},
+            lost,
             ports,
-            {name: port.unit("position") for name, port in log.ports.items()},
+            {name: [(float(time[a]), float(time[b])) for a, b in spans] for name, spans in touched.items()},
+            {name: port_facts(log, name) for name in log.ports},
+            dict(self._least),
             log.events,
             1.0 - self._missed / self._expected if self._expected else 1.0,
             log.group_of,
+            log.sample_time,
         )
 
+    def _summed(self, port: str, name: str, values: _Array) -> _Array:
+        """Returns the running sum of a column, which goes on where the last look ended."""
+        total = self._sums.get((port, name), 0) + np.cumsum(values)
+        if len(total):
+            self._sums[port, name] = total[-1]
+        return np.asarray(total)
+
     def _port(self, log: EnergyLog, name: str, start: int, stop: int) -> dict[str, _Array]:
-        rows = {column: log.ports[name].read(column, start, stop) for column in _PORT_COLUMNS}
-        before_in, before_dissipated = self._sums.get(name, (0.0, 0.0))
-        taken_in = before_in + np.cumsum(rows.pop("h_i"))
-        dissipated = before_dissipated + np.cumsum(rows.pop("h_r"))
-        if len(taken_in):
-            self._sums[name] = float(taken_in[-1]), float(dissipated[-1])
+        port = log.ports[name]
+        rows = {key: port.read(column, start, stop) for key, column in COLUMNS.items()}
+        rows["statusword"] = port.read("statusword", start, stop)
+        taken_in = self._summed(name, "taken_in", port.read("h_i", start, stop))
+        dissipated = self._summed(name, "dissipated", port.read("h_r", start, stop))
+        deficit = self._summed(name, "deficit", port.read("deficit", start, stop))
+        self._least[name] = min(self._least.get(name, 0.0), float(taken_in.min(initial=0.0)))
         if name not in log.groups:
-            self._expected += len(taken_in)
-            self._missed += int((rows["fresh"] == 0).sum())
-        return {**rows, "taken_in": taken_in, "dissipated": dissipated, "margin": taken_in - dissipated}
+            fresh = port.read("fresh", start, stop)
+            self._expected += len(fresh)
+            self._missed += int((fresh == 0).sum())
+        energies = {"taken_in": taken_in, "dissipated": dissipated, "margin": taken_in - dissipated}
+        return {**rows, **energies, "upper": np.maximum(taken_in, dissipated), "deficit": deficit}

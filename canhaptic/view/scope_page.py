@@ -1,30 +1,27 @@
-"""The page of `canhaptic scope`: position, torque, energy account and cycle time of the last seconds, as they come."""
+"""The page of `canhaptic scope`: the panels of the page of a finished run, for the last seconds, as they come."""
 
 import html
 from typing import Any, Final
 
 import numpy as np
 from bokeh.layouts import column
-from bokeh.models import ColumnDataSource, DataRange1d, Div, HoverTool
-from bokeh.plotting import figure
+from bokeh.models import ColumnDataSource, DataRange1d, Div
 
+from canhaptic.control.balance import passive_verdict
 from canhaptic.drive.profile.power_states import drive_state
-from canhaptic.units import effort_unit
+from canhaptic.view.common_panels import link_panel, timing_panel
 from canhaptic.view.decimate import decimate
 from canhaptic.view.live_log import LiveLog, News
-from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
+from canhaptic.view.port_panels import OPTIONAL, PortPanels, fault_columns, is_empty
+from canhaptic.view.series import FAULTS
 from canhaptic.view.si import si
+from canhaptic.view.verdict import verdict_bar
 
 _POINTS: Final = 6000  # kept per line
 _BUCKETS: Final = 250  # per look; about twice as many rows
-_LINES: Final = ("position", "torque_command", "torque_applied", "taken_in", "dissipated", "margin", "h_dis")
-_LABELS: Final = {
-    "torque_command": "commanded",
-    "torque_applied": "applied",
-    "taken_in": "in",
-    "h_dis": "surplus",
-    "cycle_time": "SYNC to RPDO",
-}
+_LINES: Final = (
+    "position", "command", "applied", "taken_in", "dissipated", "margin", "upper", "surplus", "deficit", "damping",
+)  # fmt: skip
 _EVENTS_SHOWN: Final = 4
 
 
@@ -44,8 +41,11 @@ class ScopePage:
         self._window = window
         self._status: Any = Div(text=f"waiting for {html.escape(str(log.path))} ...", name="status")
         self._time: Any = DataRange1d(follow="end", follow_interval=window, range_padding=0.0)
-        self._sources: dict[str, Any] = {}
-        self._timing: Any = ColumnDataSource({"time": [], "cycle_time": []})
+        self._ports: dict[str, _LivePort] = {}
+        self._timing: Any = None
+        self._lost: Any = None
+        self._common: dict[str, Any] = {}
+        self._last: News | None = None  # look that found rows
         document.title = f"canhaptic scope: {log.path.name}"
         document.add_root(column(self._status, sizing_mode="stretch_width", name="root"))
         document.add_periodic_callback(self.update, max(50, round(1000 * period)))
@@ -55,68 +55,100 @@ class ScopePage:
         news = self._log.look()
         if news is None:
             return
-        if news.restarted or not self._sources:
+        if news.restarted or not self._ports:
+            self._last = None
             self._build(news)
         if len(news.time):
+            self._last = news
             keep = news.time >= news.time[-1] - self._window
-            for name, rows in news.ports.items():
-                self._stream(self._sources[name], news.time[keep], {key: rows[key][keep] for key in _LINES})
-            self._stream(self._timing, news.time[keep], {"cycle_time": news.cycle_time[keep] * 1e6})
-        self._status.text = _status(news)
-
-    def _stream(self, source: Any, time: Any, columns: dict[str, Any]) -> None:
-        shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in columns.values()]))
-        rows = {name: values[shown] for name, values in columns.items()}
-        source.stream({"time": time[shown], **rows}, rollover=_POINTS)
+            for port in self._ports.values():
+                port.take(news, keep)
+            for source, panel, columns in (
+                (self._timing, self._common["timing"], news.timing),
+                (self._lost, self._common["lost"], news.lost),
+            ):
+                _stream(source, news.time[keep], {name: values[keep] for name, values in columns.items()})
+                panel.visible = panel.visible or any(values.any() for values in columns.values())
+        self._status.text = _status(news, self._last or news)
 
     def _build(self, news: News) -> None:
-        self._sources = {name: ColumnDataSource({key: [] for key in ("time", *_LINES)}) for name in news.ports}
-        self._timing.data = {"time": [], "cycle_time": []}
-        panels = []
-        for name, source in self._sources.items():
-            unit = news.units[name]
-            if name not in news.groups:
-                panels.append(self._panel(f"{name}: position", unit, source, {"position": BLUE}))
-            torques = {"torque_command": ORANGE, "torque_applied": BLUE}
-            panels.append(self._panel(f"{name}: torque", effort_unit(unit), source, torques))
-            if name not in news.group_of:
-                panels.append(self._energy(source))
-        panels.append(self._panel("cycle time", "us", self._timing, {"cycle_time": GREY}))
-        self._document.roots[0].children = [self._status, *panels]
-
-    def _panel(self, title: str, unit: str, source: Any, lines: dict[str, str]) -> Any:
-        panel = figure(x_range=self._time, height=170, tools="xpan,xwheel_zoom,reset", sizing_mode="stretch_width")
-        panel.toolbar.logo = None
-        panel.min_border_left = 80
-        panel.yaxis.axis_label = f"{title} [{unit}]"
-        for name, colour in lines.items():
-            panel.line("time", name, source=source, color=colour, line_width=1.5, legend_label=_LABELS.get(name, name))
-        tooltips = [(_LABELS.get(name, name), f"@{name} {unit}") for name in lines]
-        panel.add_tools(HoverTool(mode="vline", tooltips=[("time", "@time{0.000} s"), *tooltips]))
-        legend = panel.legend[0]
-        legend.orientation, legend.location, legend.border_line_alpha = "horizontal", "right", 0.0
-        legend.padding = legend.margin = 0
-        panel.add_layout(legend, "above")
-        return panel
-
-    def _energy(self, source: Any) -> Any:
-        panel = self._panel("energy", "J", source, {"taken_in": BLUE, "dissipated": VERMILION, "h_dis": ORANGE})
-        panel.varea("time", "dissipated", "taken_in", source=source, fill_color=GREEN, fill_alpha=0.2)
-        return panel
+        groups_first = sorted(news.facts, key=lambda name: name not in news.groups)
+        self._ports = {name: _LivePort(news, name, self._time, self._window) for name in groups_first}
+        self._timing = ColumnDataSource({name: [] for name in ("time", *news.timing)})
+        self._lost = ColumnDataSource({name: [] for name in ("time", *news.lost)})
+        self._common = {
+            "timing": timing_panel(self._time, self._timing, news.sample_time),
+            "lost": link_panel(self._time, self._lost),
+        }
+        for panel in self._common.values():
+            panel.visible = False
+        panels = [panel for port in self._ports.values() for panel in port.panels.values()]
+        self._document.roots[0].children = [self._status, *panels, *self._common.values()]
 
 
-def _status(news: News) -> str:
+class _LivePort:
+    """The panels of one port; those that show nothing but zeros are hidden until they show more."""
+
+    def __init__(self, news: News, name: str, time: Any, window: float) -> None:
+        self._window, self._sample_time = window, news.sample_time
+        self._source = ColumnDataSource({key: [] for key in ("time", *_LINES)})
+        self._contacts = ColumnDataSource({"start": [], "end": []})
+        self._faults = ColumnDataSource({"at": [], "text": []})
+        self._in_contact: list[tuple[float, float]] = []
+        self._name = name
+        self._is_shaded = not news.facts[name].is_member
+        self.panels = PortPanels(news.facts[name], time, self._source, self._contacts, self._faults).panels
+        for title, panel in self.panels.items():
+            panel.visible = title not in OPTIONAL
+
+    def take(self, news: News, keep: Any) -> None:
+        """Takes the new rows that `keep` says, their contacts, and all faults."""
+        time, rows = news.time[keep], news.ports[self._name]
+        columns = {key: rows[key][keep] for key in _LINES}
+        faults = [e for e in news.events if e.kind in FAULTS and e.port in {"", self._name}]
+        self._faults.data = fault_columns(faults, self._sample_time)
+        _stream(self._source, time, columns)
+        for title, panel in self.panels.items():
+            panel.visible = panel.visible or not is_empty(title, columns)
+        if not self._is_shaded:
+            return
+        for start, end in news.contacts[self._name]:
+            if self._in_contact and start - self._in_contact[-1][1] < 1.5 * self._sample_time:
+                start = self._in_contact.pop()[0]  # the contact of the last look goes on
+            self._in_contact.append((start, end))
+        self._in_contact = [span for span in self._in_contact if span[1] >= time[-1] - self._window]
+        self._contacts.data = {
+            "start": [start for start, _ in self._in_contact],
+            "end": [end for _, end in self._in_contact],
+        }
+
+
+def _stream(source: Any, time: Any, columns: dict[str, Any]) -> None:
+    shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in columns.values()]))
+    source.stream({"time": time[shown]} | {name: values[shown] for name, values in columns.items()}, rollover=_POINTS)
+
+
+def _status(news: News, last: News) -> str:
+    """Returns what the log says by now, with the values of the last look that found rows."""
     facts = [
         f"<b>{html.escape(news.status)}</b>",
         f"{news.rows} cycles",
-        f"{news.time[-1]:.2f} s" if len(news.time) else "",
+        f"{last.time[-1]:.2f} s" if len(last.time) else "",
         f"link {100.0 * news.fresh_share:.4g} %",
+        *(f"{name} {last.lost[name][-1]}" for name in _COUNTED if len(last.time)),
     ]
-    for name, rows in news.ports.items():
+    for name, rows in last.ports.items():
         if len(rows["margin"]) and name not in news.group_of:
             state = drive_state(int(rows["statusword"][-1])).value
-            margin = si(float(rows["margin"][-1]), "J")
-            facts.append(f"{html.escape(name)}: {state.lower()}, margin {margin}, surplus {si(rows['h_dis'][-1], 'J')}")
+            margin, surplus = si(float(rows["margin"][-1]), "J"), si(float(rows["surplus"][-1]), "J")
+            facts.append(f"{html.escape(name)}: {state.lower()}, margin {margin}, surplus {surplus}")
     events = [f"SYNC {e.sync_index} {e.kind} {e.port}: {e.text}" for e in news.events[-_EVENTS_SHOWN:]]
-    lines = [" &nbsp; ".join(fact for fact in facts if fact), *map(html.escape, events)]
+    verdicts = {
+        name: passive_verdict(least) for name, least in news.least_interaction.items() if name not in news.group_of
+    }
+    lines = [verdict_bar(verdicts), " &nbsp; ".join(fact for fact in facts if fact), *map(html.escape, events)]
     return "<br>".join(lines)
+
+
+_COUNTED: Final = ("SYNCs skipped", "cycles not in the log")
+"""Losses that the status counts; of those of the ports it gives the share."""

@@ -1,7 +1,7 @@
 """What is drawn of one port: a few thousand rows out of millions, no spike lost, every row around what matters."""
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from canhaptic.view.decimate import decimate
 
 _Array = NDArray[Any]
 
-_FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
+FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
 """Kinds of events that are marked."""
 _BUCKETS: Final = 400  # per quantity; about twice as many rows
 _FULL_SPAN: Final = 0.25  # [s] drawn row by row on either side of the worst margin and of each fault
@@ -21,16 +21,64 @@ _FULL_PLACES: Final = 10
 _FULL_ROWS: Final = 2000  # at each of them, at most
 
 
+COLUMNS: Final = {
+    "position": "position",
+    "command": "torque_command",
+    "applied": "torque_applied",
+    "surplus": "h_dis",
+    "damping": "damping_rendered",
+}
+"""What is drawn as it is logged -> its column in the log; energies beside it are summed."""
+_ENERGIES: Final = ("taken_in", "dissipated", "margin", "upper", "surplus", "deficit")
+
+
+class PortFacts(NamedTuple):
+    """What a panel must know of a port before the first row is drawn."""
+
+    name: str
+    is_group: bool  # of axes: it has no position
+    is_member: bool  # an axis of a group, whose account is the group's
+    units: dict[str, str]  # SI unit of each column
+    wall: float | None  # where it begins [m or rad]
+    wall_side: str  # of its inside: below or above
+
+
+def port_facts(log: EnergyLog, name: str) -> PortFacts:
+    """Returns what the attributes of a log say of a port."""
+    port = log.ports[name]
+    effort = port.unit("torque_applied")
+    units = dict.fromkeys(_ENERGIES, "J") | {
+        "time": "s",
+        "position": port.unit("position"),
+        "command": effort,
+        "applied": effort,
+        "damping": port.unit("damping_rendered"),
+    }
+    wall = log.attributes.get(f"{name}.wall_position")
+    side = str(log.attributes.get(f"{name}.wall_side", "below"))
+    place = float(wall) if isinstance(wall, int | float) else None
+    return PortFacts(name, name in log.groups, name in log.group_of, units, place, side)
+
+
+def losses(log: EnergyLog, start: int, stop: int) -> dict[str, _Array]:
+    """Returns for each row what was lost before it: SYNCs not sent, TPDOs that did not come, rows without room."""
+    index = log.timing.read("sync_index", max(0, start - 1), stop).astype(np.int64)
+    dropped = log.timing.read("dropped_before", start, stop).astype(np.int64)
+    gaps = np.diff(index, prepend=index[:1] - 1)[len(index) - len(dropped) :] - 1
+    lost = {"SYNCs skipped": np.maximum(gaps - dropped, 0)}
+    for name, port in log.ports.items():
+        if name not in log.groups:
+            lost[f"{name}: TPDOs missed"] = (port.read("fresh", start, stop) == 0).astype(np.int64)
+    return lost | {"cycles not in the log": dropped}
+
+
 class PortSeries:
     """The rows to draw of one port.
 
     Attributes:
-        name: Of the port.
-        is_group: Whether it is a group of axes, which has no position.
-        is_member: Whether it is an axis of a group, whose account is the group's.
-        columns: time [s], position, command, applied, taken_in, dissipated, margin, surplus and damping, each of the
-            same length; single precision but for the time.
-        units: SI unit of each column.
+        facts: Name, units, wall.
+        columns: time [s] and what `facts.units` names, each of the same length; single precision but for the time.
+        is_whole: Whether every row is drawn, none left out.
         sample_time: [s]
         worst: Time of the least margin [s].
         contacts: First and last time of each contact [s], greatest torque in it, and energy taken in.
@@ -38,9 +86,7 @@ class PortSeries:
     """
 
     def __init__(self, log: EnergyLog, name: str, rows: slice) -> None:
-        self.name = name
-        self.is_group = name in log.groups
-        self.is_member = name in log.group_of
+        self.facts = port_facts(log, name)
         self.sample_time = log.sample_time
         self._rows = rows
         self._port = log.ports[name]
@@ -52,15 +98,9 @@ class PortSeries:
         self.faults = faults_of(log, name, index)
         self.contacts = self._contacts(time, full)
         shown = self._shown(full, [worst, *(int(np.searchsorted(index, fault.sync_index)) for fault in self.faults)])
+        self.is_whole = len(shown) == len(time)
         self.columns: dict[str, _Array] = {"time": time[shown]} | {key: values[shown] for key, values in full.items()}
-        effort = self._port.unit("torque_applied")
-        self.units = dict.fromkeys(("taken_in", "dissipated", "margin", "surplus"), "J") | {
-            "time": "s",
-            "position": self._port.unit("position"),
-            "command": effort,
-            "applied": effort,
-            "damping": self._port.unit("damping_rendered"),
-        }
+        self.columns["upper"] = np.maximum(self.columns["taken_in"], self.columns["dissipated"])
 
     def _read(self, name: str) -> _Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
@@ -73,19 +113,13 @@ class PortSeries:
             "taken_in": taken_in.astype(np.float32),
             "dissipated": dissipated.astype(np.float32),
             "margin": (taken_in - dissipated).astype(np.float32),
+            "deficit": np.cumsum(self._read("deficit")).astype(np.float32),
         }
         del taken_in, dissipated
-        names = {
-            "position": "position",
-            "command": "torque_command",
-            "applied": "torque_applied",
-            "surplus": "h_dis",
-            "damping": "damping_rendered",
-        }
-        return columns | {key: self._read(name).astype(np.float32) for key, name in names.items()}
+        return columns | {key: self._read(name).astype(np.float32) for key, name in COLUMNS.items()}
 
     def _contacts(self, time: _Array, full: dict[str, _Array]) -> dict[str, list[float]]:
-        found = [] if self.is_member else contacts(self._read("branch"))
+        found = [] if self.facts.is_member else contacts(self._read("branch"))
         before = [max(0, first - 1) for first, _ in found]
         return {
             "start": [float(time[first]) for first, _ in found],
@@ -117,7 +151,7 @@ def faults_of(log: EnergyLog, port: str, index: _Array) -> list[Event]:
     return [
         event._replace(sync_index=min(event.sync_index, last))
         for event in log.events
-        if event.kind in _FAULTS
+        if event.kind in FAULTS
         and event.port in {"", port}
         and first <= event.sync_index
         and (event.sync_index <= last or is_end)

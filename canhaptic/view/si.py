@@ -7,6 +7,13 @@ _PREFIXES: Final = {-15: "f", -12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k"
 _UNPREFIXED: Final = {"1", "", "%", "rad"}  # units that do not take a prefix well
 
 
+def prefixes_of(unit: str) -> list[tuple[float, str]]:
+    """Returns scale and SI prefix of every prefix that a unit takes, the largest first."""
+    if unit in _UNPREFIXED:
+        return [(1.0, "")]
+    return [(10.0**exponent, prefix) for exponent, prefix in sorted(_PREFIXES.items(), reverse=True)]
+
+
 def si(value: float, unit: str, digits: int = 4) -> str:
     """Returns a value with a prefixed unit, such as `12.34 mJ`.
 

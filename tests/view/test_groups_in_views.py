@@ -58,8 +58,8 @@ def test_the_truths_of_the_parts_of_a_run_add_up_to_that_of_the_whole(path: Path
 def test_only_what_a_port_has_is_drawn(path: Path) -> None:
     with EnergyLog.open(path) as log:
         stage, x = (PortSeries(log, name, slice(0, log.rows)) for name in ("stage", "x"))
-    assert (stage.is_group, stage.is_member) == (True, False)
-    assert (x.is_group, x.is_member) == (False, True)
+    assert (stage.facts.is_group, stage.facts.is_member) == (True, False)
+    assert (x.facts.is_group, x.facts.is_member) == (False, True)
     assert x.contacts["start"] == []
     assert stage.contacts["start"]
 

@@ -1,6 +1,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,12 +10,18 @@ from hypothesis import strategies as st
 from synthetic_run import write_run
 
 from canhaptic.audit.extent import contacts
+from canhaptic.cycle import run
 from canhaptic.errors import InputError
 from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.view import run_picture
 from canhaptic.view.decimate import decimate
 from canhaptic.view.run_picture import draw_energy
+
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=400), st.integers(1, 50))
@@ -95,3 +102,50 @@ def test_the_view_does_not_import_matplotlib_until_it_draws() -> None:
         "import sys, canhaptic.view.run_picture, canhaptic.view.energy_table; sys.exit('matplotlib' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def picture_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The figure that `inspect --png` would write."""
+    kept: list[Any] = []
+    monkeypatch.setattr(run_picture, "save_picture", lambda figure, _: kept.append(figure))
+    with EnergyLog.open(path) as log:
+        run_picture.draw_energy(log, path.with_suffix(".png"))
+    return kept[0]
+
+
+def test_a_decimated_torque_of_a_picture_is_a_plain_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for cycles, styles in ((6000, {"default"}), (300, {"steps-post", "steps-pre"})):
+        write_run(tmp_path / f"{cycles}.h5", cycles=cycles)
+        panels = picture_of(tmp_path / f"{cycles}.h5", monkeypatch).axes
+        force = next(panel for panel in panels if panel.get_title(loc="left") == "force")
+        assert {line.get_drawstyle() for line in force.lines[:2]} == styles
+
+
+def test_panels_of_a_picture_that_hold_only_zeros_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with build(load_scene(CONFIGS / "demo.yaml"), "free", tmp_path / "run.h5") as experiment:
+        run(experiment.cycle, 1500)
+    axes = picture_of(tmp_path / "run.h5", monkeypatch).axes
+    assert [panel.get_title(loc="left") for panel in axes] == ["position", "force", "energy"]
+
+
+@pytest.fixture(scope="module")
+def five_bar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plane") / "five_bar.h5"
+    with build(load_scene(CONFIGS / "five_bar_sphere.yaml"), "free", path) as experiment:
+        run(experiment.cycle, 2500)
+    return path
+
+
+def test_the_path_of_a_five_bar_is_drawn_against_its_disc(five_bar: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = next(panel for panel in picture_of(five_bar, monkeypatch).axes if panel.get_aspect() == 1)
+    line = next(line for line in path.lines if line.get_label() == "path")
+    x, y = 1e-3 * line.get_xdata(), 1e-3 * line.get_ydata()
+    with EnergyLog.open(five_bar) as log:
+        first, second = (log.ports[name]["position"][0] for name in ("left", "right"))
+    elbows = [np.array([-0.05, 0.0]) + 0.15 * np.array([np.cos(first), np.sin(first)]),
+              np.array([+0.05, 0.0]) + 0.15 * np.array([np.cos(second), np.sin(second)])]  # fmt: skip
+    assert [np.hypot(*(np.array([x[0], y[0]]) - elbow)) for elbow in elbows] == pytest.approx([0.2, 0.2])
+    surface = 1e-3 * np.concatenate([v for c in path.collections for p in c.get_paths() if (v := p.vertices).size])
+    edge = surface[np.abs(np.hypot(surface[:, 0], surface[:, 1] - 0.24) - 0.03) < 1e-4]
+    assert np.ptp(edge[:, 0]) == pytest.approx(0.06, rel=0.02)  # the whole disc, 30 mm round (0, 0.24)
+    assert np.ptp(edge[:, 1]) == pytest.approx(0.06, rel=0.02)

@@ -49,16 +49,12 @@ def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path
     assert "waiting for" in status_of(document)
     write_run(path, cycles=3000, ports=("handle", "knob"))
     page.update()
-    titles = [f"{name}: {what}" for name in ("handle", "knob") for what in ("position", "torque")]
-    units = ["[m]", "[N]", "[rad]", "[N*m]"]
-    assert sorted(titles_of(document)) == sorted(
-        [
-            *(f"{title} {unit}" for title, unit in zip(titles, units, strict=True)),
-            *["energy [J]"] * 2,
-            "cycle time [us]",
-        ]
-    )
+    parts = {"handle": ("position", "force"), "knob": ("position", "torque")}
+    expected = [f"{name}: {what}" for name, whats in parts.items() for what in (*whats, "energy", "surplus", "damping")]
+    assert sorted(titles_of(document)) == sorted([*expected, "timing", "lost"])
     for columns in columns_of(document):
+        if "time" not in columns:
+            continue
         assert columns["time"][-1] == 2.999
         assert 1.999 <= columns["time"][0] < 2.01
         assert np.all(np.diff(columns["time"]) > 0.0)
@@ -74,7 +70,7 @@ def test_another_run_in_the_same_file_begins_anew(tmp_path: Path) -> None:
     page.update()
     write_run(path, cycles=500)
     page.update()
-    assert all(columns["time"][0] == 0.0 for columns in columns_of(document))
+    assert all(columns["time"][0] == 0.0 for columns in columns_of(document) if "time" in columns)
     assert "500 cycles" in status_of(document)
 
 
@@ -84,9 +80,8 @@ def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> No
         run(experiment.cycle, 50)
     page, document = page_of(path)
     page.update()
-    assert sorted(titles_of(document)) == [
-        "cycle time [us]", "energy [J]", "stage: torque [N]",
-        "x: position [m]", "x: torque [N]", "y: position [m]", "y: torque [N]",
-    ]  # fmt: skip
+    of_axes = [f"{name}: {what}" for name in ("x", "y") for what in ("force", "position")]
+    of_group = [f"stage: {what}" for what in ("damping", "energy", "force", "surplus")]
+    assert sorted(titles_of(document)) == sorted(["lost", "timing", *of_axes, *of_group])
     assert "stage: " in status_of(document)
     assert "x: " not in status_of(document)

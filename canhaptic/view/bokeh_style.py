@@ -1,0 +1,126 @@
+"""How every panel of a page looks: frame, legend, and numbers with the SI prefix that fits them.
+
+The data of a page are SI throughout. The browser chooses the prefix of an axis from its ticks, so that it follows every
+zoom and every line that grows.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from bokeh.models import CustomJSHover, CustomJSTickFormatter, HoverTool
+from bokeh.plotting import figure
+
+from canhaptic.view.si import prefixes_of
+
+_TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
+_PREFIX: Final = """
+const near = (value) => prefixes.find(([scale]) => Math.abs(value) >= scale * (1 - 1e-9)) ?? prefixes.at(-1);
+"""
+_TICKS: Final = (
+    _PREFIX
+    + """
+const largest = Math.max(...ticks.map(Math.abs));
+if (largest == 0) return `0 ${unit}`;
+const [scale, prefix] = near(largest);
+const step = ticks.length > 1 ? Math.abs(ticks[1] - ticks[0]) : largest;
+const digits = Math.min(12, Math.max(0, Math.ceil(-Math.log10(step / scale) - 1e-9)));
+return `${(tick / scale).toFixed(digits)} ${prefix}${unit}`;
+"""
+)
+_VALUE: Final = (
+    _PREFIX
+    + """
+if (!isFinite(value)) return "-";
+if (value == 0) return `0 ${unit}`;
+const [scale, prefix] = near(value);
+return `${(value / scale).toPrecision(5)} ${prefix}${unit}`;
+"""
+)
+
+
+def new_panel(title: str, unit: str, time: Any, height: int) -> Any:
+    """Returns an empty panel over time.
+
+    Args:
+        title: Before the unit, at the left.
+        unit: SI; the ticks carry it with a prefix.
+        time: The range that all panels of a page share.
+        height: In pixels.
+    """
+    panel = figure(
+        x_range=time,
+        height=height,
+        tools=_TOOLS,
+        active_drag="xbox_zoom",
+        active_scroll="xwheel_zoom",
+        output_backend="canvas",
+        window_axis="x",
+        sizing_mode="stretch_width",
+        min_border_left=90,
+        min_border_right=40,
+        name=title,
+    )
+    panel.yaxis.axis_label = title
+    panel.yaxis.formatter = si_ticks(unit)
+    _plain(panel)
+    return panel
+
+
+def new_plane(title: str, unit: str, height: int) -> Any:
+    """Returns an empty panel of a plane, both axes alike and to the same scale."""
+    panel = figure(
+        height=height,
+        width=round(1.5 * height),
+        tools="pan,wheel_zoom,box_zoom,reset,save",
+        match_aspect=True,
+        output_backend="canvas",
+        min_border_left=90,
+        name=title,
+    )
+    panel.xaxis.formatter = panel.yaxis.formatter = si_ticks(unit)
+    panel.yaxis.axis_label = title
+    _plain(panel)
+    return panel
+
+
+def _plain(panel: Any) -> None:
+    panel.toolbar.logo = None
+    panel.grid.grid_line_color = "#E6E6E6"
+
+
+def si_ticks(unit: str) -> Any:
+    """Returns what writes the ticks of an axis with one SI prefix, chosen by the largest of them."""
+    return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
+
+
+def si_hover(unit: str) -> Any:
+    """Returns what writes a value under the pointer with five digits and its SI prefix."""
+    return CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
+
+
+def add_hover(panel: Any, main: str, values: Mapping[str, tuple[str, str]], mode: str = "vline") -> None:
+    """Shows time and values under the pointer.
+
+    Args:
+        panel: Where.
+        main: Name of the line that the pointer follows.
+        values: Label -> (column, unit).
+        mode: "vline" over time, "mouse" in a plane.
+    """
+    renderers = [renderer for renderer in panel.renderers if renderer.name == main]
+    tooltips = [("time", "@time{0.0000} s")] + [
+        (label, f"@{{{name}}}{{custom}}") for label, (name, _) in values.items()
+    ]
+    formatters = {f"@{{{name}}}": si_hover(unit) for name, unit in values.values()}
+    tool = HoverTool(renderers=renderers, mode=mode, tooltips=tooltips, formatters=formatters, line_policy="nearest")
+    panel.add_tools(tool)
+
+
+def finished(panel: Any) -> Any:
+    """Puts the legend above the panel, where nothing can lie on the data."""
+    legend = panel.legend[0]
+    legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
+    legend.border_line_alpha, legend.padding, legend.margin = 0.0, 0, 0
+    legend.label_text_font_size = "9pt"
+    panel.add_layout(legend, "above")
+    return panel

@@ -1,0 +1,20 @@
+"""The bar of a page that says of every account whether it was passive."""
+
+import html
+from collections.abc import Mapping
+from typing import Final
+
+from canhaptic.control.balance import Verdict
+from canhaptic.view.palette import GREEN, ORANGE, VERMILION
+
+_COLOURS: Final[dict[Verdict, str]] = {"yes": GREEN, "in doubt": ORANGE, "no": VERMILION}
+
+
+def verdict_bar(verdicts: Mapping[str, Verdict]) -> str:
+    """Returns a bar of HTML with the verdict of every account, by name of the port."""
+    style = "display:inline-block;color:white;font-weight:bold;padding:3px 14px;margin-right:6px;border-radius:3px"
+    return "".join(
+        f"<span class='verdict' style='{style};background:{_COLOURS[word]}'>"
+        f"{html.escape(name)}: passive {word if word != 'no' else 'NO'}</span>"
+        for name, word in verdicts.items()
+    )

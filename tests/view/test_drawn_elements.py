@@ -1,0 +1,217 @@
+"""What a page and a live page are made of: lines, areas, units, panels; of logs whose content is known."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic_run import PORTS, write_run
+
+from canhaptic.audit.inspection import inspect
+from canhaptic.control.balance import AT_REST, Branch
+from canhaptic.cycle import run
+from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.signals import CycleTiming, Sample
+from canhaptic.view import html_report
+from canhaptic.view.live_log import LiveLog
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+bokeh = pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+
+
+def page_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The layout that `inspect --html` would write."""
+    written: list[Any] = []
+    monkeypatch.setattr(html_report, "write_page", lambda content, *_: written.append(content))
+    with EnergyLog.open(path) as log:
+        html_report.write_html(log, path.with_suffix(".html"), inspect(log))
+    return written[0]
+
+
+def scope_of(path: Path) -> Any:
+    """The document that `scope` shows after one look."""
+    from bokeh.document import Document
+
+    from canhaptic.view.scope_page import ScopePage
+
+    document = Document()
+    ScopePage(document, LiveLog(path), 100.0, 0.2).update()
+    return document
+
+
+def figures(content: Any) -> list[Any]:
+    from bokeh.plotting import figure
+
+    return [panel for panel in content.select({"type": figure}) if panel.visible]
+
+
+def titles(content: Any) -> list[str]:
+    return [panel.yaxis[0].axis_label for panel in figures(content)]
+
+
+def panel_of(content: Any, word: str) -> Any:
+    return next(panel for panel in figures(content) if word in panel.yaxis[0].axis_label)
+
+
+def glyphs(panel: Any) -> list[Any]:
+    return [renderer.glyph for renderer in panel.renderers if hasattr(renderer, "glyph")]
+
+
+def kinds(panel: Any) -> set[str]:
+    return {type(glyph).__name__ for glyph in glyphs(panel)}
+
+
+def write_debt(path: Path, skipped: int = 0) -> None:
+    """200 cycles in which more is dissipated than comes in: the margin falls to -1 J and stays below 0."""
+    attributes: dict[str, Any] = {"handle.wall_position": -0.02, "handle.wall_side": "below"}
+    writer = EnergyLogWriter(path, PORTS, attributes, sample_time_ns=1_000_000, pace="free")
+    for k in range(200):
+        index = k + (skipped if k >= 100 else 0)
+        balance = AT_REST._replace(h_i=-0.005, h_r=0.0, branch=(Branch.EXACT if 20 <= k < 40 else Branch.FREE).value)
+        writer.append(index, [Sample(index, 0.001, 1.0, 0x1237, True)], [balance], CycleTiming(1, 2, 3, 4))
+    writer.close()
+
+
+def test_a_decimated_torque_is_a_plain_line_and_a_whole_one_a_stair(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run(tmp_path / "long.h5", cycles=6000)
+    assert "Step" not in kinds(panel_of(page_of(tmp_path / "long.h5", monkeypatch), "force"))
+    write_run(tmp_path / "short.h5", cycles=300)
+    stairs = glyphs(panel_of(page_of(tmp_path / "short.h5", monkeypatch), "force"))
+    modes = {glyph.y: glyph.mode for glyph in stairs if type(glyph).__name__ == "Step"}
+    assert modes == {"command": "after", "applied": "before"}  # a command acts behind its SYNC, a measured torque did
+
+
+def test_commanded_and_applied_torque_are_nowhere_drawn_further_apart_than_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run(tmp_path / "long.h5", cycles=6000)
+    panel = panel_of(page_of(tmp_path / "long.h5", monkeypatch), "force")
+    data = next(renderer.data_source.data for renderer in panel.renderers if renderer.name == "applied")
+    with EnergyLog.open(tmp_path / "long.h5") as log:
+        port = log.ports["handle"]
+        apart = np.abs(port["torque_command"] - port["torque_applied"]).max()
+    assert np.abs(np.asarray(data["command"]) - np.asarray(data["applied"])).max() <= apart * (1.0 + 1e-6)
+    assert kinds(panel) == {
+        "Line",
+        "VStrip",
+        "VSpan",
+    }  # between two rows that are drawn, both are drawn in the same way
+
+
+def test_panels_that_hold_only_zeros_are_left_out_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with build(load_scene(CONFIGS / "demo.yaml"), "free", tmp_path / "run.h5") as experiment:
+        run(experiment.cycle, 1500)
+    page = page_of(tmp_path / "run.h5", monkeypatch)
+    expected = [f"handle: {name}" for name in ("position", "force", "energy", "damping")]
+    assert sorted(titles(page)) == sorted(expected)
+    heading = page.select_one({"name": "heading"}).text
+    assert "not drawn: handle: surplus, lost" in heading
+    assert sorted(titles(scope_of(tmp_path / "run.h5"))) == sorted(expected)
+
+
+def test_axes_and_pointer_carry_units_with_a_prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_run(tmp_path / "run.h5", cycles=1500, ports=("handle", "knob"))
+    for content in (page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")):
+        units = {panel.yaxis[0].axis_label: panel.yaxis[0].formatter.args for panel in figures(content)}
+        assert units["handle: position"]["unit"] == "m"
+        assert (1e-3, "m") in units["handle: position"]["prefixes"]
+        assert units["handle: force"]["unit"] == "N"
+        assert units["handle: energy"]["unit"] == "J"
+        assert units["knob: position"]["unit"] == "rad"
+        assert units["knob: position"]["prefixes"] == [(1.0, "")]
+        assert units["knob: torque"]["unit"] == "N*m"
+
+
+def test_scope_and_page_have_the_same_panels_lines_and_colours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_run(tmp_path / "run.h5", cycles=6000)
+    page, scope = page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")
+    assert sorted(titles(page)) == sorted(titles(scope))
+
+    def drawn(content: Any, title: str) -> set[tuple[str, str, str]]:
+        parts = set()
+        for glyph in glyphs(panel_of(content, title)):
+            kind = type(glyph).__name__
+            if kind != "Scatter":  # the least margin is marked when a run is over
+                parts.add((kind, str(getattr(glyph, "line_color", "")), str(getattr(glyph, "fill_color", ""))))
+        return parts
+
+    for title in ("position", "force", "energy", "surplus", "damping", "timing"):
+        assert drawn(page, title) == drawn(scope, title), title
+
+
+def test_a_negative_margin_is_an_area_of_its_own_in_red(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_debt(tmp_path / "run.h5")
+    for content in (page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")):
+        panel = panel_of(content, "energy")
+        areas = {glyph.fill_color: glyph for glyph in glyphs(panel) if type(glyph).__name__ == "VArea"}
+        data = {name: np.asarray(v) for r in panel.renderers for name, v in r.data_source.data.items()}
+        red, green = areas["#D55E00"], areas["#009E73"]
+        assert np.abs(data[red.y2] - data[red.y1]).max() == pytest.approx(1.0, rel=1e-6)
+        assert np.abs(data[green.y2] - data[green.y1]).max() == 0.0
+
+
+def test_wall_and_contacts_are_in_page_and_scope(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from bokeh.models import BoxAnnotation
+
+    write_debt(tmp_path / "run.h5")
+    for content in (page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")):
+        panel = panel_of(content, "position")
+        inside = panel.select_one({"type": BoxAnnotation, "fill_color": "#4D4D4D"})
+        assert inside.top == -0.02
+        assert "wall" in [item.label.value for item in panel.legend[0].items]
+        strip = next(
+            renderer for renderer in panel.renderers if type(getattr(renderer, "glyph", 0)).__name__ == "VStrip"
+        )
+        assert strip.data_source.data["start"] == pytest.approx([0.020])
+        assert strip.data_source.data["end"] == pytest.approx([0.039])
+
+
+def test_skipped_syncs_are_counted_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_debt(tmp_path / "run.h5", skipped=7)
+    page, scope = page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")
+    assert "SYNCs skipped 7" in scope.select_one({"name": "status"}).text
+    for content in (page, scope):
+        data = next(r for r in panel_of(content, "lost").renderers if r.name == "SYNCs skipped").data_source.data
+        assert max(data["SYNCs skipped"]) == 7
+        assert data["time"][int(np.argmax(data["SYNCs skipped"]))] == pytest.approx(0.107)
+
+
+@pytest.mark.parametrize(("write", "word"), [(write_debt, "NO"), (write_run, "yes")])
+def test_a_bar_says_the_verdict(write: Any, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "run.h5")
+    page, scope = page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")
+    for text in (page.select_one({"name": "heading"}).text, scope.select_one({"name": "status"}).text):
+        assert f"handle: passive {word}<" in text
+
+
+@pytest.fixture(scope="module")
+def groups(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("planes")
+    for name in ("xy_box", "two_handles"):
+        with build(load_scene(CONFIGS / f"{name}.yaml"), "free", folder / f"{name}.h5") as experiment:
+            run(experiment.cycle, 1500)
+    return folder
+
+
+def test_the_page_of_a_stage_shows_path_and_room(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = page_of(groups / "xy_box.h5", monkeypatch)
+    panel = panel_of(page, "stage: path")
+    drawn = next(renderer.data_source.data for renderer in panel.renderers if renderer.name == "path")
+    with EnergyLog.open(groups / "xy_box.h5") as log:
+        assert np.max(drawn["x"]) == log.ports["x"]["position"].max()
+        assert np.max(drawn["y"]) == log.ports["y"]["position"].max()
+    surface = panel.select_one({"name": "surface"}).data_source.data
+    x = np.concatenate([np.asarray(line) for line in surface["xs"]])
+    y = np.concatenate([np.asarray(line) for line in surface["ys"]])
+    assert (np.nanmin(x), np.nanmax(x)) == pytest.approx((-0.03, 0.03), abs=2e-4)
+    assert (np.nanmin(y), np.nanmax(y)) == pytest.approx((-0.02, 0.02), abs=2e-4)
+    assert page.select_one({"name": "heading"}).text.count("passive yes") == 1
+
+
+def test_a_coupling_without_a_surface_has_no_path(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not any("path" in title for title in titles(page_of(groups / "two_handles.h5", monkeypatch)))
