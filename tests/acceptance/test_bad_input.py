@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from bus_frames import DEMO, assert_never_enabled, commands, read_log
 
 from canhaptic.cli.main import main
 from canhaptic.scene import build
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.can.sdo_server import SdoServer
+from tests.acceptance.bus_frames import DEMO, assert_never_enabled, commands, read_log
 
 Prepare = Callable[[pytest.MonkeyPatch], None]
 

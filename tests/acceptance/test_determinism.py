@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from bus_frames import DEMO, IN_CONTACT
 
 from canhaptic.cli.main import main
+from tests.acceptance.bus_frames import DEMO, IN_CONTACT
 
 RUN = ["run", str(DEMO), "--pace", "free", "--duration", "0.4", *IN_CONTACT]
 NOISY = ["--set", "simulation.effects=[{type: encoder_noise, deviation: 3e-6}]", "--set", "simulation.seed=7"]

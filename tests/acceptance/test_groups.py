@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from group_runs import AXES, GROUP, REPOSITORY, encoder_bound, identity, logged, run_config
 
 from canhaptic.audit.inspection import inspect
 from canhaptic.audit.recompute import recompute_all
@@ -19,6 +18,7 @@ from canhaptic.replay.replayed_run import replay
 from canhaptic.scene.build import Experiment
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
+from tests.acceptance.group_runs import AXES, GROUP, REPOSITORY, encoder_bound, identity, logged, run_config
 
 NO_LOSS = "simulation.bus=null"
 CYCLES = 2000

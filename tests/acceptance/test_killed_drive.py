@@ -2,8 +2,8 @@
 
 import signal
 
-from bus_frames import DEMO, commands, reports
-from two_processes import Listener, canhaptic, pushed, shared_bus
+from tests.acceptance.bus_frames import DEMO, commands, reports
+from tests.acceptance.two_processes import Listener, canhaptic, pushed, shared_bus
 
 __all__ = ["shared_bus"]  # a fixture
 

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from reference_loop import continuous, user_f, variation
 
 from canhaptic.control.balance import Branch
 from canhaptic.cycle import run
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
+from tests.control.reference_loop import continuous, user_f, variation
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 RATED = 10.0  # [N] of configs/paper_*.yaml

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from group_runs import identity, logged
 
 from canhaptic.logs.energy_reader import EnergyLog
+from tests.acceptance.group_runs import identity, logged
 
 STIFFNESS = 1000.0  # of the coupling in the scene [N/m]
 

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from bus_frames import DEMO, IN_CONTACT, Frame, commands, read_log, reports
 
 from canhaptic.cli.main import main
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.scene import build, parts
+from tests.acceptance.bus_frames import DEMO, IN_CONTACT, Frame, commands, read_log, reports
 
 CYCLE = 50  # in which it happens
 RAMP = 20  # cycles of the operator's stop: stop_ramp of 20 ms at 1 kHz

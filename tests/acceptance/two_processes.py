@@ -13,7 +13,8 @@ from contextlib import contextmanager
 
 import can
 import pytest
-from bus_frames import Frame, Report, reports
+
+from tests.acceptance.bus_frames import Frame, Report, reports
 
 HEARTBEAT_TIMEOUT = 300_000  # [us] long enough for a busy machine
 PATIENCE = 20.0  # [s] for two interpreters to start on a busy machine

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import h5py
 import pytest
-import typed
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
+from tests.view import typed
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
 

@@ -8,7 +8,8 @@ controller's belief.
 
 import math
 import random
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
@@ -16,12 +17,14 @@ from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 
 MASS, FRICTION, HAND_FORCE, PUSH = 0.25, 0.1, 20.0, 60.0
 SUBSTEPS = 4
+Force = Callable[[float, float, float, float], float]
+"""(time, position, velocity, torque) -> force of the hand, in SI."""
 
 
 class Mass:
     """m v' + b v = F."""
 
-    def __init__(self, mass, damping, step, position):
+    def __init__(self, mass: float, damping: float, step: float, position: float) -> None:
         rate = damping / mass
         self.position, self.velocity, self.step = position, 0.0, step
         if rate * step < 1e-6:
@@ -36,40 +39,40 @@ class Mass:
             self.drift = self.gain * mass
             self.creep = (step - self.drift) / damping
 
-    def advance(self, force):
+    def advance(self, force: float) -> None:
         self.position += self.drift * self.velocity + self.creep * force
         self.velocity = self.keep * self.velocity + self.gain * force
 
 
-def sinusoid(_rng):
+def sinusoid(_rng: random.Random) -> Force:
     w = 2.0 * math.pi
     return lambda t, q, v, _f: 300.0 * (0.03 * math.cos(w * t) - q) - 3.0 * (0.03 * w * math.sin(w * t) + v)
 
 
-def tremor(_rng):
+def tremor(_rng: random.Random) -> Force:
     return lambda t, _q, v, _f: -4.0 + 3.0 * math.sin(16.0 * math.pi * t) - 2.0 * v
 
 
-def tapping(_rng):
+def tapping(_rng: random.Random) -> Force:
     return lambda t, q, v, _f: 600.0 * (0.01 * math.sin(6.0 * math.pi * t) - q) - 5.0 * v
 
 
-def sudden_pull(_rng):
+def sudden_pull(_rng: random.Random) -> Force:
     return lambda t, q, v, _f: -8.0 - 5.0 * v if t % 1.0 < 0.6 and q > -0.5 else HAND_FORCE
 
 
-def adversary(rng):
+def adversary(rng: random.Random) -> Force:
     """Lets the wall load, pushes in within a hold where that is cheap, and pulls along the torque where it is not."""
     threshold, push, kind = rng.uniform(0.02, 3.0), rng.uniform(1.0, 15.0), rng.randrange(4)
-    memory = {"peak": 0.0, "tick": 0, "period": 4, "part": 0.3}
+    memory: dict[str, Any] = {"peak": 0.0, "tick": 0, "period": 4, "part": 0.3}
 
-    def impulses():
+    def impulses() -> float:
         memory["tick"] += 1
         if memory["tick"] % memory["period"] == 0:
             memory["period"], memory["part"] = rng.randrange(1, 13), 0.5 * rng.random()
         return -4.0 * push if memory["tick"] % memory["period"] < memory["part"] * memory["period"] else HAND_FORCE
 
-    def force(_t, q, v, torque):
+    def force(_t: float, q: float, v: float, torque: float) -> float:
         if q > 0.002:
             return -0.3 * push - 3.0 * v
         if q < -0.3:
@@ -86,11 +89,11 @@ def adversary(rng):
     return force
 
 
-def telegraph(rng):
+def telegraph(rng: random.Random) -> Force:
     """Pulls and pushes at random, each for a while."""
     state = [1.0]
 
-    def force(_t, q, v, _f):
+    def force(_t: float, q: float, v: float, _f: float) -> float:
         if rng.random() < 0.03:
             state[0] = rng.choice((-1.0, 1.0)) * rng.random()
         if q > 0.005:
@@ -100,7 +103,7 @@ def telegraph(rng):
     return force
 
 
-USERS = {
+USERS: dict[str, Callable[[random.Random], Force]] = {
     "sinusoid": sinusoid,
     "tremor": tremor,
     "tapping": tapping,
@@ -110,7 +113,18 @@ USERS = {
 }
 
 
-def guarded(stiffness, damping, rate, delay=0, *, hand_force=HAND_FORCE, certain=None, count=0.0, quantum=0.0, **other):
+def guarded(
+    stiffness: float,
+    damping: float,
+    rate: float,
+    delay: int = 0,
+    *,
+    hand_force: float = HAND_FORCE,
+    certain: float | None = None,
+    count: float = 0.0,
+    quantum: float = 0.0,
+    **other: Any,
+) -> Guarded:
     """A guarded wall below 0 with the plant known; `certain` is the device damping declared."""
     mass = other.pop("mass", MASS)
     most = other.pop("most", FRICTION)
@@ -144,33 +158,35 @@ class Truth(NamedTuple):
     least_margin: float  # of sum(h_i) - sum(h_r), as booked
     believed_error: float  # largest |booked - true| sum(h_i)
     error_bound: float  # of trap 12, at the end
-    positions: list  # true, at the samples
-    torques: list  # applied in the hold that begins there
+    positions: list[float]  # true, at the samples
+    torques: list[float]  # applied in the hold that begins there
 
 
 def run(
-    controller,
-    user,
-    rate,
-    cycles,
+    controller: Any,
+    user: Force,
+    rate: float,
+    cycles: int,
     *,
-    delay=0,
-    damping=FRICTION,
-    hand_force=HAND_FORCE,
-    push=PUSH,
-    count=0.0,
-    quantum=0.0,
-    loss=None,
-    position=0.003,
-    seed=0,
-):
+    delay: int = 0,
+    damping: float = FRICTION,
+    hand_force: float = HAND_FORCE,
+    push: float = PUSH,
+    count: float = 0.0,
+    quantum: float = 0.0,
+    loss: Loss | None = None,
+    position: float = 0.003,
+    seed: int = 0,
+) -> Truth:
     """Runs a user against a controller; `user` is a force law (t, q, v, torque) -> force."""
     rng = random.Random(seed)
     sample_time = 1.0 / rate
     mass = Mass(MASS, damping, sample_time / SUBSTEPS, position)
-    held, pending, command, lost_in_a_row = 0.0, [0.0] * delay, 0.0, 0
+    held, command, lost_in_a_row = 0.0, 0.0, 0
+    pending: list[float | None] = [0.0] * delay
     true = least = with_damping = least_damping = margin = least_margin = booked = worst = variation = 0.0
-    positions, torques = [], []
+    positions: list[float] = []
+    torques: list[float] = []
     for cycle in range(cycles):
         start = mass.position
         seen = round(start / count) * count if count else start

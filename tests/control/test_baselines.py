@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference_loop import USER_S, sampled
 
 from canhaptic.control.balance import Ledger
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
@@ -14,6 +13,7 @@ from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.passivity_observer import PassivityObserverParameters
 from canhaptic.errors import ParameterError
+from tests.control.reference_loop import USER_S, sampled
 
 STIFF = SpringDamperWall(stiffness=20_000.0, damping=0.0)
 DEVICE_DAMPING = 2.0

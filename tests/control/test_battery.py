@@ -4,12 +4,12 @@ import math
 from collections import deque
 
 import pytest
-from cases import EXAMPLES, algorithms, controller
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.control.balance import AT_REST, Branch, residual
 from canhaptic.errors import ControlError
+from tests.control.cases import EXAMPLES, algorithms, controller
 
 pytestmark = pytest.mark.parametrize("environment", sorted(EXAMPLES))
 UNPROTECTED_START = {"direct", "passivity_observer"}

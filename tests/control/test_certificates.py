@@ -5,7 +5,6 @@ from dataclasses import astuple
 
 import numpy as np
 import pytest
-from guarded_users import Mass
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,6 +19,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     renderable_by_hand_speed,
     start_speed,
 )
+from tests.control.guarded_users import Mass
 
 positive = st.floats(1e-6, 1e3)
 

@@ -3,7 +3,6 @@
 import math
 
 import pytest
-from cases import EXAMPLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +13,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
+from tests.control.cases import EXAMPLES
 
 every_environment = pytest.mark.parametrize("environment", [pair[0] for pair in EXAMPLES.values()], ids=EXAMPLES)
 positions = st.floats(-0.03, 0.03)

@@ -6,7 +6,6 @@ import random
 import statistics
 
 import pytest
-from guarded_users import HAND_FORCE, MASS, PUSH, USERS, Loss, guarded, run
 
 from canhaptic.control.balance import Branch, Certificate, residual
 from canhaptic.control.certificates.torque_bound import Declared, TorqueBound
@@ -15,6 +14,7 @@ from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.errors import ParameterError
+from tests.control.guarded_users import HAND_FORCE, MASS, PUSH, USERS, Loss, guarded, run
 
 WALLS = [
     (1e2, 0.0),

@@ -7,10 +7,10 @@ import random
 from dataclasses import replace
 
 import pytest
-from guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
 
 from canhaptic.control.certificates import torque_bound
 from canhaptic.control.certificates.torque_bound import TorqueBound
+from tests.control.guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
 
 whole_step = torque_bound.next_displacement
 by_hand_force = TorqueBound.by_hand_force

@@ -4,10 +4,10 @@ import math
 import statistics
 
 import pytest
-from guarded_users import guarded, run
-from reference_loop import USER_S, continuous, sampled
 
 from canhaptic.control.balance import Certificate
+from tests.control.guarded_users import guarded, run
+from tests.control.reference_loop import USER_S, continuous, sampled
 
 
 def settle(controller, rate, *, force=1.0, seconds=6.0, damping=0.1, delay=0, count=0.0, grip=0.0, position=0.0):

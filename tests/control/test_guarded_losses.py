@@ -3,12 +3,12 @@
 import random
 
 import pytest
-from guarded_users import PUSH, USERS, Loss, guarded, run
 
 from canhaptic.control.certificates.torque_bound import Declared, TorqueBound
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
+from tests.control.guarded_users import PUSH, USERS, Loss, guarded, run
 
 T, DAMPING, CREDIT = 1e-3, 3.0, 1e-4
 

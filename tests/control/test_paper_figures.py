@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from reference_loop import continuous, sampled, user_f, variation
 
 from canhaptic.control.balance import Ledger, residual
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
@@ -11,6 +10,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import HoldAccount
 from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
 from canhaptic.control.passivity.original import OriginalParameters
+from tests.control.reference_loop import continuous, sampled, user_f, variation
 
 DURATION = 8.0
 FINE = np.arange(0.0, DURATION + 5e-5, 1e-4)

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from reference_loop import USER_S, continuous, sampled, user_f
 
 from canhaptic.control.balance import Branch, Ledger
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
@@ -12,6 +11,7 @@ from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
+from tests.control.reference_loop import USER_S, continuous, sampled, user_f
 
 WALL = SpringDamperWall(stiffness=100.0, damping=10.0, position=-0.05)
 

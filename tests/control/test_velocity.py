@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from reference_loop import USER_S, continuous, sampled, variation
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
@@ -15,6 +14,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
 from canhaptic.control.velocity import AdaptiveWindow
 from canhaptic.errors import ParameterError
+from tests.control.reference_loop import USER_S, continuous, sampled, variation
 
 SAMPLE_TIME = 1e-3
 counts = st.lists(st.integers(-3, 3), min_size=1, max_size=120)

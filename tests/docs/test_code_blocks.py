@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 import yaml
-from documents import ROOT, Block, blocks, pages
 
 from canhaptic.cli.main import main
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.plant.effects import EFFECTS
+from tests.docs.documents import ROOT, Block, blocks, pages
 
 NOT_RUN = {
     "make": "the tests themselves are run by it",

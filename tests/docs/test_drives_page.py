@@ -2,10 +2,9 @@
 
 import re
 
-from documents import ROOT
-
 from canhaptic.drive.profile.quirks import QUIRKS
 from canhaptic.scene.profiles import profile_names
+from tests.docs.documents import ROOT
 
 PAGE = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")
 

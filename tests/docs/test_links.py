@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import pytest
 import yaml
-from documents import ROOT, pages
+
+from tests.docs.documents import ROOT, pages
 
 DOCS = ROOT / "docs"
 _CODE_BLOCK = re.compile(r"^(```|~~~).*?^\1|^(?:    .*\n)+", re.MULTILINE | re.DOTALL)

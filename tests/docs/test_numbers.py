@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from documents import ROOT, pages
 
 from canhaptic.errors import InputError
+from tests.docs.documents import ROOT, pages
 from tools import fill_numbers
 from tools.fill_numbers import filled, value_at, written
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reference_loop import continuous, user_f, variation
 
+from tests.control.reference_loop import continuous, user_f, variation
 from tools.paper_figures import FIGURES, IMAGES, RESULT, draw, run_all
 from tools.paper_runs import Record, figures_of
 from tools.paper_traps import traps

@@ -3,10 +3,10 @@
 import re
 
 import pytest
-from documents import ROOT
 
 from canhaptic.errors import SceneConflictError
 from canhaptic.scene.load import scene_from_text
+from tests.docs.documents import ROOT
 
 GUIDE = (ROOT / "docs" / "passivity_guide.md").read_text(encoding="utf-8")
 DEMO = (ROOT / "configs" / "demo.yaml").read_text(encoding="utf-8")

@@ -3,12 +3,11 @@
 import json
 import re
 
-from documents import ROOT
-
 from canhaptic.cli.main import _COMMANDS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.bus.bus_effects import BusEffects
+from tests.docs.documents import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 NUMBERS = {6: "Six", 9: "nine"}

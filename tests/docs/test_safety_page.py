@@ -1,10 +1,9 @@
 """What the page on safety says of a host that stalls is so."""
 
-from documents import ROOT
-
 from canhaptic.cycle import run
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
+from tests.docs.documents import ROOT
 
 STALLED = [
     "bus.rate=250",

@@ -4,9 +4,9 @@ import shlex
 from pathlib import Path
 
 import pytest
-from documents import ROOT, blocks
 
 from canhaptic.errors import InputError
+from tests.docs.documents import ROOT, blocks
 from tools.gallery import GALLERY, IMAGES, LARGEST, PAGE, Entry, make, page, prepare, reduce
 
 PNG = b"\x89PNG\r\n\x1a\n"

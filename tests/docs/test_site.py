@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from documents import ROOT
 
 import canhaptic
+from tests.docs.documents import ROOT
 
 _ASKED = re.compile(r"<(?:script|link|img|iframe|source|video)\b[^>]*?\b(?:src|href)=[\"']?(?:https?:)?//[^\"'> ]+")
 _ASKED_BY_STYLE = re.compile(r"(?:url\(\s*[\"']?|@import\s+[\"'])(?:https?:)?//[^)\"']+")

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from drive_bench import Bench, make_bench
+
+from tests.drive.drive_bench import Bench, make_bench
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from contextlib import contextmanager, suppress
 
 import can
 import pytest
-from drive_bench import OUR_EDS, axis, dictionary, private_channel
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +12,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import SdoError
+from tests.drive.drive_bench import OUR_EDS, axis, dictionary, private_channel
 
 ANY = st.binary(max_size=8)
 LIKELY = st.builds(  # right enough to lead further in

@@ -5,7 +5,6 @@ from concurrent.futures import CancelledError
 from contextlib import suppress
 
 import pytest
-from drive_bench import Bench, MakeBench, axis
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ from canhaptic.drive.can.bus_budget import bus_budget, has_room_for_sdo
 from canhaptic.drive.can.sdo_transfer import ProtocolError
 from canhaptic.errors import InputError, SdoError
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import Bench, MakeBench, axis
 
 SOON = 10.0  # [s] until a thread of this process has handed a result over; never a pass mark
 NAME = b"canhaptic generic CiA 402 servo"  # 0x1008 of our EDS

@@ -1,12 +1,12 @@
 """The bus budget against the figures of the literature and sums done by hand."""
 
 import pytest
-from drive_bench import OUR_EDS, axis, dictionary
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget, require_budget, worst_case_bits
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.errors import BusBudgetError
+from tests.drive.drive_bench import OUR_EDS, axis, dictionary
 
 
 def maps(count: int, read_back: str = "auto") -> list[AxisMap]:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import can
 import pytest
-from drive_bench import FreeMass, axis, dictionary, make_bench, private_channel
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
@@ -16,6 +15,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import FreeMass, axis, dictionary, make_bench, private_channel
 
 MS = 1_000_000
 

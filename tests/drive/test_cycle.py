@@ -5,7 +5,6 @@ import itertools
 
 import can
 import pytest
-from drive_bench import MakeBench, axis, started
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
@@ -14,6 +13,7 @@ from canhaptic.cycle import Cycle
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import CommandLostError, DriveFaultError, InputError, LinkError
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import MakeBench, axis, started
 
 
 @pytest.mark.parametrize(("rpdo", "delay"), [("synchronous", 2), ("event", 1)])

@@ -3,11 +3,11 @@
 from typing import Any
 
 import pytest
-from drive_bench import axis
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.profile.quirks import Quirks, quirks_of
 from canhaptic.errors import ParameterError
+from tests.drive.drive_bench import axis
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,12 @@
 
 import can
 import pytest
-from drive_bench import Bench, MakeBench, axis
 
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import CommandLostError, EmergencyError, NotFollowingError, StateLeftError, TorqueLimitedError
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import Bench, MakeBench, axis
 
 LIMITED, FOLLOWS = int(StatusBit.INTERNAL_LIMIT), int(StatusBit.FOLLOWS_COMMAND)
 HOLD, STOP = 2, 20

@@ -4,10 +4,10 @@ import itertools
 
 import can
 import pytest
-from drive_bench import MakeBench, started
 
 from canhaptic.errors import LinkError
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import MakeBench, started
 
 
 @pytest.mark.parametrize("late", [0, 1, 5, 6, 9])

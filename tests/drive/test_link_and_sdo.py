@@ -5,12 +5,12 @@ from collections.abc import Iterator
 import can
 import pytest
 from canopen import ObjectDictionary
-from drive_bench import OUR_EDS, TamperedBus, axis, dictionary, private_channel
 
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import LinkError, SdoError
+from tests.drive.drive_bench import OUR_EDS, TamperedBus, axis, dictionary, private_channel
 
 
 class ScriptedNode:

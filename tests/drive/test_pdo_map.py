@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from drive_bench import OUR_EDS, axis, dictionary
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.drive.can.pdo_codec import MappedObject, codec, decode_entry
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.errors import DictionaryError
+from tests.drive.drive_bench import OUR_EDS, axis, dictionary
 
 
 def chosen(path: Path, **values: Any) -> AxisMap:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from drive_bench import OUR_EDS, RATED_TORQUE, REPOSITORY, Bench, axis, dictionary
 
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import choose_map
@@ -15,6 +14,7 @@ from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.profile.quirks import QUIRKS
 from canhaptic.errors import CommandLostError, DictionaryError, StartError
 from canhaptic.scene.simulated_defaults import TWINS, twin_of
+from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, REPOSITORY, Bench, axis, dictionary
 
 Make = Callable[..., Bench]
 

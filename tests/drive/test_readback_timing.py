@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from drive_bench import Bench, axis
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.drive.readback_timing import detect_read_back, measure_read_back, probe_torques
 from canhaptic.errors import ParameterError
+from tests.drive.drive_bench import Bench, axis
 
 Make = Callable[..., Bench]
 

@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable
 
 import pytest
-from drive_bench import Bench, axis, dictionary
 
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -14,6 +13,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import StartError
 from canhaptic.host.realtime import GRANTED, Realtime, RealtimeParameters
+from tests.drive.drive_bench import Bench, axis, dictionary
 
 Calls = list[tuple[object, ...]]
 ROUND_ROBIN = 2  # SCHED_RR of sched.h

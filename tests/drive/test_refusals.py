@@ -6,12 +6,12 @@ from typing import Any
 
 import can
 import pytest
-from drive_bench import OUR_EDS, Bench, MakeBench, axis, dictionary
 
 from canhaptic.drive.can.dictionary_check import check_dictionary, require_fit
 from canhaptic.drive.profile.fitness import Verdict, agreed_rated_torque
 from canhaptic.errors import BusBudgetError, DictionaryError, InputError, StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis, dictionary
 
 
 def refuse(b: Bench, step: str, *texts: str) -> StartError:

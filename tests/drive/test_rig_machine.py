@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import can
 import pytest
-from drive_bench import FreeMass, axis, make_bench
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -24,6 +23,7 @@ from canhaptic.cycle import Cycle
 from canhaptic.errors import RigError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import FreeMass, axis, make_bench
 
 NODE, TPDO, RPDO, SYNC, SDO = 5, 0x185, 0x205, 0x080, 0x605
 LIMIT = 8.0  # [N]

@@ -2,7 +2,6 @@
 
 import can
 import pytest
-from drive_bench import FreeMass, axis, dictionary, private_channel
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
@@ -13,6 +12,7 @@ from canhaptic.errors import BusBudgetError, LinkError
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import FreeMass, axis, dictionary, private_channel
 
 
 class Buses:

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import pytest
-from drive_bench import RATED_TORQUE, MakeBench, axis
 
 from canhaptic.canopen.objects import NmtState
 from canhaptic.drive.profile.power_states import is_enabled
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import RATED_TORQUE, MakeBench, axis
 
 VENDOR_FILES = ("elmo_gold.dcf", "zeroerr_erob.eds", "maxon_epos4.dcf", "kollmorgen_rgm.eds")
 

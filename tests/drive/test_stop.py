@@ -4,12 +4,12 @@ import math
 
 import can
 import pytest
-from drive_bench import Bench, MakeBench, axis
 
 from canhaptic.canopen.objects import NmtState
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import ControlError, DriveFaultError, LinkError, RigError
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import Bench, MakeBench, axis
 
 
 def running(make: MakeBench, **values: object) -> tuple[Bench, int]:

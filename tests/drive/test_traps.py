@@ -7,7 +7,6 @@ from contextlib import contextmanager
 
 import can
 import pytest
-from drive_bench import REPOSITORY, Bench, MakeBench, axis, make_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.bus import open_bus
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import REPOSITORY, Bench, MakeBench, axis, make_bench
 
 TRAITS = REPOSITORY / "tests" / "sim_drive" / "eds"
 

@@ -7,8 +7,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
-from patience import wait_for
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
@@ -16,6 +14,8 @@ from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of
+from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
+from tests.logs.patience import wait_for
 
 ROWS = 5000
 

@@ -3,13 +3,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_rows import PORTS, SAMPLE_TIME_NS, append, balance
 
 from canhaptic.errors import InputError
 from canhaptic.logs import export as module
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export
+from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance
 
 ROWS = 700
 

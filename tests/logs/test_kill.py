@@ -11,18 +11,18 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
-from patience import wait_for
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogWriteError
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
+from tests.logs.patience import wait_for
 
 CONTROLLER = """
 import sys, threading
 sys.path.insert(0, {folder!r})
-from log_rows import *
+from tests.logs.log_rows import *
 writer = EnergyLogWriter({path!r}, PORTS[:1], {{}}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
 pause = threading.Event()
 k = 0
@@ -56,7 +56,7 @@ def assert_rows_are_right(path: Path, at_least: int) -> None:
 @pytest.mark.parametrize("seed", [*range(3), *(pytest.param(n, marks=pytest.mark.slow) for n in range(3, 20))])
 def test_killing_the_controller_at_any_moment_loses_no_row(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "run.h5"
-    program = CONTROLLER.format(folder=str(Path(__file__).parent), path=str(path))
+    program = CONTROLLER.format(folder=str(Path(__file__).parents[2]), path=str(path))
     kill_after = random.Random(seed).randrange(1, 3000)
     last = -1
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as controller:

@@ -2,7 +2,7 @@
 
 from types import ModuleType
 
-from specification_of_cia402 import fits, state_of
+from tests.mutation.specification_of_cia402 import fits, state_of
 
 POWER_ON = "NOT_READY_TO_SWITCH_ON"
 SOD, RTSO, SO, OE = "SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED"

@@ -11,17 +11,19 @@ from types import ModuleType
 from typing import NamedTuple
 
 import pytest
-import specification_of_cia402
-import specification_of_limiter
-import specification_of_link_policy
-import specification_of_scaling
-import specification_of_state_machine
-from mutator import load, mutants
 
 from canhaptic.canopen.objects import Controlword, StatusBit
 from canhaptic.drive.profile import limiter, link_policy, scaling
 from canhaptic.drive.profile import power_states as cia402
 from canhaptic.sim.drive.profile import state_machine
+from tests.mutation import (
+    specification_of_cia402,
+    specification_of_limiter,
+    specification_of_link_policy,
+    specification_of_scaling,
+    specification_of_state_machine,
+)
+from tests.mutation.mutator import load, mutants
 
 
 class Subject(NamedTuple):

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plant_scenes import MS, make_plant, run
 
 from canhaptic.sim.plant import effects as effects_package
 from canhaptic.sim.plant.plant import Plant
+from tests.plant.plant_scenes import MS, make_plant, run
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 STOP = {"type": "hard_stop", "position": 0.01, "stiffness": 1e6, "damping": 30}

@@ -1,11 +1,11 @@
 import pytest
-from plant_scenes import make_plant
 
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.sim.plant.effects import EFFECTS, read_effect
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.units import axis_motion
+from tests.plant.plant_scenes import make_plant
 
 DRY = {"kinetic": 0.3, "static": 0.5}
 

@@ -5,10 +5,10 @@ import sys
 
 import numpy as np
 import pytest
-from plant_scenes import MS, make_plant, run
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.plant import Plant, PlantParameters
+from tests.plant.plant_scenes import MS, make_plant, run
 
 STOP = {"type": "hard_stop", "position": 0.01, "stiffness": 1e6}
 DAMPED_STOP = {**STOP, "damping": 30}

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plant_scenes import MS, make_plant, run
 from scipy.linalg import expm
 
 from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
@@ -14,6 +13,7 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model
+from tests.plant.plant_scenes import MS, make_plant, run
 from tools.bench.plants.random_scenes import apart, random_scene
 
 

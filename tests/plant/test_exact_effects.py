@@ -3,7 +3,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plant_scenes import (
+
+from canhaptic.sim.plant.user import UserParameters
+from tests.plant.plant_scenes import (
     DAMPING,
     MASS,
     MS,
@@ -17,8 +19,6 @@ from plant_scenes import (
     residual,
     run,
 )
-
-from canhaptic.sim.plant.user import UserParameters
 
 TORQUES = [2.0 * math.sin(0.05 * k) for k in range(150)]
 

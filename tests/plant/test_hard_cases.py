@@ -5,11 +5,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plant_scenes import DAMPING, MASS, MS, ReferenceMode, Way, hand, largest_flow, make_plant, reference, residual, run
 
 from canhaptic.errors import EventLimitError
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.plant_scenes import (
+    DAMPING,
+    MASS,
+    MS,
+    ReferenceMode,
+    Way,
+    hand,
+    largest_flow,
+    make_plant,
+    reference,
+    residual,
+    run,
+)
 
 CURRENT = {"type": "current_loop", "time_constant": 5e-5}
 

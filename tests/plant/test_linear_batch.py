@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from plant_scenes import MS, make_plant
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.plant_scenes import MS, make_plant
 from tools.bench.plants.linear_batch import LinearBatch
 
 

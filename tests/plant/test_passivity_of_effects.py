@@ -4,9 +4,9 @@ import itertools
 from typing import Any
 
 import pytest
-from plant_scenes import USER_S, largest_flow, make_plant, residual
 
 from canhaptic.sim.plant.effects import EFFECTS
+from tests.plant.plant_scenes import USER_S, largest_flow, make_plant, residual
 
 DRY = {"kinetic": 0.3, "static": 0.5}
 SHAFT: dict[str, Any] = {"type": "shaft_compliance", "stiffness": 2e4, "damping": 2.0, "load_mass": 0.1}

@@ -6,10 +6,10 @@ from typing import Any
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plant_scenes import make_plant, residual
 
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.plant_scenes import make_plant, residual
 
 
 def decades(low: float, high: float) -> st.SearchStrategy[float]:

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from plant_scenes import MS
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.map.stability_map import Loops, decay_per_hold, loop_matrices
+from tests.plant.plant_scenes import MS
 
 
 @pytest.mark.parametrize("delay", [0, 1])

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plant_scenes import MS, largest_flow, make_plant, residual, run
 
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model
+from tests.plant.plant_scenes import MS, largest_flow, make_plant, residual, run
 
 STATIC = 1.0
 STRIBECK = {"type": "stribeck_friction", "kinetic": 0.5, "static": STATIC, "stribeck_velocity": 0.02}

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import h5py
 import pytest
-from scene_text import scene_file
 
 from canhaptic.cycle import run
 from canhaptic.errors import InputError, SceneError
@@ -25,6 +24,7 @@ from canhaptic.scene.parts import build_plant
 from canhaptic.scene.plant_price import PlantPrice, estimated_error, plant_prices
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_motion import difference
+from tests.scene.scene_text import scene_file
 
 COGGING = "simulation.effects=[{type: cogging, amplitude: 0.2, pitch: 5 mm}]"
 FRICTION = "simulation.effects=[{type: coulomb_friction, kinetic: 0.3, static: 0.5}]"

@@ -6,7 +6,6 @@ import socket
 from pathlib import Path
 
 import pytest
-from scene_text import SECOND_AXIS, scene_file
 
 from canhaptic.cycle import run
 from canhaptic.drive.axis_parameters import BusParameters
@@ -18,6 +17,7 @@ from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
+from tests.scene.scene_text import SECOND_AXIS, scene_file
 
 
 def test_a_simulated_scene_runs_in_lock_step_unless_told_otherwise(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scene_text import REPOSITORY
 
 from canhaptic.audit.rederive import rederive
 from canhaptic.cli.decode import _decode_log
@@ -19,6 +18,7 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.scene.scene_text import REPOSITORY
 
 TWO_BUSES = REPOSITORY / "configs" / "two_buses.yaml"
 COUNT = 1e-6  # [m]

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 import yaml
-from scene_text import REPOSITORY
 
 from canhaptic.scene.guesses import guesses_left
 from canhaptic.scene.load import load_scene
+from tests.scene.scene_text import REPOSITORY
 
 PROFILES = REPOSITORY / "configs" / "drives"  # keys of an axis, and no scenes
 CONFIGS = sorted(path for path in (REPOSITORY / "configs").rglob("*.yaml") if path.parent != PROFILES)

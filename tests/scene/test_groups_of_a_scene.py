@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scene_text import REPOSITORY
 
 from canhaptic.cli.main import main
 from canhaptic.control.multi_axis.axis_group import AxisGroup
@@ -21,6 +20,7 @@ from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.scene.parts import build_axis_controller, build_axis_groups
+from tests.scene.scene_text import REPOSITORY
 
 CONFIGS = REPOSITORY / "configs"
 STAGE, LINKS, HANDLES = (CONFIGS / f"{name}.yaml" for name in ("xy_box", "five_bar_sphere", "two_handles"))

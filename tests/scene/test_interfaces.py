@@ -7,12 +7,12 @@ from typing import Any
 import can
 import pytest
 from can.interfaces import BACKENDS
-from scene_text import REPOSITORY, faults
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError, InputError, LinkError
 from canhaptic.host.interfaces import _REMEDIES, _accepted_options, interface_faults, opening_error
 from canhaptic.scene.load import load_scene
+from tests.scene.scene_text import REPOSITORY, faults
 
 EXAMPLES = sorted((REPOSITORY / "configs" / "interfaces").glob("*.yaml"))
 BACKEND_OF = {"candlelight": "gs_usb"}

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from scene_text import REPOSITORY, SCENE, SECOND_AXIS, SHIPPED_EDS, Replacement, faults, scene_file
 
 from canhaptic.errors import SceneError
 from canhaptic.scene.load import load_scene, scene_from_mapping, scene_from_text
+from tests.scene.scene_text import REPOSITORY, SCENE, SECOND_AXIS, SHIPPED_EDS, Replacement, faults, scene_file
 
 
 def test_a_scene_is_read_in_si(tmp_path: Path) -> None:

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from scene_text import SHIPPED_EDS, faults, scene_file
 
 from canhaptic.errors import SceneError
 from canhaptic.scene.load import load_scene
+from tests.scene.scene_text import SHIPPED_EDS, faults, scene_file
 
 
 def test_overrides_are_laid_over_in_order(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from scene_text import REPOSITORY
 
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
@@ -21,6 +20,7 @@ from canhaptic.host.socketcan_state import (
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
+from tests.scene.scene_text import REPOSITORY
 
 EXAMPLE = REPOSITORY / "configs" / "interfaces" / "socketcan.yaml"
 DEMO = REPOSITORY / "configs" / "demo.yaml"

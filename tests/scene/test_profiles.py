@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scene_text import REPOSITORY, faults, scene_file
 
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
@@ -15,6 +14,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.profiles import PROFILES, profile_names, profile_of_vendor, profile_values
+from tests.scene.scene_text import REPOSITORY, faults, scene_file
 
 DEMO = REPOSITORY / "configs" / "demo.yaml"
 AXIS = "    unit: m\n    counts_per_unit"

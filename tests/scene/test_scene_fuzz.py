@@ -7,10 +7,10 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scene_text import SCENE, SHIPPED_EDS
 
 from canhaptic.errors import SceneError
 from canhaptic.scene.load import load_scene, scene_from_mapping
+from tests.scene.scene_text import SCENE, SHIPPED_EDS
 
 FAST = settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 

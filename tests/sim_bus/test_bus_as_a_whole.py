@@ -5,12 +5,12 @@ import itertools
 
 import can
 import pytest
-from bus_bench import MS, US, Bench, frame, numbered, numbers, virtual_bus
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.sim.bus.bus_effects import BusEffects
 from canhaptic.sim.bus.bus_segment import _worst_case_bits
 from canhaptic.sim.bus.faulty_bus import FaultyBus
+from tests.sim_bus.bus_bench import MS, US, Bench, frame, numbered, numbers, virtual_bus
 
 
 def test_frames_take_the_bits_of_the_literature() -> None:

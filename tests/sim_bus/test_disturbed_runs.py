@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import can
 import pytest
-from bus_bench import virtual_bus
 
 from canhaptic.cli import drive as drive_command
 from canhaptic.control.balance import EnergyBalance
@@ -25,6 +24,7 @@ from canhaptic.scene.build import Experiment, build, build_drive_group
 from canhaptic.scene.bus import with_effects
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.sim_bus.bus_bench import virtual_bus
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 GUARDED = "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N, lost_frames: 4}"

@@ -5,7 +5,8 @@ import math
 from typing import Any
 
 import pytest
-from bus_bench import MS, US, Bench, frame, numbered, numbers
+
+from tests.sim_bus.bus_bench import MS, US, Bench, frame, numbered, numbers
 
 COUNT = 4000
 

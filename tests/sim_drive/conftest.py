@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 import pytest
-from drive_on_bus import Rig
+
+from tests.sim_drive.drive_on_bus import Rig
 
 
 @pytest.fixture

@@ -4,10 +4,10 @@ import struct
 from typing import NamedTuple
 
 import pytest
-from drive_on_bus import PERIOD, Rig
 
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.sim.plant.plant import Plant, PlantParameters
+from tests.sim_drive.drive_on_bus import PERIOD, Rig
 
 QUANTUM = 0.01  # [N] of 10 N rated
 CYCLES = 200

@@ -3,12 +3,12 @@
 import math
 
 import can
-from drive_on_bus import NODE, PERIOD, TRAITS, Rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.sim.drive.can.drive_group import DriveGroup
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.sim_drive.drive_on_bus import NODE, PERIOD, TRAITS, Rig
 
 COB_IDS = [0x000, 0x080, 0x085, 0x205, 0x305, 0x405, 0x605, 0x705, 0x77F]
 INTERESTING = [

@@ -1,9 +1,9 @@
 """EMCY, error register, history, and the watchdogs on RPDO and SYNC."""
 
 import pytest
-from drive_on_bus import PERIOD, Rig
 
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.sim_drive.drive_on_bus import PERIOD, Rig
 
 MS = 1_000_000
 

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from drive_on_bus import TRAITS, Rig
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.sim_drive.drive_on_bus import TRAITS, Rig
 
 
 class Bring(NamedTuple):

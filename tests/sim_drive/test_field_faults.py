@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 from canopen.objectdictionary import ODVariable
-from drive_on_bus import Rig
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.can.pdo_map import choose_map, pdo_capabilities
 from canhaptic.drive.survey import Suitability, survey, unconfigured_axis
+from tests.sim_drive.drive_on_bus import Rig
 
 HEAD = "[FileInfo]\nFileName=x.eds\n"
 OBJECTS = """\

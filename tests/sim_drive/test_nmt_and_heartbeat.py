@@ -1,9 +1,8 @@
 """NMT, boot-up and heartbeat of the drive against literal frames; virtual time."""
 
-from drive_on_bus import PERIOD, Rig
-
 from canhaptic.canopen.objects import NmtState
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.sim_drive.drive_on_bus import PERIOD, Rig
 
 MS = 1_000_000
 

@@ -1,7 +1,8 @@
 """PDO mapping rules, transmission types, and frames as literal bytes."""
 
 import pytest
-from drive_on_bus import PERIOD, Rig
+
+from tests.sim_drive.drive_on_bus import PERIOD, Rig
 
 MS = 1_000_000
 STATUSWORD, POSITION, DEMAND, TARGET = 0x60410010, 0x60640020, 0x60740010, 0x60710010

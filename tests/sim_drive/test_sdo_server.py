@@ -1,7 +1,8 @@
 """The SDO server against literal frames of CiA 301."""
 
 import pytest
-from drive_on_bus import Rig
+
+from tests.sim_drive.drive_on_bus import Rig
 
 
 @pytest.mark.parametrize(

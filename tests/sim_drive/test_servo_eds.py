@@ -6,10 +6,10 @@ import runpy
 
 import canopen
 import pytest
-from drive_on_bus import ROOT, SERVO_EDS
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.eds import read_dictionary
+from tests.sim_drive.drive_on_bus import ROOT, SERVO_EDS
 
 NEEDED = [
     *(0x1000, 0x1001, 0x1003, 0x1005, 0x1006, 0x1008, 0x1009, 0x100A, 0x1014, 0x1016, 0x1017, 0x1018, 0x1029, 0x1200),

@@ -1,9 +1,9 @@
 """The CiA 402 state machine against a truth table written from the standard's figure, not from the code's data."""
 
 import pytest
-from drive_on_bus import Rig
 
 from canhaptic.sim.drive.profile.state_machine import DriveState, StateMachine
+from tests.sim_drive.drive_on_bus import Rig
 
 SOD, RTSO, SO, OE = (
     DriveState.SWITCH_ON_DISABLED,

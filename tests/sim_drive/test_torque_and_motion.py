@@ -3,11 +3,11 @@
 import math
 
 import pytest
-from drive_on_bus import PERIOD, Mass, Rig
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.sim_drive.drive_on_bus import PERIOD, Mass, Rig
 
 
 def torque(per_mille: int) -> str:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference_loop import USER_S, continuous, sampled
 from rich.console import Console
 
 from canhaptic.control.balance import Ledger
@@ -23,6 +22,7 @@ from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopRun
 from canhaptic.study.reference.continuous_reference import Reference
 from canhaptic.study.scenes import at_rate
+from tests.control.reference_loop import USER_S, continuous, sampled
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 HARD = sorted(  # those called sim_* are hard for the plant, not for the wall

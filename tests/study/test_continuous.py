@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from reference_loop import USER_S, continuous
 from scipy.integrate import solve_ivp
 
 from canhaptic.control.environments.coulomb_surface import CoulombSurface
@@ -21,6 +20,7 @@ from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.reference.continuous_ode import integrate
 from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.reference.continuous_wall import continuous_effect
+from tests.control.reference_loop import USER_S, continuous
 
 PLANT = PlantParameters(mass=0.25, damping=0.1)
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))

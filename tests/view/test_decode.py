@@ -2,10 +2,10 @@ import json
 from pathlib import Path
 
 import pytest
-import typed
 
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.node_names import describe_nodes
+from tests.view import typed
 
 ROOT = Path(__file__).parents[2]
 

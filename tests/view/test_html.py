@@ -6,16 +6,16 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import typed
-from chromium import chromium
-from hour_run import SPIKE, write_hour
-from synthetic_run import write_run, write_troubled_run
 
 from canhaptic.audit.extent import contacts
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view import html_report
 from canhaptic.view.series import PortSeries
+from tests.view import typed
+from tests.view.chromium import chromium
+from tests.view.hour_run import SPIKE, write_hour
+from tests.view.synthetic_run import write_run, write_troubled_run
 
 ROOT = Path(__file__).parents[2]
 READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"

@@ -5,8 +5,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import typed
-from synthetic_run import write_run, write_troubled_run
 
 from canhaptic.audit.inspection import _quantiles, inspect
 from canhaptic.audit.log_difference import compare
@@ -14,6 +12,8 @@ from canhaptic.audit.user_checks import check
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance, Ledger
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
+from tests.view import typed
+from tests.view.synthetic_run import write_run, write_troubled_run
 
 
 @pytest.fixture(scope="module")

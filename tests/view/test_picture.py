@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_run import write_run
 
 from canhaptic.audit.extent import contacts
 from canhaptic.cycle import run
@@ -20,6 +19,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.view import run_picture
 from canhaptic.view.decimate import decimate
 from canhaptic.view.run_picture import draw_energy
+from tests.view.synthetic_run import write_run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

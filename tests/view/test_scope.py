@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import chromium
-from synthetic_run import PORTS, append, write_run, write_troubled_run
 
 from canhaptic.cli.main import main
 from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view import live_log
 from canhaptic.view.live_log import LiveLog
+from tests.view.chromium import chromium
+from tests.view.synthetic_run import PORTS, append, write_run, write_troubled_run
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
 

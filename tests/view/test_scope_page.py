@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from synthetic_run import write_run
 
 from canhaptic.cycle import run
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view.live_log import LiveLog
+from tests.view.synthetic_run import write_run
 
 pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -1,17 +1,15 @@
 """How long does the log of one hour at 1 kHz take to inspect, and to turn into an interactive page?"""
 
-import importlib
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 from time import perf_counter
 
+from tests.view import hour_run
 from tools.bench.report import Row, publish
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "view"))
-hour_run = importlib.import_module("hour_run")
 
 REPEATS = 2
 

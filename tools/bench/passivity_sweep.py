@@ -4,17 +4,13 @@ Per rate and delay: least true sum(h_i) within the declared hand force, least ma
 nothing is quantised, and runs beyond -1 uJ. Exit status 1 when there is any.
 """
 
-import importlib
 import itertools
 import random
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
+from tests.control import guarded_users as users
 from tools.bench.report import Row, publish
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "control"))
-users = importlib.import_module("guarded_users")
 
 WALLS = [(1e2, 0.0), (1e2, 50.0), (1e3, 0.0), (1e3, 20.0), (1e4, 0.0), (1e4, 50.0), (1e5, 0.0), (1e5, 50.0)]
 WALLS += [(1e6, 0.0), (1e6, 500.0), (0.0, 100.0)]

@@ -4,15 +4,6 @@ import random
 from dataclasses import replace
 
 import pytest
-from attack import (
-    Attack,
-    Losses,
-    before_moving_wall,
-    dragged,
-    in_space,
-    random_attack,
-    run,
-)
 
 from canhaptic.control.mechanisms.five_bar import FiveBar as FiveBarKinematics
 from canhaptic.control.multi_axis import build_group_controller
@@ -26,6 +17,15 @@ from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.user import SinusoidMotion
 from canhaptic.units import Parameters
+from tests.control.network.attack import (
+    Attack,
+    Losses,
+    before_moving_wall,
+    dragged,
+    in_space,
+    random_attack,
+    run,
+)
 
 LOSSES = {"lost_commands": 0.3, "lost_samples": 0.1}
 KINDS = {

@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from networks import EXAMPLE, FRICTION, MASS, Table, group, rendered
 from scipy.integrate import solve_ivp
 
 from canhaptic.control.balance import residual
@@ -18,6 +17,7 @@ from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.control.port_hamiltonian.shapes.moving_wall import MovingWall
 from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
 from canhaptic.control.port_hamiltonian.shapes.virtual_mass import MassOnSpring, VirtualMass
+from tests.control.network.networks import EXAMPLE, FRICTION, MASS, Table, group, rendered
 
 HAND = 300.0, 3.0
 

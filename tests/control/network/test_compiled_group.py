@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from networks import EXAMPLE, group
 
 from canhaptic.control.mechanisms.five_bar import FiveBar
 from canhaptic.control.mechanisms.identity import Identity
@@ -34,6 +33,7 @@ from canhaptic.cycle import run
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
+from tests.control.network.networks import EXAMPLE, group
 
 pytest.importorskip("numba")
 

@@ -3,14 +3,14 @@
 import random
 
 import pytest
-from networks import random_network
-from test_random_networks import random_sample
 
 from canhaptic.control.port_hamiltonian.equation import new_workspace
 from canhaptic.control.port_hamiltonian.network import Network, UserEnergy
 from canhaptic.control.port_hamiltonian.newton import advance
 from canhaptic.control.port_hamiltonian.sampled_network import SampledNetwork
 from canhaptic.errors import ParameterError
+from tests.control.network.networks import random_network
+from tests.control.network.test_random_networks import random_sample
 
 numba = pytest.importorskip("numba")
 

@@ -5,9 +5,9 @@ import random
 
 import numpy as np
 import pytest
-from networks import Table, group
 
 from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHandles
+from tests.control.network.networks import Table, group
 
 COUPLING = CoupledHandles(stiffness=2000.0, damping=5.0)
 

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from networks import EXAMPLE, Table, group, loops, rendered
 
 from canhaptic.control.mechanisms.five_bar import FiveBar
 from canhaptic.control.mechanisms.identity import Identity
@@ -32,6 +31,7 @@ from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.control.port_hamiltonian.shapes.tube import Tube
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.registry import load
+from tests.control.network.networks import EXAMPLE, Table, group, loops, rendered
 
 SPRING = Spring(stiffness=100.0)
 MASS = Mass(mass=1.0)

@@ -3,7 +3,6 @@
 import random
 
 import pytest
-from networks import random_network, tangled_network
 
 from canhaptic.control.multi_axis.energy_along_scale import _FURTHEST, EnergyAlongScale
 from canhaptic.control.multi_axis.torque_scaling import _EVALUATIONS as SCALE_EVALUATIONS
@@ -12,6 +11,7 @@ from canhaptic.control.port_hamiltonian.discrete_gradient import stored_energy
 from canhaptic.control.port_hamiltonian.equation import new_workspace
 from canhaptic.control.port_hamiltonian.network import DoubleWell, Mass, Network, Spring, UserEnergy
 from canhaptic.control.port_hamiltonian.newton import _EVALUATIONS, advance
+from tests.control.network.networks import random_network, tangled_network
 
 ON_A_MASS = [[0.0, -1.0], [1.0, 0.0]]
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mechanism_scenes import LINKS, MS, OpenChains, five_bar, integrated, run, wavy
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+from tests.plant.mechanism.mechanism_scenes import LINKS, MS, OpenChains, five_bar, integrated, run, wavy
 
 LEFT = st.floats(1.7, 2.9)
 RIGHT = st.floats(0.2, 1.4)

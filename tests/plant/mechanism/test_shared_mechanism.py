@@ -3,9 +3,9 @@
 import itertools
 
 import pytest
-from mechanism_scenes import MS, five_bar, stage
 
 from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
+from tests.plant.mechanism.mechanism_scenes import MS, five_bar, stage
 
 
 class Held:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mechanism_scenes import HAND, MS, STAGE, hand_force, integrated, run, stage, wavy
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.mechanism.mechanism_scenes import HAND, MS, STAGE, hand_force, integrated, run, stage, wavy
 
 MASSES = np.array([STAGE["mass_x"], STAGE["mass_y"]])
 DAMPINGS = np.array([STAGE["damping_x"], STAGE["damping_y"]])

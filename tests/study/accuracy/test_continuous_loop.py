@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from accuracy_scenes import FOLDER
 
 from canhaptic.scene.load import load_scene
 from canhaptic.study.accuracy.continuous_loop import continuous_loop
 from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.scenes import environment_of, plant_parts
+from tests.study.accuracy.accuracy_scenes import FOLDER
 
 ENVIRONMENTS = {
     "spring_damper_wall": "{type: spring_damper_wall, stiffness: 100, damping: 10, position: -0.05}",

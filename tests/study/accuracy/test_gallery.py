@@ -7,7 +7,6 @@ import json
 from functools import cache
 
 import pytest
-from accuracy_scenes import FOLDER, REPOSITORY, SCENES
 
 from canhaptic.scene.accuracy_choice import choose, holds_of, observed, simulation_of, textbook_model, torque_history
 from canhaptic.scene.load import load_scene
@@ -18,6 +17,7 @@ from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.advice import FLOOR, advice, line, meets
 from canhaptic.study.accuracy.candidates import OURS
 from canhaptic.study.accuracy.plant_solvers import PlantSide
+from tests.study.accuracy.accuracy_scenes import FOLDER, REPOSITORY, SCENES
 
 DEAR = 10.0  # evaluations a period: such rungs are measured anew by the slow tests only
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)

@@ -4,7 +4,6 @@ import math
 from typing import Literal
 
 import pytest
-from accuracy_scenes import EFFECTS, EXACT, PERIOD, PLANT, WARM, random_torques, simulation, smooth_torques
 
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.accuracy_choice import observed, textbook_model
@@ -18,6 +17,16 @@ from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
 from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.advice import fitted_order
+from tests.study.accuracy.accuracy_scenes import (
+    EFFECTS,
+    EXACT,
+    PERIOD,
+    PLANT,
+    WARM,
+    random_torques,
+    simulation,
+    smooth_torques,
+)
 
 HOLDS = 60
 SECONDS = PERIOD * 1e-9

@@ -4,8 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loops import PLANT, in_arrays, scalar_case
-from test_scenes import demo, many
 
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.registry import load
@@ -20,6 +18,8 @@ from canhaptic.study.loop import render
 from canhaptic.study.reference.continuous_ode import integrate
 from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.scenes import environment_of, loop_case, plant_parts
+from tests.study.batch.loops import PLANT, in_arrays, scalar_case
+from tests.study.batch.test_scenes import demo, many
 from tools.bench.standard_cases import standard_case
 
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from loops import COUNTED, WORLDS, in_arrays, scalar_case, with_floats
 
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.nodes import NotBatchableError
 from canhaptic.study.figures import METRICS
+from tests.study.batch.loops import COUNTED, WORLDS, in_arrays, scalar_case, with_floats
 
 CYCLES = 500
 NAMES = [name for name in METRICS if name not in COUNTED]

@@ -12,13 +12,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from conftest_sweep import DEMO, VARY
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.sweep_table import SweepTable
+from tests.study.sweep.conftest_sweep import DEMO, VARY
 
 LONG = [
     "sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:6", "--vary", "simulation.seed=0:4:lin:5",

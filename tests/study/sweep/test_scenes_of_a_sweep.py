@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest_sweep import DEMO, VARY
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -19,6 +18,7 @@ from canhaptic.study.sweep.chunk import _MORE, SLOTS
 from canhaptic.study.sweep.selected import Selected
 from canhaptic.study.sweep.summary import summary
 from canhaptic.study.sweep.sweep_table import SweepTable
+from tests.study.sweep.conftest_sweep import DEMO, VARY
 
 EXACT = ("least_interaction", "margin", "torque_peak", "travel", "damping_rendered.mean")
 

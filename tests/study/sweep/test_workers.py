@@ -5,13 +5,13 @@ import signal
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from conftest_sweep import DEMO, VARY
-from dask_cluster import dask_cluster
 
 from canhaptic.errors import InputError, WorkersLostError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.workers import Pool, dask_executor
+from tests.study.sweep.conftest_sweep import DEMO, VARY
+from tests.study.sweep.dask_cluster import dask_cluster
 
 OPTIONS = {
     "cycles": 40,
