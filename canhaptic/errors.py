@@ -27,6 +27,7 @@
        |  |- TpdoLostError                   3   too many SYNCs in a row without an answer
        |  |- HeartbeatLostError              3   a drive fell silent
        |  |- CommandLostError                3   a drive does not act on its RPDO
+       |  |- SecondMasterError               3   another master sends on the bus
        |  `- BusFailedError                  3   a frame could not be sent, or none be read
        `- ControlError                       3   the controller raised or produced a non-finite torque
           |- TorqueNotFiniteError            3   the controller's torque is no number
@@ -220,6 +221,10 @@ class HeartbeatLostError(LinkError):
 
 class CommandLostError(LinkError):
     """A drive holds an old torque although others were sent."""
+
+
+class SecondMasterError(LinkError):
+    """A frame that this master alone may send came from elsewhere."""
 
 
 class BusFailedError(LinkError):

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
+from canhaptic.canopen import objects as od
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
 from canhaptic.drive.can.bus_budget import BusBudget, has_room_for_sdo, require_budget
@@ -90,15 +91,21 @@ class Rig:
 
         Raises:
             StartError: A step was not confirmed; all drives are left disabled.
+            SecondMasterError: Another master sends on a bus; all drives are left disabled.
         """
         self._reset()
+        for link in self.links:
+            link.reserve(_own_frames(link, self.drives, self.bus))
         self.realtime.begin()
         try:
             rig_start.start(self._exchange, [CanBringUp(drive) for drive in self.drives])
-        except BaseException:
+        except BaseException as error:
             self.stop_reason = StopReason.EXCEPTION
             self._disable(Trust.FULL)  # it was never given a torque
+            if isinstance(error, RigError):
+                self._require_no_other_master()  # which explains whatever step it disturbed
             raise
+        self._require_no_other_master()
         self._exchange.skipped = 0
         self.sync_index = 0
         self._is_running = True
@@ -130,6 +137,7 @@ class Rig:
         except LinkError as error:
             raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
         self.sync_index = index = self.sync_index + 1
+        self._require_no_other_master()
         self._samples = samples = []
         for drive in self.drives:
             samples.append(drive.sample(index, exchange.periods))
@@ -138,6 +146,14 @@ class Rig:
             if reason:
                 raise self._stopped(reason, self._describe(drive, reason), drive.axis.name)
         return samples
+
+    def _require_no_other_master(self) -> None:
+        for link in self.links:
+            if link.intruder:
+                reason = StopReason.SECOND_MASTER
+                rule = STOP_TABLE[reason]
+                text = f"{link.intruder} came from elsewhere: {rule.meaning}; torque is zero; {rule.remedy}"
+                raise self._stopped(reason, text)
 
     def write_torques(self, torques: Sequence[float]) -> None:
         """Sends one torque [N*m or N] per axis, after link policy and limiter, and the master's heartbeat when due.
@@ -300,6 +316,20 @@ class Rig:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop(ramp=kind is None or not issubclass(kind, Exception))
+
+
+def _own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> dict[int, str]:
+    """Returns the COB-IDs that this master alone sends on a bus, with their names."""
+    names = {
+        od.NMT_COB_ID: "NMT",
+        od.SYNC_FRAME_COB_ID: "SYNC",
+        od.HEARTBEAT_BASE + bus.master_id: "heartbeat of the master",
+    }
+    for drive in drives:
+        if drive.link is link:
+            names[drive.map.rpdo.cob_id] = f"RPDO of {drive.axis.name}"
+            names[od.SDO_REQUEST_BASE + drive.axis.node_id] = f"SDO request to {drive.axis.name}"
+    return names
 
 
 def _budget(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:

@@ -27,7 +27,7 @@ def private_channel() -> str:
 
 def echoes(bus: BusParameters) -> bool:
     """Returns whether the interface gives back the frames that were sent through it."""
-    return bus.interface in _ECHOING
+    return bus.interface in _ECHOING or bool(bus.options.get("receive_own_messages"))
 
 
 def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:

@@ -3,7 +3,7 @@
 There is no Notifier and no callback thread: whoever waits pumps the bus, and an exception in a handler reaches him.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import can
@@ -48,6 +48,10 @@ class Link:
         clock: Where waiting is done.
         recorder: Sees every frame, for the bus log.
         echoes: Whether the interface gives back what it was sent (`udp_multicast` does).
+
+    Attributes:
+        intruder: Name of the first frame that came from elsewhere although this master alone may send it; empty while
+            there was none.
     """
 
     def __init__(
@@ -60,6 +64,14 @@ class Link:
         self._echoes = echoes
         self._handlers: dict[int, Handler] = {}
         self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
+        self._not_returned: dict[int, int] = {}  # by COB-ID: frames sent that the interface has not given back
+        self._own: Mapping[int, str] = {}
+        self.intruder = ""
+
+    def reserve(self, names: Mapping[int, str]) -> None:
+        """Names the COB-IDs that this master alone sends, and forgets an intruder."""
+        self._own = names
+        self.intruder = ""
 
     def subscribe(self, can_id: int, handler: Handler) -> None:
         """Calls `handler(data)` for each frame of this COB-ID from now on, in place of the one before."""
@@ -88,6 +100,8 @@ class Link:
         except (can.CanError, OSError):
             self._send_again(message)
         self.statistics.sent += 1
+        if self._echoes:
+            self._not_returned[can_id] = self._not_returned.get(can_id, 0) + 1
         record = self._recorder
         if record is not None:
             record(now, can_id, data, False)
@@ -165,10 +179,15 @@ class Link:
         if message.is_error_frame:
             self.statistics.error_frames += 1
             return
-        if self._echoes and message.arbitration_id in self._frames:
+        can_id = message.arbitration_id
+        if self._not_returned.get(can_id):
+            self._not_returned[can_id] -= 1
             self.statistics.echoed += 1
             return
         self.statistics.foreign += 1
-        is_data = not message.is_remote_frame and message.arbitration_id <= _LARGEST_STANDARD_ID
-        if self._recorder is not None and is_data:
-            self._recorder(self.clock.now(), message.arbitration_id, message.data, True)
+        if message.is_remote_frame or can_id > _LARGEST_STANDARD_ID:
+            return
+        if can_id in self._own and not message.is_extended_id:
+            self.intruder = self.intruder or f"{self._own[can_id]} (COB-ID {can_id:#05x})"
+        if self._recorder is not None:
+            self._recorder(self.clock.now(), can_id, message.data, True)

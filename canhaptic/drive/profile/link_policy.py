@@ -21,6 +21,7 @@ from canhaptic.errors import (
     NotFollowingError,
     PositionJumpError,
     RigError,
+    SecondMasterError,
     StateLeftError,
     TorqueLimitedError,
     TorqueNotFiniteError,
@@ -37,6 +38,7 @@ class StopReason(IntEnum):
     HEARTBEAT_LOST = 11
     SEND_FAILED = 12
     COMMAND_LOST = 13
+    SECOND_MASTER = 14
     EMERGENCY = 20
     DRIVE_FAULT = 21
     STATE_LEFT = 22
@@ -85,6 +87,11 @@ STOP_TABLE: Final[dict[StopReason, StopRule]] = {
         "the drive holds an old torque, its RPDOs are lost",
         CommandLostError,
         "check the cable, the COB-ID of the RPDO and what else loads the bus",
+    ),
+    StopReason.SECOND_MASTER: StopRule(
+        "another master sends on the bus",
+        SecondMasterError,
+        "end the other program, or remove the other device, that sends SYNC, NMT, RPDOs or SDO requests",
     ),
     StopReason.EMERGENCY: StopRule(
         "the drive sent an EMCY", EmergencyError, "look the code up in the drive's manual and remove its cause"
