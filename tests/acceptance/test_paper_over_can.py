@@ -46,7 +46,7 @@ def over_can(config: str, *overrides: str, duration: float) -> OverCan:
                 sticky.append(balance.torque)
             return balance
 
-        controller.step = watched
+        controller.step = watched  # type: ignore[assignment]
         cycles = round(duration / experiment.scene.bus.sample_time)
         run(cycle, cycles)
         [ledger], judge = cycle.ledgers, cycle.judge

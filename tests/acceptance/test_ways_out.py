@@ -89,7 +89,7 @@ def test_the_torque_goes_to_zero_and_the_drive_is_disabled(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ending = ENDINGS[what]
-    status = run_with(lambda inner: Failing(inner, ending.outcome), tmp_path / "a.log", monkeypatch)
+    status = run_with(lambda inner: Failing(inner, ending.outcome), tmp_path / "a.log", monkeypatch)  # type: ignore[arg-type, return-value]
     captured = capsys.readouterr()
     assert status == ending.status, captured.err
     assert ending.message in captured.err

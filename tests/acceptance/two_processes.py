@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import can
 import pytest
@@ -20,7 +21,7 @@ HEARTBEAT_TIMEOUT = 300_000  # [us] long enough for a busy machine
 PATIENCE = 20.0  # [s] for two interpreters to start on a busy machine
 
 
-def private_bus() -> dict[str, object]:
+def private_bus() -> dict[str, Any]:
     """Group and port of this test alone; frames do not leave the machine."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -30,7 +31,7 @@ def tpdo(counts: int, per_mille: int) -> Frame:
     return frame(0x181, data + per_mille.to_bytes(2, "little", signed=True))
 
 
-def listened(**changes: object) -> ListenedAxis:
+def listened(**changes: Any) -> ListenedAxis:
     axis = ListenedAxis(dataclasses.replace(DRIVE, **changes))
     for number, entry in enumerate((0x60410010, 0x60640020, 0x60740010), 1):
         axis.take(frame(0x601, bytes([0x23, 0x00, 0x1A, number]) + entry.to_bytes(4, "little")))

@@ -226,7 +226,7 @@ def test_drive_lives_for_its_duration(capsys: Captured) -> None:
 def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
     far = load_scene(DEMO, ["bus.channel=two-sides", "bus.rate=100"])
     master = load_scene(DEMO, ["bus.channel=two-sides", "bus.rate=100", "simulation=null"])
-    stop = drive_command.StopSignal()
+    stop = drive_command.StopSignal()  # type: ignore[attr-defined]
     with open_bus(far.bus, "two-sides") as bus:
         group = build_drive_group(far, bus)
         thread = threading.Thread(target=drive_command._live, args=([(bus, group)], 20.0, stop))
@@ -245,7 +245,7 @@ def test_drives_on_two_buses_are_run_by_a_master_elsewhere() -> None:
     overrides = ["bus.left.channel=left-side", "bus.right.channel=right-side"]
     overrides += ["bus.left.rate=50", "bus.left.stop_cycles=500", "bus.left.heartbeat_timeout=10 s"]  # busy machines
     far, master = load_scene(TWO_BUSES, overrides), load_scene(TWO_BUSES, [*overrides, "simulation=null"])
-    stop = drive_command.StopSignal()
+    stop = drive_command.StopSignal()  # type: ignore[attr-defined]
     with ExitStack() as stack:
         far_ends = [drive_command._far_end(far, place, stack) for place in range(2)]
         thread = threading.Thread(target=drive_command._live, args=(far_ends, 20.0, stop))

@@ -148,7 +148,8 @@ def test_without_consent_no_frame_carries_a_torque() -> None:
     reports: list[Report] = []
     for refused in ("now?", "Now?", "Enable"):
         frames = frames_of(
-            lambda at, refused=refused: reports.append(commissioned(at, refused=refused)), f"consent-{refused}"
+            lambda at, refused=refused: reports.append(commissioned(at, refused=refused)),  # type: ignore[misc]
+            f"consent-{refused}",
         )
         if refused != "Now?":
             assert set(torques(frames)) <= {0}

@@ -119,7 +119,7 @@ def guarded(
     rate: float,
     delay: int = 0,
     *,
-    hand_force: float = HAND_FORCE,
+    hand_force: float | None = HAND_FORCE,
     certain: float | None = None,
     count: float = 0.0,
     quantum: float = 0.0,

@@ -87,7 +87,7 @@ def continuous(user, stiffness, damping, wall, times):
         def crossing(_t, z, _inside):
             return z[0] - wall
 
-        crossing.terminal, crossing.direction = True, 1.0 if inside else -1.0
+        crossing.terminal, crossing.direction = True, 1.0 if inside else -1.0  # type: ignore[attr-defined]
         solved = solve_ivp(
             rate,
             (t, times[-1]),

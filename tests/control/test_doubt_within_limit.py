@@ -1,13 +1,13 @@
 """What lost samples leave in doubt is computed with torques that limiter and drive can have applied."""
 
 import pytest
-from cases import loop
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.port_hamiltonian.shapes.box import Box
+from tests.control.cases import loop
 
 LIMIT = 20.0  # [N]
 LOST = 3

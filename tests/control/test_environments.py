@@ -93,10 +93,10 @@ def test_the_mirror_image_has_the_mirrored_effort(name, position):
     one, other = EXAMPLES[name]
     state, image = touched(one, position), None
     if state is None:
-        assert other.contact(-position) == 0
+        assert other.contact(-position) == 0  # type: ignore[attr-defined]
         return
-    image = other.true_state(-position, -1e-3, 0.0)
-    assert other.effort(image) == pytest.approx(-one.effort(state), rel=1e-9, abs=1e-9)
+    image = other.true_state(-position, -1e-3, 0.0)  # type: ignore[attr-defined]
+    assert other.effort(image) == pytest.approx(-one.effort(state), rel=1e-9, abs=1e-9)  # type: ignore[attr-defined]
 
 
 def test_detents_rest_at_every_pitch_and_peak_a_quarter_beside():

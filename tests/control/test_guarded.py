@@ -4,6 +4,7 @@ import itertools
 import math
 import random
 import statistics
+from typing import Any
 
 import pytest
 
@@ -39,8 +40,8 @@ def inward(damping):
 
 
 def trial(wall, rate, delay, user, seed, *, cycles=1500, count=0.0, quantum=0.0, share=0.0, **known):
-    losses = {"lost_frames": 2} if share else {}
-    controller = guarded(*wall, rate, delay, count=count, quantum=quantum, **losses, **known)
+    losses: dict[str, Any] = {"lost_frames": 2} if share else {}
+    controller = guarded(*wall, rate, delay, count=count, quantum=quantum, **losses, **known)  # type: ignore[call-arg, misc]
     return run(
         controller,
         USERS[user](random.Random(seed)),

@@ -12,7 +12,7 @@ from canhaptic.control.certificates import torque_bound
 from canhaptic.control.certificates.torque_bound import TorqueBound
 from tests.control.guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
 
-whole_step = torque_bound.next_displacement
+whole_step = torque_bound.next_displacement  # type: ignore[attr-defined]
 by_hand_force = TorqueBound.by_hand_force
 
 

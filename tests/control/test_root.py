@@ -102,8 +102,9 @@ def test_the_nonlinear_solve_finds_the_closed_root_of_a_linear_spring(stiffness,
     if closed is None:
         assert found is None
     elif abs(closed) > limit:
-        assert found is None if energy < 0.0 else abs(found) == limit
+        assert found is None if energy < 0.0 else abs(found) == limit  # type: ignore[arg-type]
     else:
+        assert found is not None
         assert gain(found) == pytest.approx(energy, rel=1e-9, abs=1e-18)
         assert abs(found) <= abs(closed) * (1.0 + 1e-6) + 1e-12
 

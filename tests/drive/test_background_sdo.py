@@ -3,6 +3,7 @@
 import threading
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -119,7 +120,13 @@ def test_any_answers_end_a_transfer_or_are_part_of_it(answers: list[bytes], read
 def test_an_upload_and_a_download_beside_the_cycle(bench: MakeBench) -> None:
     b = started(bench())
     sdo = b.rig.sdo("axis5")
-    futures = [sdo.read(0x6502), sdo.upload(0x1008), sdo.write(0x605A, 0, 3), sdo.read(0x605A), sdo.read(0x60FF)]
+    futures: list[Any] = [
+        sdo.read(0x6502),
+        sdo.upload(0x1008),
+        sdo.write(0x605A, 0, 3),
+        sdo.read(0x605A),
+        sdo.read(0x60FF),
+    ]
     b.run(60, torque=1.0)
     assert futures[0].result(SOON) == 0x3FF
     assert futures[1].result(SOON) == NAME
@@ -186,7 +193,7 @@ def test_what_is_hung_on_a_future_does_not_run_in_the_cycle(bench: MakeBench) ->
     where: list[str] = []
     ran = threading.Event()
     future = b.rig.sdo(0).read(0x6502)
-    future.add_done_callback(lambda _: (where.append(threading.current_thread().name), ran.set()))
+    future.add_done_callback(lambda _: (where.append(threading.current_thread().name), ran.set()))  # type: ignore[func-returns-value]
     b.run(10, torque=1.0)
     assert ran.wait(SOON)
     assert where == ["SDO results"]

@@ -186,7 +186,7 @@ def test_the_lateness_of_a_wakeup_ends_before_the_sync_is_sent() -> None:
             bench.clock.wait_until(bench.clock.now() + 7_000)
         slow(message, timeout)
 
-    bench.tampered.inner.send = send  # type: ignore[method-assign]
+    bench.tampered.inner.send = send  # type: ignore[assignment]
     bench.rig.sync()
     bench.rig.write_torques([0.0])
     assert (bench.rig.timing.wakeup_lateness, bench.rig.timing.sync_to_last_tpdo) == (0, 7_000)

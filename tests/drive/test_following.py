@@ -1,5 +1,7 @@
 """What the drive says of the torque it gives: bits 11 and 12 of the statusword, and a measured torque that stands."""
 
+from typing import Any
+
 import can
 import pytest
 
@@ -229,7 +231,7 @@ def test_a_lost_rpdo_that_nothing_tells_of_is_ended_by_the_drives_own_deadline(b
 
 @pytest.mark.parametrize("values", [{"read_back": "demand"}, {"read_back": "none", "watchdog": False}])
 def test_a_drive_whose_torque_is_read_back_or_that_has_no_watchdog_keeps_its_deadline(
-    bench: MakeBench, values: dict[str, object]
+    bench: MakeBench, values: dict[str, Any]
 ) -> None:
     b = bench([axis(**values)])
     b.rig.start()

@@ -216,14 +216,14 @@ def test_a_wait_that_is_over_handles_whatever_waits_already(wire: Wire) -> None:
 
 def test_a_wait_that_frames_fill_to_its_end_ends_in_an_error_instead_of_a_hang(wire: Wire) -> None:
     message = can.Message(arbitration_id=0x705, is_extended_id=False, data=b"\x05")
-    wire.bus.inner.recv = lambda timeout=None: message  # type: ignore[method-assign]
+    wire.bus.inner.recv = lambda timeout=None: message
     with pytest.raises(LinkError, match="floods the bus"):
         wire.link.pump(wire.clock.now())
 
 
 def test_a_flood_ends_in_an_error_instead_of_a_hang(wire: Wire) -> None:
     endless = can.Message(arbitration_id=0x123, is_extended_id=False)
-    wire.bus.recv = lambda timeout=None: endless  # type: ignore[method-assign]
+    wire.bus.recv = lambda timeout=None: endless
     with pytest.raises(LinkError, match="floods the bus"):
         wire.link.drain()
 
@@ -232,7 +232,7 @@ def test_a_bus_that_cannot_be_read_is_a_link_error(wire: Wire) -> None:
     def fail(timeout: float | None = None) -> can.Message:
         raise can.CanOperationError("interface is down")
 
-    wire.bus.recv = fail  # type: ignore[method-assign]
+    wire.bus.recv = fail
     with pytest.raises(LinkError, match="interface is down"):
         wire.link.drain()
 

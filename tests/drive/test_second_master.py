@@ -2,11 +2,11 @@
 
 import can
 import pytest
-from drive_bench import Bench, MakeBench, axis
 
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import SecondMasterError
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.drive_bench import Bench, MakeBench, axis
 
 FRAMES = {
     "SYNC": (0x080, b""),
@@ -92,7 +92,7 @@ class Echo:
         def recv(timeout: float | None = None) -> can.Message | None:
             return self.frames.pop(0) if self.frames else receive(timeout)
 
-        inner.recv = recv  # type: ignore[method-assign]
+        inner.recv = recv
         b.links[0]._echoes = True
 
     def sent(self, message: can.Message) -> can.Message:

@@ -80,7 +80,7 @@ def test_one_bus_that_dies_stops_the_drives_of_the_other() -> None:
     def fail(message: can.Message, timeout: float | None = None) -> None:
         raise can.CanOperationError("bus-off")
 
-    two.buses[-1].send = fail  # type: ignore[method-assign]
+    two.buses[-1].send = fail  # type: ignore[assignment]
     with pytest.raises(LinkError, match="NOT confirmed to be disabled: b5"):
         two.rig.sync()
     assert [drive.state for drive in two.simulated[:2]] == [DriveState.SWITCH_ON_DISABLED] * 2

@@ -1,5 +1,7 @@
 """Rows whose every value follows from the cycle number, so that a lost, doubled or mixed-up row shows."""
 
+from typing import Any
+
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
@@ -14,8 +16,8 @@ def sample(k: int, port: int = 0) -> Sample:
 
 
 def balance(k: int, port: int = 0) -> EnergyBalance:
-    energies = [(k + 1) * 10.0**-n + port for n in range(10)]
-    return EnergyBalance(0.5 * k + port, *energies, k % 7, 12.5, k % 5, -0.25 * k)
+    energies: list[Any] = [(k + 1) * 10.0**-n + port for n in range(10)]
+    return EnergyBalance(0.5 * k + port, *energies, k % 7, 12.5, k % 5, -0.25 * k)  # type: ignore[call-arg]
 
 
 def timing(k: int) -> CycleTiming:

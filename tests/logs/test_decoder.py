@@ -12,7 +12,7 @@ from canhaptic.logs.decoder import BusDecoder, NodeDescription
 EDS = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"
 
 
-def words(decoder: BusDecoder, can_id: int, data: str) -> tuple[str, str, str]:
+def words(decoder: BusDecoder, can_id: int, data: str) -> tuple[str, ...]:
     return tuple(decoder.decode(can_id, bytes.fromhex(data)))
 
 

@@ -111,7 +111,7 @@ def test_noise_that_cannot_be_compressed_still_stays_within_the_size_limit(tmp_p
     noise = np.random.default_rng(1).standard_normal((3000, 13)).tolist()
     writer = EnergyLogWriter(path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, pace="real")
     for k, row in enumerate(noise):
-        writer.append(k, [sample(k)], [EnergyBalance(*row[:11], 1, row[11], 0, row[12])], timing(k))
+        writer.append(k, [sample(k)], [EnergyBalance(*row[:11], 1, row[11], 0, row[12])], timing(k))  # type: ignore[call-arg]
     assert writer.dropped == 0
     writer.close()
     assert path.stat().st_size <= 1.2 * 3000 * (15 * 8 + 5 + 4 + 5 * 8)

@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -96,7 +97,7 @@ def test_a_writer_killed_again_and_again_is_given_up_with_one_message(tmp_path: 
     while not writer.failure:
         killed = writer.writer_pid
         kill(writer)
-        wait_for(lambda seen=killed: writer.failure or writer.writer_pid != seen)
+        wait_for(lambda seen=killed: writer.failure or writer.writer_pid != seen)  # type: ignore[misc]
     append(writer, 0)  # the cycle goes on
     with pytest.raises(LogWriteError, match="killed by SIGKILL"):
         writer.close()
@@ -144,8 +145,8 @@ def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(
         writer.close("complete")
 
 
-def append_noise(writer: EnergyLogWriter, k: int, row: list[float]) -> None:
-    writer.append(k, [sample(k)], [EnergyBalance(*row, 1, 2.0, 0, 3.0)], timing(k), [truth(k)])
+def append_noise(writer: EnergyLogWriter, k: int, row: list[Any]) -> None:
+    writer.append(k, [sample(k)], [EnergyBalance(*row, 1, 2.0, 0, 3.0)], timing(k), [truth(k)])  # type: ignore[call-arg]
 
 
 def test_a_vanished_folder_is_reported_when_the_log_is_closed(tmp_path: Path) -> None:

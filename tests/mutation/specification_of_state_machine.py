@@ -1,6 +1,7 @@
 """What `canhaptic.sim.drive.profile.state_machine` must do, from IEC 61800-7-201, figure 2 and table of commands."""
 
 from types import ModuleType
+from typing import Any
 
 from tests.mutation.specification_of_cia402 import fits, state_of
 
@@ -43,7 +44,7 @@ WORDS = [
 ONE_WORD_EACH = (0x00, 0x02, 0x06, 0x07, 0x0F)
 
 
-def machine_in(module: ModuleType, state: str) -> object:
+def machine_in(module: ModuleType, state: str) -> Any:
     """A machine that is in a state and has seen no controlword."""
     machine = module.StateMachine()
     machine.state = module.DriveState[state]

@@ -82,7 +82,7 @@ def reference(
     modes: dict[str, ReferenceMode], mode: str, state: Sequence[float], torques: Sequence[float], period: float
 ) -> np.ndarray:
     """State at every SYNC by event-located DOP853, shape (len(torques) + 1, n)."""
-    state, rows = np.array(state, dtype=float), [np.array(state, dtype=float)]
+    state, rows = np.array(state, dtype=float), [np.array(state, dtype=float)]  # type: ignore[assignment]
     for k, torque in enumerate(torques):
         now, end = k * period, (k + 1) * period
         while now < end:
@@ -108,5 +108,5 @@ def reference(
             if result.status == 1:
                 which = next(i for i, times in enumerate(result.t_events) if len(times))
                 mode, state = current.ways[which].mode, current.ways[which].reset(state)
-        rows.append(state.copy())
+        rows.append(state.copy())  # type: ignore[attr-defined]
     return np.array(rows)

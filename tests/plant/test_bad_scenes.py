@@ -85,4 +85,4 @@ def test_units_follow_the_axis():
         with pytest.raises(ParameterError, match="does not fit"):
             read_effect({"type": "shaft_compliance", "stiffness": "5 N/m", "load_mass": 0.1})
     with axis_motion("m"):
-        assert read_effect({"type": "hard_stop", "position": "10 mm", "stiffness": "1 MN/m"}).position == 0.01
+        assert read_effect({"type": "hard_stop", "position": "10 mm", "stiffness": "1 MN/m"}).position == 0.01  # type: ignore[attr-defined]

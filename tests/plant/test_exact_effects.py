@@ -230,11 +230,11 @@ def test_a_winding_warms_exponentially_and_holds_the_torque_it_can_stand():
     plant = make_plant(derating, user=None)
     winding = plant.scene.commands[0]
     run(plant, [1.0] * 300)
-    assert winding.temperature == pytest.approx(300 + 50 * (1 - math.exp(-0.3 / 0.5)), rel=1e-12)
+    assert winding.temperature == pytest.approx(300 + 50 * (1 - math.exp(-0.3 / 0.5)), rel=1e-12)  # type: ignore[attr-defined]
     plant.reset()
     run(plant, [2.0] * 10_000)
-    held = 2.0 * (400.0 - winding.temperature) / 50.0
-    assert winding.temperature == pytest.approx(300 + 50 * held**2, rel=1e-6)
+    held = 2.0 * (400.0 - winding.temperature) / 50.0  # type: ignore[attr-defined]
+    assert winding.temperature == pytest.approx(300 + 50 * held**2, rel=1e-6)  # type: ignore[attr-defined]
     assert 0.5 < held < 2.0
 
 

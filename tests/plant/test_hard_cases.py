@@ -165,7 +165,7 @@ def test_more_events_than_the_cap_end_the_run_with_state_and_remedy():
 
 def test_the_cap_counts_per_sample_time_however_it_is_cut():
     """Eight impacts a millisecond, 16 changes of mode: 20 are enough for it whole, in pieces, and ten at a time."""
-    stops = [dict(stop, position=1e-3 * (1 if stop["position"] > 0 else -1)) for stop in STOPS]
+    stops = [dict(stop, position=1e-3 * (1 if stop["position"] > 0 else -1)) for stop in STOPS]  # type: ignore[operator]
 
     def ball(most: int) -> Plant:
         plant = make_plant(

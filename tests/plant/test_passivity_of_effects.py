@@ -53,7 +53,7 @@ def effects_of(names: tuple[str, ...]) -> list[dict[str, Any]]:
 
 
 SETS = [(name,) for name in EFFECTS]
-SETS += [pair for pair in itertools.combinations(EFFECTS, 2) if possible(pair)]
+SETS += [pair for pair in itertools.combinations(EFFECTS, 2) if possible(pair)]  # type: ignore[misc]
 
 
 def test_every_effect_has_a_variant_here():

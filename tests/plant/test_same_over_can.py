@@ -41,7 +41,7 @@ def test_can_and_direct_rig_agree_bit_for_bit(name, rpdo, tmp_path):
             seen.append((position, balance.torque, torque))
             return balance
 
-        controller.step = watched
+        controller.step = watched  # type: ignore[assignment]
         run(experiment.cycle, cycles)
         motor = experiment.cycle.judge.interaction[0]
     assert axis.simulation is not None

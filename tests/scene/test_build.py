@@ -218,6 +218,6 @@ def test_the_largest_certificate_says_how_much_of_the_wall_it_holds(tmp_path: Pa
     hints = {h.what: h for h in stability_hints(load_scene(scene_file(tmp_path), overrides).axes[0])}
     assert hints["stiffness, certified by device damping"].limit == pytest.approx(2 * 2 / 2e-3)
     assert hints["stiffness, certified by hand speed"].limit == pytest.approx(20 / (2 * 50 * 2e-3))
-    largest = max(h.limit for name, h in hints.items() if name.startswith("stiffness, certified by"))
+    largest = max(h.limit for name, h in hints.items() if name.startswith("stiffness, certified by"))  # type: ignore[type-var]
     assert hints["stiffness, certified"].limit == largest
-    assert f"holds {largest / 1e3:.3g} % of what is asked" in hints["stiffness, certified"].text
+    assert f"holds {largest / 1e3:.3g} % of what is asked" in hints["stiffness, certified"].text  # type: ignore[operator]

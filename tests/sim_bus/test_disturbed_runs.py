@@ -70,7 +70,7 @@ def disturbed(*overrides: str, cycles: int = 1500) -> Outcome:
         cycle, error = experiment.cycle, None
         [inner] = cycle.controllers
         watched = Watched(inner)
-        cycle.controllers = (watched,)
+        cycle.controllers = (watched,)  # type: ignore[assignment]
         believed = Overbelief(experiment)
         try:
             run(cycle, cycles, progress=believed.look)
@@ -271,10 +271,10 @@ def test_a_drive_on_its_own_hears_and_answers_through_its_faulty_bus() -> None:
     bus = "bus={delay: 1 ms, jitter: 1 ms, duplicate: 0.3, stall: [{duration: 1}], refuse: 1, direction: to_master}"
     shared = ["bus.channel=drive-alone", "bus.rate=50 Hz"]
     far, master = load_scene(DEMO, [*shared, f"simulation.{bus}"]), load_scene(DEMO, [*shared, "simulation=null"])
-    stop = drive_command.StopSignal()
+    stop = drive_command.StopSignal()  # type: ignore[attr-defined]
     with virtual_bus("drive-alone") as bare:
         faulty = with_effects(bare, far, "drive")
-        faulty.use(drive_command.WallClock(spin_margin=0.0))
+        faulty.use(drive_command.WallClock(spin_margin=0.0))  # type: ignore[attr-defined]
         group = build_drive_group(far, faulty)
         thread = threading.Thread(target=drive_command._live, args=([(faulty, group)], 20.0, stop))
         thread.start()

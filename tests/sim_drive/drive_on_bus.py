@@ -54,7 +54,7 @@ class Rig:
     def __init__(
         self, eds: Path = SERVO_EDS, node_id: int = NODE, motor: Mass | None = None, **parameters: Any
     ) -> None:
-        channel = object()
+        channel: Any = object()
         self.bus = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
         self._drive_bus = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
         self.motor = motor or Mass()

@@ -29,7 +29,7 @@ def moving_mass() -> Plant:
 def test_motor_behind_the_bus_moves_bit_for_bit_as_the_motor_without(delay: int) -> None:
     direct = DirectRig(moving_mass(), lambda q, _: Push(wall(q)), PERIOD, delay, 1e6, QUANTUM).run(CYCLES)
     motor = moving_mass()
-    with Rig(motor=motor, rated_torque=10.0) as rig:
+    with Rig(motor=motor, rated_torque=10.0) as rig:  # type: ignore[arg-type]
         assert rig.write(0x1400, 2, delay or 255, 1) == "ok"
         rig.enable()
         if not motor.begun:

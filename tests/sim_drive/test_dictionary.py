@@ -23,7 +23,7 @@ def variable(
     tmp_path: Path, entries: str, data_type: int = datatypes.UNSIGNED16, index: str = "2000", **options: int
 ) -> ODVariable:
     text = f"[{index}]\nParameterName=thing\nObjectType=7\nDataType={data_type}\nAccessType=rw\n{entries}\n"
-    return read(tmp_path, text, **options)[int(index, 16)]
+    return read(tmp_path, text, **options)[int(index, 16)]  # type: ignore[arg-type, return-value]
 
 
 def test_empty_pdo_mapping_means_not_mappable(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_vendor_files_read_as_canopen_reads_them_except_where_it_errs(vendor_eds
         for subindex, expected in b.items():
             for attribute in ("data_type", "access_type", "min", "max", "default", "value"):
                 seen, wanted = getattr(a[subindex], attribute), getattr(expected, attribute)
-                signed = expected.data_type in datatypes.SIGNED_TYPES and isinstance(wanted, int)
+                signed = expected.data_type in datatypes.SIGNED_TYPES and isinstance(wanted, int)  # type: ignore[operator]
                 if signed and wanted >> len(expected) - 1 == 1:
                     wanted -= 1 << len(expected)  # canopen leaves a hexadecimal default of a signed object unsigned
                 if (name, index) == ("elmo_simpliq.dcf", 0x100B):

@@ -119,7 +119,7 @@ MASKS = {
 def test_statuswords_have_the_bits_that_the_standard_tells_states_by(rig: Rig, state: DriveState) -> None:
     rig.drive.servo.machine.state = state
     rig.drive.servo.update()
-    word = rig.drive.store.find(0x6041).number  # type: ignore[union-attr]
+    word = rig.drive.store.find(0x6041).number
     assert word == STATUSWORDS[state]
     matching = [s for s, (mask, value) in MASKS.items() if word & mask == value]
     assert matching == [state]

@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Sequence
 from typing import Any
 
-from socketcan_vm.image import Image
+from tests.socketcan_vm.image import Image
 
 MEMORY = 1024  # [MiB]
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from socketcan_vm.image import PROJECT, build_image, missing_tools
-from socketcan_vm.machine import boot
+from tests.socketcan_vm.image import PROJECT, build_image, missing_tools
+from tests.socketcan_vm.machine import boot
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 

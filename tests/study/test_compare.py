@@ -91,7 +91,7 @@ def test_what_the_continuous_axis_still_moves_is_no_limit_cycle():
     ring = 5e-5 * np.sin(60.0 * time)
     still = np.where(time < 1.0, 0.01 * (1.0 - time), 0.0) - 1e-3
     nothing = np.zeros(5000)
-    reference = Reference(still + ring, nothing, 1.0, time, nothing, "")
+    reference = Reference(still + ring, nothing, 1.0, time, nothing, "")  # type: ignore[arg-type]
     position = still + 3.0 * ring
     run = LoopRun(position, position, nothing, nothing, nothing, nothing, nothing, Ledger().summary(), 0.0, "")
     found = figures(SpringDamperWall(stiffness=1e3), run, reference, 1e-3)
@@ -110,7 +110,7 @@ def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
 def test_guarded_gives_out_nothing_on_any_hard_scene(path):
     assert path.read_text().startswith("# ")  # what is hard about it
     loaded = load_scene(path)
-    longest = min(loaded.run.duration, 3.0)
+    longest = min(loaded.run.duration, 3.0)  # type: ignore[type-var]
     [of_axis] = compare(loaded, ["guarded"], duration=longest, repeats=0).axes
     run = of_axis.runs["guarded"]
     assert run.ended == ""
@@ -141,8 +141,8 @@ def test_an_algorithm_that_lacks_something_is_told_the_plant_or_refused_with_its
 
 def test_what_two_algorithms_have_in_common_is_kept(scene):
     axis = scene("passivity={algorithm: internal_dissipation, alpha: 200 s/m^2, velocity: windowed}").axes[0]
-    assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0
-    assert with_algorithm(axis, "direct").passivity.parameters.velocity == "windowed"
+    assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0  # type: ignore[attr-defined]
+    assert with_algorithm(axis, "direct").passivity.parameters.velocity == "windowed"  # type: ignore[attr-defined]
     assert with_algorithm(axis, "internal_dissipation") is axis
     told = _with_known_plant(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})))
     assert (told.axis.loop.moving_mass, told.axis.loop.device_damping) == (0.2, 0.1)

@@ -56,7 +56,7 @@ def test_the_wall_is_that_of_an_independent_dop853(stiffness, damping, surface):
 )
 def test_the_exact_machine_and_dop853_agree(environment):
     times = np.arange(1000) * 1e-3
-    position, _ = integrate(environment, Plant(PLANT, USER, [], MS), times)
+    position, _ = integrate(environment, Plant(PLANT, USER, [], MS), times)  # type: ignore[arg-type]
     assert np.abs(reference(environment, 1000).position - position).max() < 2e-9
 
 
@@ -97,7 +97,7 @@ def test_a_bristle_slides_at_its_limit_and_lets_go_at_the_reversal():
     [SpringDamperWall(stiffness=2e4, damping=9.0), TwoSidedWall(stiffness=1e3, damping=3.0, lower=-0.01, upper=0.01)],
 )
 def test_the_energy_of_plant_and_continuous_environment_closes(environment):
-    plant = Plant(PLANT, USER, [continuous_effect(environment)], MS)
+    plant = Plant(PLANT, USER, [continuous_effect(environment)], MS)  # type: ignore[list-item]
     plant.begin(0)
     for k in range(1, 1000):
         plant.advance_to(k * MS, 0.0)

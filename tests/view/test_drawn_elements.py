@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from synthetic_run import PORTS, write_run
 
 from canhaptic.audit.inspection import inspect
 from canhaptic.control.balance import AT_REST, Branch
@@ -17,6 +16,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.signals import CycleTiming, Sample
 from canhaptic.view import html_report
 from canhaptic.view.live_log import LiveLog
+from tests.view.synthetic_run import PORTS, write_run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 bokeh = pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")

@@ -74,7 +74,7 @@ def test_late_cycles_and_lost_frames_are_drawn(tmp_path: Path) -> None:
         file["timing/dropped_before"][60] = 4
     with EnergyLog.open(tmp_path / "run.h5") as log:
         rows = slice(0, log.rows)
-        timing, link = html_report._timing(log, rows, Taken()), html_report._link(log, rows, Taken())
+        timing, link = html_report._timing(log, rows, Taken()), html_report._link(log, rows, Taken())  # type: ignore[arg-type]
     assert timing["wakeup_lateness"].max() == pytest.approx(950e-6)  # [s]
     assert timing["time"][timing["wakeup_lateness"].argmax()] == pytest.approx(0.030)
     missed, dropped = link["handle: TPDOs missed"], link["cycles not in the log"]

@@ -28,15 +28,15 @@ class Pose(NamedTuple):
 
 
 class Kinematics(Protocol):
-    """A mechanism between motor axes and task space. Immutable.
+    """A mechanism between motor axes and task space. Immutable."""
 
-    Attributes:
-        axes: Motor axes.
-        dimensions: Of task space.
-    """
+    @property
+    def axes(self) -> int:
+        """Number of motor axes."""
 
-    axes: int
-    dimensions: int
+    @property
+    def dimensions(self) -> int:
+        """Number of task coordinates."""
 
     def pose(self, positions: Sequence[float]) -> Pose:
         """Returns position, Jacobian and limit at the positions of the motor axes [rad or m]; never raises."""

@@ -2,6 +2,7 @@
 
 import math
 import random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 
 FIVE_BAR = FiveBar(base=0.08, proximal=(0.12, 0.14), distal=(0.2, 0.17))
-EXAMPLES = {
+EXAMPLES: dict[str, tuple[Any, Any]] = {
     "identity": (Identity(axes=2), (0.0, 0.0)),
     "transmission": (Transmission(matrix=((0.05, 0.02), (-0.01, 0.05)), offset=(0.1, 0.2)), (0.3, 0.4)),
     "relative": (Planar2R(first=0.2, second=0.15, base=(0.1, -0.1)), (0.4, 1.2)),
@@ -121,7 +122,7 @@ def test_every_named_mechanism_can_be_loaded(name):
         (lambda: Planar2R(first=0.1, second=0.1, least_sine=0.0), "greater than 0"),
         (lambda: Identity(axes=0), "greater than or equal to 1"),
         (lambda: UserFunction(lambda q: (q[0] ** 2,), lambda q: ((q[0],),), (1.0,)), "off by"),
-        (lambda: UserFunction(lambda q: (q[0],), lambda q: (q[0],), (1.0,)), "shape"),
+        (lambda: UserFunction(lambda q: (q[0],), lambda q: (q[0],), (1.0,)), "shape"),  # type: ignore[arg-type, return-value]
     ],
 )
 def test_a_mechanism_that_cannot_be_is_refused(make, said):

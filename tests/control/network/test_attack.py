@@ -56,7 +56,7 @@ MADE = {
 
 
 def attack_of(kind, rng, cycles=150):
-    attack = random_attack(rng, cycles=cycles, **KINDS[kind])
+    attack = random_attack(rng, cycles=cycles, **KINDS[kind])  # type: ignore[arg-type]
     return MADE[kind](attack, rng) if kind in MADE else attack
 
 
@@ -218,8 +218,9 @@ def five_bar_run(environment: Parameters, delay: int, rate: int, cycles: int, an
     )  # fmt: skip
     loop = LoopProperties(sample_time=1.0 / rate, delay=delay, moving_mass=1.2e-3)
     own = GuardedGroupParameters(hand_force=2.0)
-    controller = build_group_controller(environment, kinematics, "guarded", own, [loop, loop])
-    held, pending = (0.0, 0.0), [(0.0, 0.0)] * delay
+    controller = build_group_controller(environment, kinematics, "guarded", own, [loop, loop])  # type: ignore[arg-type]
+    held: tuple[float, ...] = (0.0, 0.0)
+    pending = [held] * delay
     least = strongest = fastest = 0.0
     plant.begin(0)
     for cycle in range(cycles):

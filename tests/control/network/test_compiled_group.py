@@ -125,7 +125,7 @@ def path_of(name, axes, count):
 def pair(name, delay):
     environment, kinematics, known, own = CASES[name]
     return [
-        group(environment, kinematics.axes, delay=delay, kinematics=kinematics, known=known, compiled=compiled, **own)
+        group(environment, kinematics.axes, delay=delay, kinematics=kinematics, known=known, compiled=compiled, **own)  # type: ignore[attr-defined]
         for compiled in (False, True)
     ]
 

@@ -19,7 +19,7 @@ RIGHT = st.floats(0.2, 1.4)
 
 def reference(count: int, period: float = 1e-3) -> np.ndarray:
     chains = OpenChains()
-    return integrated(chains.rates, chains.start(), wavy(count), period)
+    return integrated(chains.rates, chains.start(), wavy(count), period)  # type: ignore[arg-type]
 
 
 def test_the_motion_is_that_of_two_open_chains_held_together_by_multipliers():
@@ -45,7 +45,7 @@ def test_the_works_of_the_motors_and_the_hand_are_those_of_the_reference():
     torques = wavy(300)
     run(mechanism, torques)
     chains = OpenChains()
-    rows = integrated(chains.rates, chains.start(), torques, 1e-3)
+    rows = integrated(chains.rates, chains.start(), torques, 1e-3)  # type: ignore[arg-type]
     for axis in (0, 1):
         expected = sum(pair[axis] * step for pair, step in zip(torques, np.diff(rows[:, axis]), strict=True))
         assert mechanism.energy(axis).motor == pytest.approx(expected, abs=1e-7)
@@ -130,7 +130,7 @@ THROWER = TaskHand(stiffness=82.6, push=(12.44, -11.36), rest=(0.0444, 0.1287))
 def test_a_mechanism_flung_about_at_coarse_steps_keeps_its_energy_and_converges_to_the_reference():
     period, torques = 5 * MS, wavy(14, 0.16)
     chains = OpenChains(FLUNG, THROWER)
-    expected = integrated(chains.rates, chains.start(), torques, 5e-3)
+    expected = integrated(chains.rates, chains.start(), torques, 5e-3)  # type: ignore[arg-type]
     errors = []
     for substeps in (1, 8, 32, 128):
         mechanism = FiveBarLinkage(**FLUNG).build(THROWER, period, substeps)
@@ -151,7 +151,7 @@ def test_any_force_moves_the_links_or_is_told_the_singular_pose_it_drove_them_in
         inertia, handle = 10 ** random.uniform(-5.0, -2.5), 10 ** random.uniform(-3.0, 0.0)
         mechanism = five_bar(hand, period=period, motor_inertia=inertia, handle_mass=handle, elbow_stop=stop)
         torques = [(float(left), float(right)) for left, right in size * random.uniform(-1.0, 1.0, (20, 2))]
-        told.append(pushed_about(mechanism, torques, period))
+        told.append(pushed_about(mechanism, torques, period))  # type: ignore[arg-type]
         largest = max(abs(value) for axis in (0, 1) for value in mechanism.energy(axis))
         assert abs(mechanism.stored_error) <= 1e-8 * max(largest, 1.0)
     assert 0 < sum(map(bool, told)) < 20

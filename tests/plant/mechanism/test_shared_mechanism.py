@@ -21,7 +21,7 @@ def test_the_order_in_which_drives_move_does_not_matter(make, order):
     alone, shared = make(), SharedMechanism(make(), 2)
     drives = [Held(), Held()]
     for motor, drive in zip(shared.motors, drives, strict=True):
-        motor.connect(lambda drive=drive: drive.torque)
+        motor.connect(lambda drive=drive: drive.torque)  # type: ignore[misc]
         motor.begin(0)
     alone.begin(0)
     for k in range(50):
@@ -40,7 +40,7 @@ def test_a_torque_that_changes_inside_a_hold_acts_from_then_on():
     alone, shared = stage(), SharedMechanism(stage(), 2)
     drives = [Held(), Held()]
     for motor, drive in zip(shared.motors, drives, strict=True):
-        motor.connect(lambda drive=drive: drive.torque)
+        motor.connect(lambda drive=drive: drive.torque)  # type: ignore[misc]
         motor.begin(0)
     alone.begin(0)
     shared.motors[1].advance_to(400_000, 0.0)

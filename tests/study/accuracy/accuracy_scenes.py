@@ -41,7 +41,7 @@ EXACT = sorted(set(EFFECTS) - {"stribeck_friction", "lugre_friction", "cogging",
 
 def simulation(*effects, substeps=1, event_bits=24, user=USER):
     """Returns the plant with these effects, as a scene would give it."""
-    typed = tuple(ComponentSpec(effect["type"], read_effect(effect)) for effect in effects)
+    typed = tuple(ComponentSpec(effect["type"], read_effect(effect)) for effect in effects)  # type: ignore[arg-type]
     accuracy = AccuracyParameters(substeps=substeps, event_bits=event_bits)
     drive = SimulatedDriveParameters(counts_per_unit=1e6, rated_torque=10.0)
     return AxisSimulation(drive, PLANT, user, typed, 1, accuracy)

@@ -97,7 +97,7 @@ def test_effects_are_sorted_by_error_per_microsecond():
         {"effect": "free", "error_per_microsecond": error_per_microsecond(1e-6, -0.3)},
         {"effect": "large", "error_per_microsecond": error_per_microsecond(1e-3, 20.0)},
     ]
-    assert [e["effect"] for e in advice([], effects, 1e-6)["effects"]] == ["large", "free", "small", "alone"]
+    assert [e["effect"] for e in advice([], effects, 1e-6)["effects"]] == ["large", "free", "small", "alone"]  # type: ignore[arg-type]
 
 
 @given(st.floats(0.5, 4.5), st.floats(1e-9, 1e-4))

@@ -82,7 +82,7 @@ def check(world: str, scenes: int, cycles: int, seed: int) -> int:
         motion = SinusoidMotion(amplitude=0.03, frequency=hand.pop("motion.frequency"))
         user, period = UserParameters(**hand, motion=motion), round(1e9 / float(varied["bus.rate"][i]))
         machine = continuous_reference(environment, plant, user, [], period, cycles)
-        solved, _ = integrate(environment, Plant(plant, user, [], period), np.arange(cycles) * period * 1e-9)
+        solved, _ = integrate(environment, Plant(plant, user, [], period), np.arange(cycles) * period * 1e-9)  # type: ignore[arg-type]
         spread, least = np.abs(solved - machine.position).max(), 1e-8 * machine.travel
         for expected in (solved, machine.position):
             assert np.abs(position[:, i] - expected[1:]).max() <= max(least, 3.0 * spread), i

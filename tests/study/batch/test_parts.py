@@ -52,7 +52,7 @@ def test_a_simplified_expression_has_the_value_of_the_plain_one(data, x, y, size
 
 
 def simulation(effects=(), **user):
-    typed = tuple(ComponentSpec(str(e["type"]), read_effect(e)) for e in effects)
+    typed = tuple(ComponentSpec(str(e["type"]), read_effect(e)) for e in effects)  # type: ignore[arg-type]
     hand = UserParameters(**user)
     return AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), PlantParameters(mass=0.3), hand, typed, 0)
 
@@ -141,11 +141,11 @@ def lowered(method, *values):
     # the interpreter looks at this package only: hand it the functions of the class
     from canhaptic.study.batch import lowering as module
 
-    module._HERE, before = "", module._HERE
+    module._HERE, before = "", module._HERE  # type: ignore[misc]
     try:
         result = lowering.call(method, (piece, *(graph.param(name) for name in names)), {})
     finally:
-        module._HERE = before
+        module._HERE = before  # type: ignore[misc]
     return graph.node(result), graph.node(piece.calls), dict(zip(names, values, strict=True))
 
 

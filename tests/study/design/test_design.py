@@ -123,7 +123,7 @@ def test_the_lines_can_be_pasted_into_the_scene(designed):
         f"{key}={yaml.safe_dump(value, default_flow_style=True, width=1000).strip()}" for key, value in pasted.items()
     ]
     scene = load_scene(DEMO, ["bus.rate=100", *lines])
-    assert scene.axes[0].environment.parameters.stiffness == designed.stiffness
+    assert scene.axes[0].environment.parameters.stiffness == designed.stiffness  # type: ignore[attr-defined]
 
 
 def test_what_cannot_be_designed_is_said():

@@ -2,6 +2,7 @@
 
 import importlib.util
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -160,7 +161,7 @@ def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_colu
                 energy[2, 1, 0] = -1.0
                 return energy
 
-        found: _Border = border_of(Doctored(), "environment.stiffness", ["bus.rate"], "passive")
+        found: _Border = border_of(Doctored(), "environment.stiffness", ["bus.rate"], "passive")  # type: ignore[arg-type]
     assert found.value.tolist() == [field.values["environment.stiffness"][4], field.values["environment.stiffness"][1]]
     assert found.open.tolist() == [True, False]
 
@@ -199,7 +200,7 @@ def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
 def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(request, kind, tmp_path):
     pytest.importorskip("matplotlib")
     path, scene = tmp_path / "a.h5", load_scene(DEMO)
-    options = {"cycles": 20, "metrics": ["margin", "diverged"]}
+    options: dict[str, Any] = {"cycles": 20, "metrics": ["margin", "diverged"]}
     if kind == "grid":
         path = request.getfixturevalue("two_controllers")
     elif kind == "samples":

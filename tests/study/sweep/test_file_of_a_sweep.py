@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -25,7 +26,7 @@ LONG = [
     "--cycles", "100", "--chunk", "1", "--engine", "numpy",
 ]  # fmt: skip
 CHUNKS = 30
-ONE = {"cycles": 20, "metrics": ["travel"], "controllers": ["direct"]}
+ONE: dict[str, Any] = {"cycles": 20, "metrics": ["travel"], "controllers": ["direct"]}
 
 
 def begin(path, *options):

@@ -183,7 +183,7 @@ def test_medians_and_extremes_of_a_column_read_in_blocks_are_those_of_the_whole(
         status = staticmethod(lambda start, stop: np.ones(len(values[start:stop]), dtype=np.uint8))
         __len__ = staticmethod(lambda: len(values))
 
-    selected = Selected(Table(), "handle")
+    selected = Selected(Table(), "handle")  # type: ignore[arg-type]
     known = values[np.isfinite(values)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("canhaptic.study.sweep.selected._BLOCK", 7)

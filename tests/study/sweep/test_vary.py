@@ -83,7 +83,7 @@ def test_a_hypercube_is_the_same_for_ever_and_in_any_part():
     whole = points.columns(0, 6)
     by_python_integers = [0.548763, 0.781339, 0.098041, 0.878191, 0.469169, 0.299135]
     assert whole["a"].round(6).tolist() == by_python_integers
-    assert "".join(whole["b"]) == "xyxxyy"
+    assert "".join(whole["b"]) == "xyxxyy"  # type: ignore[arg-type]
     parts = np.concatenate([points.columns(start, start + 2)["a"] for start in (0, 2, 4)])
     assert parts.tolist() == whole["a"].tolist()
 

@@ -3,6 +3,7 @@
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ from canhaptic.study.sweep.workers import Pool, dask_executor
 from tests.study.sweep.conftest_sweep import DEMO, VARY
 from tests.study.sweep.dask_cluster import dask_cluster
 
-OPTIONS = {
+OPTIONS: dict[str, Any] = {
     "cycles": 40,
     "chunk": 4,
     "controllers": ["direct"],
