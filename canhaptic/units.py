@@ -12,11 +12,11 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, cast
+from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo
+from pydantic_core import core_schema
 
 from canhaptic.errors import ParameterError
 
@@ -58,8 +58,6 @@ _PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e
 _NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 _FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1)(?:\^(-?\d))?\s*")
 
-_motion: ContextVar[Motion | None] = ContextVar("motion", default=None)
-
 
 def effort_unit(motion: str) -> str:
     """Returns the unit of force or torque of an axis whose position is in "m" or in "rad"."""
@@ -71,14 +69,21 @@ def damping_unit(motion: str) -> str:
     return "N*s/m" if motion == "m" else "N*m*s/rad"
 
 
-@contextmanager
-def axis_motion(motion: Motion | None) -> Iterator[None]:
-    """Within the block, parameters belong to an axis that moves in metres or in radians."""
-    token = _motion.set(motion)
-    try:
-        yield
-    finally:
-        _motion.reset(token)
+@dataclass(slots=True)
+class UnitContext:
+    """Context of a validation by pydantic: in what the axis moves whose parameters are read; None: not known."""
+
+    motion: Motion | None = None
+
+    @contextmanager
+    def moving(self, motion: Motion | None) -> Iterator[None]:
+        """Within the block, parameters belong to an axis that moves in metres or in radians; None: as around it."""
+        before = self.motion
+        self.motion = motion or before
+        try:
+            yield
+        finally:
+            self.motion = before
 
 
 def _base_unit(symbol: str) -> tuple[float, _Dimension]:
@@ -120,14 +125,13 @@ class Unit:
     linear: str
     rotary: str
 
-    def accepted(self) -> tuple[str, ...]:
-        """Returns the units that may be used for the axis being read; both when it is not known."""
-        motion = _motion.get()
+    def accepted(self, motion: Motion | None) -> tuple[str, ...]:
+        """Returns the units that may be used on an axis; both when it is not known in what it moves."""
         if motion is None:
             return (self.linear,) if self.linear == self.rotary else (self.linear, self.rotary)
         return (self.linear if motion == "m" else self.rotary,)
 
-    def read(self, value: object) -> object:
+    def read(self, value: object, motion: Motion | None = None) -> object:
         """Returns a number in SI from a number or a string with a unit; other types pass to the validator behind.
 
         Raises:
@@ -137,18 +141,18 @@ class Unit:
             raise ValueError("a truth value is not a number")
         if not isinstance(value, str):
             return value
-        match = _NUMBER_AND_UNIT.fullmatch(value)
+        match, accepted = _NUMBER_AND_UNIT.fullmatch(value), self.accepted(motion)
         if match is None:
-            raise ValueError(f"{value!r} is not a number with an optional unit [{' or '.join(self.accepted())}]")
+            raise ValueError(f"{value!r} is not a number with an optional unit [{' or '.join(accepted)}]")
         number = float(match.group(1))
         if match.group(2) is None:
             return number
         factor, dimension = parse_unit(match.group(2))
-        for unit in self.accepted():
+        for unit in accepted:
             expected_factor, expected = parse_unit(unit)
             if dimension == expected:
                 return number * (factor / expected_factor)
-        raise ValueError(f"unit {match.group(2)!r} does not fit; expected [{' or '.join(self.accepted())}]")
+        raise ValueError(f"unit {match.group(2)!r} does not fit; expected [{' or '.join(accepted)}]")
 
 
 class _Quantity:
@@ -165,8 +169,10 @@ class _Quantity:
         schema.update(self.limits)
         if schema["type"] == "float":
             schema["allow_inf_nan"] = False
-        ready = cast(GetCoreSchemaHandler, lambda _source: schema)
-        return BeforeValidator(self.unit.read).__get_pydantic_core_schema__(source, ready)
+        return core_schema.with_info_before_validator_function(self._read, schema)
+
+    def _read(self, value: object, info: ValidationInfo) -> object:
+        return self.unit.read(value, info.context.motion if isinstance(info.context, UnitContext) else None)
 
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> Any:
         schema = handler(core_schema)
@@ -220,3 +226,15 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
     """Base of every parameter model: frozen, unknown keys refused, defaults validated."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+    @classmethod
+    def validated(cls, values: Mapping[str, Any], motion: Motion | None = None) -> Self:
+        """Returns the parameters of an axis that moves in metres or radians.
+
+        Raises:
+            ParameterError: A value is missing or wrong; names each.
+        """
+        try:
+            return cls.model_validate(values, context=UnitContext(motion))
+        except ValidationError as error:
+            raise ParameterError(_describe(cls.__name__, error)) from error

@@ -1,6 +1,7 @@
 """Checks that need more than one section of a scene."""
 
 from collections import Counter
+from typing import cast
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import BusParameters
@@ -10,26 +11,28 @@ from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
-from canhaptic.scene.buses import bus_section
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.scene.group_checks import check_groups, check_mechanisms, passivity_section
+from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controller, build_plant
+from canhaptic.scene.parts import build_axis_controller, build_group, build_mechanism, build_plant
+from canhaptic.sim.plant.mechanism import MechanismParameters
+from canhaptic.units import shown
 
 
 def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     """Notes what is wrong between the sections of a scene whose sections are right on their own."""
     _check_unique(scene, sections["axes"], faults)
+    _check_buses(scene, sections, faults)
     _check_somebody_answers(scene, sections, faults)
     _check_effects(scene, sections, faults)
     _check_interfaces(scene, sections, faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
-        _check_loop(axis, passivity_section(axis, entry, sections, scene), scene, faults)
+        _check_loop(axis, _passivity_section(axis, entry, sections, scene), scene, faults)
         maps[axis.bus].append(_check_parts(axis, entry, sections, scene, faults))
-    check_groups(scene, sections, faults)
-    check_mechanisms(scene, sections, faults)
+    _check_groups(scene, sections, faults)
+    _check_mechanisms(scene, sections, faults)
     for index, bus in enumerate(scene.buses):
         on_bus = maps[bus.name]
         if None not in on_bus:
@@ -54,6 +57,29 @@ def _check_interfaces(scene: Scene, sections: MarkedMapping, faults: Diagnostics
     for index, (_, bus) in enumerate(scene.buses):
         for key, message in interface_faults(bus):
             faults.add(bus_section(sections, index).value_at(key), message)
+
+
+def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
+    """Notes buses of one channel, buses that no axis is on, and virtual ones among others."""
+    names = [bus.name for bus in scene.buses]
+    places = [(bus.parameters.interface, str(bus.parameters.channel)) for bus in scene.buses]
+    is_virtual = [bus.parameters.interface == "virtual" for bus in scene.buses]
+    for index, (name, bus) in enumerate(scene.buses):
+        section, before = bus_section(sections, index), places.index(places[index])
+        if before < index and (bus.channel is not None or not is_virtual[index]):
+            faults.add(
+                section.value_at("channel"),
+                f"interface {bus.interface!r}, channel {shown(bus.channel)} is bus {names[before]!r} already; "
+                "give each bus its own channel",
+            )
+        if not scene.axes_on(name):
+            text = f"no axis is on bus {name!r}; name it in `bus` of an axis, or leave it out"
+            faults.add(section.value_at("name"), text)
+    if len(set(is_virtual)) > 1:
+        faults.add(
+            bus_section(sections, is_virtual.index(True)).value_at("interface"),
+            "got 'virtual' beside a bus of another interface; either all buses are inside this process, or none",
+        )
 
 
 def _check_somebody_answers(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
@@ -107,7 +133,7 @@ def _check_parts(
         if not axis.group:
             build_axis_controller(axis)
     except ParameterError as error:
-        faults.add(passivity_section(axis, entry, sections, scene).mark, str(error))
+        faults.add(_passivity_section(axis, entry, sections, scene).mark, str(error))
     if axis.simulation is not None:
         try:
             build_plant(axis.simulation, scene.bus.sample_time_ns)
@@ -140,3 +166,43 @@ def _check_dictionary(axis: AxisScene, entry: MarkedMapping, faults: Diagnostics
     for finding in refusals:
         faults.add(entry.value_at("eds"), f"{axis.parameters.eds}: {finding.item}: {finding.text}")
     return None if refusals else choose_map(dictionary, axis.parameters)
+
+
+def _check_groups(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
+    """Notes what network, kinematics and passivity of a group cannot do together, and axes apart in time."""
+    for group, section in zip(scene.groups, sections.get("groups") or (), strict=True):
+        try:
+            build_group(scene, group)
+        except ParameterError as error:
+            faults.add(section.mark, str(error))
+
+
+def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
+    """Notes axes that cannot move a mechanism, and what it refuses itself, such as a singular pose to begin with."""
+    for of, section in zip(
+        scene.mechanisms, sections["simulation"]["mechanisms"] if scene.mechanisms else (), strict=True
+    ):
+        (name, model), before, at = of.mechanism, len(faults), section.value_at("axes")
+        motion, members = cast(MechanismParameters, model).motion, [scene.axis(axis) for axis in of.axes]
+        for axis in members:
+            if axis.parameters.unit != motion:
+                text = f"got {axis.parameters.name!r} with unit {axis.parameters.unit}, expected unit: {motion}, in"
+                faults.add(at, f"{text} which the motors of a {name} move")
+        if len({axis.bus for axis in members}) > 1:
+            faults.add(at, "got axes of several buses, expected one bus for what is simulated as one")
+        try:
+            if len(faults) == before:
+                build_mechanism(of, scene.bus.sample_time_ns)
+        except ParameterError as error:
+            faults.add(section.mark, str(error))
+
+
+def _passivity_section(axis: AxisScene, entry: MarkedMapping, sections: MarkedMapping, scene: Scene) -> MarkedMapping:
+    """Returns where a scene speaks of the loop of an axis: the axis's own section, the shared one, or the group's."""
+    owners = [entry, sections]
+    if axis.group:
+        place = [group.name for group in scene.groups].index(axis.group)
+        owners = [entry, sections["groups"][place]]
+    owner = next(owner for owner in owners if isinstance(owner.get("passivity"), MarkedMapping))
+    section: MarkedMapping = owner["passivity"]
+    return section

@@ -5,12 +5,13 @@ Keys are kept as the text that was written, so that `0x6076` stays the name of a
 """
 
 import re
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import yaml
 
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
+from canhaptic.units import Motion
 
 MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
 _TAG: Final = "tag:yaml.org,2002:"
@@ -26,13 +27,23 @@ _SCALARS: Final = (
 
 
 class MarkedMapping(dict[str, Any]):
-    """A mapping of the scene; `mark` is its own place, `keys_at` and `values_at` those of its entries."""
+    """A mapping of the scene.
 
-    def __init__(self, mark: SourceLocation) -> None:
+    Attributes:
+        mark: Its place.
+        keys_at: Places of its keys.
+        values_at: Places of its values.
+        elsewhere: Keys that it may have and that were taken out of it, because something else reads them.
+        motion: In what the axis moves that its values belong to; None: as around it.
+    """
+
+    def __init__(self, mark: SourceLocation, motion: Motion | None = None) -> None:
         super().__init__()
         self.mark = mark
         self.keys_at: dict[str, SourceLocation] = {}
         self.values_at: dict[str, SourceLocation] = {}
+        self.elsewhere: tuple[str, ...] = ()
+        self.motion = motion
 
     def put(self, key: str, value: Any, key_at: SourceLocation, value_at: SourceLocation) -> None:
         """Sets one entry with its places."""
@@ -40,28 +51,38 @@ class MarkedMapping(dict[str, Any]):
         self.keys_at[key] = key_at
         self.values_at[key] = value_at
 
+    def set(self, key: str, value: Any) -> None:
+        """Sets an entry that is not written here: at its own place, where it has one, else at that of the mapping."""
+        at = value.mark if isinstance(value, MarkedMapping | MarkedList) else self.mark
+        self.put(key, value, at, at)
+
     def value_at(self, key: str) -> SourceLocation:
         """Returns the place of an entry, or where it would be when it is missing."""
         return self.values_at.get(key) or self.mark.below(key)
 
     def copy(self) -> "MarkedMapping":
         """Returns a copy of the entries and their places; nested values are shared."""
-        twin = MarkedMapping(self.mark)
+        twin = MarkedMapping(self.mark, self.motion)
+        twin.elsewhere = self.elsewhere
         twin.update(self)
         twin.keys_at.update(self.keys_at)
         twin.values_at.update(self.values_at)
         return twin
 
     def without(self, *names: str) -> "MarkedMapping":
-        """Returns a copy without some entries."""
+        """Returns a copy without some entries, which are read elsewhere."""
         twin = self.copy()
+        twin.elsewhere += names
         for name in names:
             twin.pop(name, None)
         return twin
 
-    def only(self, names: Container[str]) -> "MarkedMapping":
+    def only(self, names: Iterable[str]) -> "MarkedMapping":
         """Returns a copy with no other entries than these."""
-        return self.without(*(key for key in self if key not in names))
+        twin = self.copy()
+        for key in self.keys() - set(names):
+            del twin[key]
+        return twin
 
     def over(self, lower: "MarkedMapping") -> "MarkedMapping":
         """Returns the entries of both; where both have a key this one's wins, and its place stands for the whole."""

@@ -1,96 +1,197 @@
-"""The JSON Schema of a scene file, composed from the models that own its parts.
+"""The JSON Schema of a scene file: that of `Scene`, with its fields where a scene has them.
 
 Values that refer to each other (units of an axis, unique names) are beyond a schema; `load_scene` checks them.
 """
 
-from canhaptic.control.environments import ENVIRONMENTS
-from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.logs.log_parameters import LogParameters
-from canhaptic.scene.axes import SCALING_KEYS, SIMULATION_PARTS
-from canhaptic.scene.buses import BUS_KEY, BusTitle, FurtherBus
-from canhaptic.scene.group_schema import group_schema, mechanism_schema
-from canhaptic.scene.models import AutoAccuracy, RunParameters, SimulationParameters
-from canhaptic.scene.profiles import PROFILE_KEY
-from canhaptic.scene.schema_parts import Schema, SchemaParts, or_null, partial
-from canhaptic.sim.bus.bus_effects import BusEffects
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.plant.effects import EFFECTS
-from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
-from canhaptic.sim.plant.user import UserParameters
+from collections.abc import Iterator
+from typing import Any, Final
+
+from pydantic.json_schema import GenerateJsonSchema
+
+from canhaptic.scene.field_words import words_of
+from canhaptic.scene.layout import SCALING_KEYS, SIMULATION_PARTS
+from canhaptic.scene.models import LOOP_KEYS, scene_adapter
+
+Schema = dict[str, Any]
+
+_WORDS: Final = {
+    "bus": "One CAN bus, its rate of SYNC, and what happens when frames go missing on it. For several buses it is a"
+    " list, and each has a `name`; rate, link policy and the rest are those of the first.",
+    "axes": "A list of drives, each with the axis behind it. Torques are those of the axis: N*m where it turns, N where"
+    " it slides.",
+    "groups": "A list of groups of axes that render one network with one account.",
+    "environment": "What is rendered, chosen by `type`; of all axes, or inside one axis.",
+    "passivity": "The algorithm that keeps the account, chosen by `algorithm`; of all axes, or inside one axis.",
+    "simulation": "What is simulated behind the drives; only without hardware.",
+    "accuracy": "How the simulated plant is computed: what it spends on events and on effects that are not exact; or"
+    " `auto`, and the build chooses.",
+    "log": "Where a run is written to; paths are relative to the current folder, and options of `run` win over them.",
+}
+_OF_AXIS: Final = {
+    "bus": "The bus that the drive is on; needed where there are several.",
+    "drive": "Profile of a drive, by its name or path: keys of an axis, laid under these.",
+    "environment": "Keys of the section `environment` for this axis alone, laid over it.",
+    "passivity": "Keys of the section `passivity` for this axis alone, laid over it.",
+}
+_OF_GROUP: Final = {
+    "name": "Of the group, in messages, tables and logs.",
+    "axes": "The motor axes, in the order of the kinematics.",
+    "kinematics": "From motor axes to task space.",
+    "network": "What is rendered in task space.",
+    "passivity": "The algorithm of the group, and what is known of the loops of all its axes.",
+}
+_OF_SIMULATION: Final = {
+    "drive": "The simulated drive.",
+    "plant": "The moving mass. Not of an axis that moves a mechanism.",
+    "user": "The hand.",
+    "effects": "What else plant, drive and hand do; each chosen by `type`, and absent unless named.",
+    "bus": "What the simulated bus does to its frames.",
+    "mechanisms": "What several motors move together; each chosen by `type`.",
+    "axes": "By the name of an axis: its own `drive`, `plant`, `user` and `effects`, laid over those of all.",
+}
+_OF_MECHANISM: Final = {
+    "axes": "The axes of its motors, in the order of the mechanism.",
+    "hand": "What holds the handle, in task space; None: nothing does.",
+}
+_TAKEN: Final = {"sample_time": "from `bus.rate`", "delay": "from `bus.rpdo`"}
+"""Where a key of the loop comes from that the scene leaves out."""
+
+
+class _WithWords(GenerateJsonSchema):
+    """Describes every field by what its model says of it."""
+
+    def model_schema(self, schema: Any) -> Schema:
+        found = super().model_schema(schema)
+        words = words_of(schema["cls"])
+        for name, of_field in found.get("properties", {}).items():
+            if name in words:
+                of_field["description"] = words[name]
+        return found
 
 
 def scene_schema() -> Schema:
     """Returns the schema (JSON Schema 2020-12) of a scene file."""
-    parts = SchemaParts()
-    environments = parts.choices("type", ENVIRONMENTS, "environment")
-    algorithms = parts.algorithms(ALGORITHMS, "passivity algorithm")
+    whole = scene_adapter().json_schema(schema_generator=_WithWords)
+    defined, scene = whole["$defs"], whole["properties"]
+    axis, far_side = (defined[name]["properties"] for name in ("AxisScene", "AxisSimulation"))
+    environment, passivity = axis["environment"], _with_loop(axis["passivity"], defined)
+    parts = {key: far_side[key] for key in SIMULATION_PARTS}
+    drive = _optional(defined["SimulatedDriveParameters"], *SCALING_KEYS)
+    taken = {key: drive["properties"][key] | {"taken": "that of the axis"} for key in SCALING_KEYS}
+    parts["drive"] = {**drive, "properties": drive["properties"] | taken}
+    given = {**defined["AccuracyParameters"], "title": "given"}
+    chosen = {**defined["AutoAccuracy"], "title": "chosen by the build"}
     sections = {
-        "bus": _bus(parts),
-        "axes": {"type": "array", "minItems": 1, "items": _axis(parts, environments, algorithms)},
-        "groups": or_null({"type": "array", "items": group_schema(parts)}),
-        "environment": {"oneOf": environments},
-        "passivity": {"oneOf": algorithms},
-        "simulation": _simulation(parts),
-        "accuracy": {"anyOf": [parts.of(AccuracyParameters), parts.of(AutoAccuracy), {"type": "null"}]},
-        "log": or_null(parts.of(LogParameters)),
-        **parts.of(RunParameters)["properties"],
+        "bus": _bus(scene, defined),
+        "axes": {"type": "array", "minItems": 1, "items": _axis(defined, environment, passivity)},
+        "groups": _or_null({"type": "array", "items": _group(defined)}),
+        "environment": environment,
+        "passivity": passivity,
+        "simulation": _or_null(_simulation(scene, parts, defined)),
+        "accuracy": {"anyOf": [given, chosen, {"type": "null"}]},
+        "log": _or_null(defined["LogParameters"]),
+        **defined["RunParameters"]["properties"],
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "canhaptic scene",
-        "type": "object",
-        "properties": sections,
-        "required": ["bus", "axes"],
-        "additionalProperties": False,
-        "$defs": parts.definitions,
+        **_mapping(_described(sections, _WORDS), "bus", "axes"),
+        "$defs": {name: defined[name] for name in sorted(set(_references(sections, defined)))},
     }
 
 
-def _bus(parts: SchemaParts) -> Schema:
+def _references(schema: Any, defined: Schema) -> Iterator[str]:
+    """Yields the name of every definition that a schema refers to, at any depth."""
+    for part in schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else ():
+        yield from _references(part, defined)
+    if isinstance(schema, dict) and isinstance(schema.get("$ref"), str):
+        name = schema["$ref"].removeprefix("#/$defs/")
+        yield name
+        yield from _references(defined[name], defined)
+
+
+def _mapping(properties: Schema, *required: str) -> Schema:
+    return {"type": "object", "properties": properties, "required": list(required), "additionalProperties": False}
+
+
+def _described(properties: Schema, words: dict[str, str]) -> Schema:
+    return {key: {**of, "description": words[key]} if key in words else of for key, of in properties.items()}
+
+
+def _or_null(schema: Schema) -> Schema:
+    """Returns the schema of what may be left empty."""
+    return {"anyOf": [schema, {"type": "null"}]}
+
+
+def _optional(schema: Schema, *keys: str) -> Schema:
+    """Returns a schema with some keys no longer required; with any of them where none is named."""
+    left = [key for key in schema.get("required", ()) if keys and key not in keys]
+    return {**schema, "required": left}
+
+
+def _laid_under(choices: Schema, properties: Schema, *required: str) -> Schema:
+    """Returns the schema of a component that has further keys."""
+    return {
+        "oneOf": [
+            {**of, "properties": {**properties, **of["properties"]}, "required": [*required, *of["required"]]}
+            for of in choices["oneOf"]
+        ]
+    }
+
+
+def _with_loop(choices: Schema, defined: Schema) -> Schema:
+    """Returns the schema of algorithms, each with what describes the loop as well."""
+    loop = defined["LoopProperties"]["properties"]
+    known = {key: loop[key] | ({"taken": _TAKEN[key]} if key in _TAKEN else {}) for key in LOOP_KEYS}
+    return _laid_under(choices, known)
+
+
+def _bus(scene: Schema, defined: Schema) -> Schema:
     """Returns the schema of one bus, or of a list whose first entry has what holds for all."""
-    one, title = parts.of(BusParameters), parts.of(BusTitle)
-    first = {
-        **one,
-        "properties": {**title["properties"], **one["properties"]},
-        "required": [*title["required"], *one.get("required", [])],
-    }
-    several = {"type": "array", "minItems": 1, "prefixItems": [first], "items": parts.of(FurtherBus)}
-    return {"anyOf": [one, several]}
+    one = {**defined["BusParameters"], "title": "the only one, or the first"}
+    further = {**defined["FurtherBus"], "title": "the second and those behind it"}
+    name = further["properties"]["name"]
+    first = {**one, "properties": {"name": name, **one["properties"]}, "required": ["name", *one["required"]]}
+    return {"anyOf": [one, {"type": "array", "minItems": 1, "prefixItems": [first], "items": further}]}
 
 
-def _axis(parts: SchemaParts, environments: list[Schema], algorithms: list[Schema]) -> Schema:
-    schema = parts.of(AxisParameters)
+def _axis(defined: Schema, environment: Schema, passivity: Schema) -> Schema:
+    schema = defined["AxisParameters"]
     own = {
-        BUS_KEY: {"type": "string"},
-        PROFILE_KEY: {"type": "string", "description": "A drive profile: a name of configs/drives, or a path."},
-        "environment": {"anyOf": [partial(choice) for choice in environments]},
-        "passivity": {"anyOf": [partial(choice) for choice in algorithms]},
+        "bus": {"type": "string"},
+        "drive": {"type": "string"},
+        "environment": {"anyOf": [_optional(choice) for choice in environment["oneOf"]]},
+        "passivity": {"anyOf": [_optional(choice) for choice in passivity["oneOf"]]},
     }
-    return {**schema, "properties": {**schema["properties"], **own}}
+    return {**schema, "properties": {**schema["properties"], **_described(own, _OF_AXIS)}}
 
 
-def _simulation(parts: SchemaParts) -> Schema:
-    drive = parts.of(SimulatedDriveParameters)
-    drive["required"] = [key for key in drive.get("required", []) if key not in SCALING_KEYS]
-    shared: Schema = {
-        "drive": drive,
-        "plant": parts.of(PlantParameters),
-        "user": or_null(parts.of(UserParameters)),
-        "effects": {"type": "array", "items": {"oneOf": parts.choices("type", EFFECTS, "effect")}},
+def _group(defined: Schema) -> Schema:
+    schema = _optional(defined["GroupScene"], "kinematics")
+    of = schema["properties"]
+    kinematics = [
+        _counted(choice) if choice["properties"]["type"] == {"const": "identity"} else choice
+        for choice in of["kinematics"]["oneOf"]  # the identity has as many axes as the group
+    ]
+    passivity = _with_loop(of["passivity"], defined)
+    own = {**of, "kinematics": {"oneOf": kinematics, "taken": "`{type: identity}`"}, "passivity": passivity}
+    return {**schema, "properties": _described(own, _OF_GROUP)}
+
+
+def _counted(identity: Schema) -> Schema:
+    axes = identity["properties"]["axes"] | {"taken": "those of the group"}
+    return _optional({**identity, "properties": identity["properties"] | {"axes": axes}}, "axes")
+
+
+def _simulation(scene: Schema, parts: Schema, defined: Schema) -> Schema:
+    of = defined["MechanismScene"]["properties"]
+    further = _described({key: of[key] for key in ("axes", "hand")}, _OF_MECHANISM)
+    of_axis = {key: _optional(part) if "properties" in part else part for key, part in parts.items()}
+    keys = {
+        **parts,
+        **defined["SimulationParameters"]["properties"],
+        "bus": _or_null(defined["BusEffects"]),
+        "mechanisms": _or_null({"type": "array", "items": _laid_under(of["mechanism"], further, "axes")}),
+        "axes": {"type": "object", "additionalProperties": _mapping(of_axis)},
     }
-    of_axis = {name: partial(shared[name]) for name in SIMULATION_PARTS}
-    own = {"type": "object", "properties": of_axis, "additionalProperties": False}
-    return or_null(
-        {
-            "type": "object",
-            "properties": {
-                **shared,
-                **parts.of(SimulationParameters)["properties"],
-                "bus": or_null(parts.of(BusEffects)),
-                "mechanisms": or_null({"type": "array", "items": mechanism_schema(parts)}),
-                "axes": {"type": "object", "additionalProperties": own},
-            },
-            "additionalProperties": False,
-        }
-    )
+    return _mapping(_described(keys, _OF_SIMULATION))

@@ -9,8 +9,7 @@ from typing import Final, Literal
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.columns import GROUP_AXES, Attribute, PortDescription
 from canhaptic.logs.energy_log import EnergyLogWriter
-from canhaptic.scene.groups import task_unit
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, Scene, task_unit
 
 _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
 

@@ -1,23 +1,65 @@
-"""What a scene file says, validated: one object per part, made by `load_scene` and built by `build`."""
+"""The scene, once: classes that pydantic validates in one go, made by `load_scene` and built by `build`.
+
+JSON schema, resolved form and the page of the configuration follow from the fields here and from the models that they
+name. How a scene file is laid out over them (shared sections, profiles, sections of an axis) is in `layout`.
+"""
 
 import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeVar
 
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, WrapValidator
+from pydantic import ValidationInfo as Info
+from pydantic_core import PydanticCustomError
+
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.mechanisms import KINEMATICS
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
+from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.logs.log_parameters import LogParameters
-from canhaptic.scene.buses import FurtherBus, NamedBus
+from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OnDemand
+from canhaptic.scene.document import MarkedMapping
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.effects import EFFECTS
+from canhaptic.sim.plant.mechanism import MECHANISMS
+from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Parameters, UnitContext, quantity
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus.bus_effects import BusEffects
-    from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+else:
+    BusEffects = Any
+
+LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")
+"""Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
+_MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
+"""Kinematics whose task space is in metres whatever the motors move in."""
+
+UnitT = TypeVar("UnitT", bound=str | None)
+BusName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^\S+$")]
+Environment = Annotated[ComponentSpec, ComponentOf(ENVIRONMENTS, "environment")]
+Algorithm = Annotated[ComponentSpec, ComponentOf(ALGORITHMS, "passivity algorithm", "algorithm", LOOP_KEYS)]
+GroupAlgorithm = Annotated[ComponentSpec, ComponentOf(GROUP_ALGORITHMS, "group algorithm", "algorithm", LOOP_KEYS)]
+
+
+def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Literal["m"]:
+    """Returns in what task space is measured, by the name of the kinematics and the unit of the motor axes."""
+    return "m" if kinematics in _MOVES_IN_METRES else motor_unit
+
+
+@dataclass(slots=True)
+class SceneContext(UnitContext):
+    """Context of the validation of a scene."""
+
+    bus: BusParameters | None = None  # once it is validated
 
 
 class RunParameters(Parameters):
@@ -43,11 +85,42 @@ class SimulationParameters(Parameters):
     """Whether plants run compiled by numba (the extra `fast`); seconds of compiling, for stiff scenes."""
 
 
-class ComponentSpec(NamedTuple):
-    """Parameters of a thing chosen by name from a table."""
+class FurtherBus(Parameters):
+    """What a bus of several may have of its own; rate, link policy and the rest are those of the first."""
 
-    name: str
-    parameters: Parameters
+    name: BusName
+    """By which an axis's `bus` names it."""
+    interface: str | None = None
+    """python-can interface; None: that of the first bus."""
+    channel: str | int | None = None
+    """Channel of the interface; None: a private one for `virtual`."""
+    bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] | None = None
+    """Bit rate of classic CAN; None: that of the first bus."""
+    options: dict[str, Any] | None = None
+    """Further keyword arguments of `can.Bus`; None: those of the first bus."""
+
+    def beside(self, first: BusParameters) -> BusParameters:
+        """Returns all parameters of this bus."""
+        own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
+        return first.model_copy(update={"channel": None, **own})
+
+
+class NamedBus(NamedTuple):
+    """One bus with everything that holds for it."""
+
+    name: str  # empty where the scene has one bus without a name
+    parameters: BusParameters
+
+
+class GroupMembership(Parameters):
+    """Replaces environment and algorithm of an axis on which a group renders."""
+
+    group: str
+
+
+def _in_its_unit(value: Any, read: Any, info: Info[SceneContext]) -> Any:
+    with info.context.moving(value.motion if isinstance(value, MarkedMapping) else None):
+        return read(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +129,28 @@ class AxisSimulation:
 
     drive: SimulatedDriveParameters
     plant: PlantParameters
-    user: UserParameters | None
-    effects: tuple[ComponentSpec, ...]
-    seed: int
+    user: UserParameters | None = None
+    effects: tuple[Annotated[ComponentSpec, ComponentOf(EFFECTS, "effect")], ...] = ()
+    seed: int = 0
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)
-    compiled: bool = False
+    compiled: Annotated[bool, Field(exclude=True)] = False
+
+
+def _loop_of(section: Any, info: Info[SceneContext]) -> Any:
+    """Returns what a scene says of the loop of an axis, and what follows from bus and drive; the rest stays unknown."""
+    if not isinstance(section, MarkedMapping):
+        return section
+    axis: AxisParameters | None = info.data.get("parameters")
+    bus = info.context.bus
+    derived: dict[str, Any] = {"sample_time": bus.sample_time_ns * 1e-9 if bus else 1e-3}
+    if bus is not None:
+        derived["delay"] = bus.delay
+    if axis is not None:
+        derived["encoder_count"] = 1.0 / abs(axis.counts_per_unit)
+        derived["torque_limit"] = axis.torque_limit
+        if axis.rated_torque is not None:
+            derived["torque_quantum"] = axis.rated_torque * quirks_of(axis.quirks).torque_scale / 1000.0
+    return derived | {key: value for key, value in section.items() if value is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +158,9 @@ class AxisScene:
     """One axis with everything that is rendered on it."""
 
     parameters: AxisParameters
-    environment: ComponentSpec
-    passivity: ComponentSpec
-    loop: LoopProperties
+    environment: Environment
+    passivity: Algorithm
+    loop: Annotated[LoopProperties, BeforeValidator(_loop_of)]
     simulation: AxisSimulation | None
     bus: str = ""  # name of the one it is on
     group: str = ""  # name of the group that renders on it; environment and passivity then say so
@@ -81,31 +171,40 @@ class AxisScene:
         return hashlib.sha256(self.parameters.eds.read_bytes()).hexdigest()
 
 
-class GroupMembership(Parameters):
-    """What stands for environment and algorithm of an axis on which a group renders."""
-
-    group: str
-
-
 @dataclass(frozen=True, slots=True)
 class GroupScene:
     """Axes that render one network together, with one account."""
 
-    name: str
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    name: Annotated[str, Field(min_length=1, max_length=40)]
     axes: tuple[str, ...]
-    kinematics: ComponentSpec
-    network: ComponentSpec
-    passivity: ComponentSpec
+    kinematics: Annotated[ComponentSpec, ComponentOf(KINEMATICS, "kinematics")]
+    network: Annotated[ComponentSpec, ComponentOf(NETWORKS, "network")]
+    passivity: GroupAlgorithm
+
+
+def _as_many_as_move_it(axes: tuple[str, ...], info: Info[SceneContext]) -> tuple[str, ...]:
+    of = info.data.get("mechanism")
+    if of is not None and len(axes) != of.parameters.axes:
+        seen = {"seen": len(axes), "axes": of.parameters.axes, "name": of.name}
+        raise PydanticCustomError(READY, "got {seen} axes, expected the {axes} of a {name}", seen)
+    return axes
 
 
 @dataclass(frozen=True, slots=True)
 class MechanismScene:
     """A simulated mechanism that several drives move."""
 
-    axes: tuple[str, ...]
-    mechanism: ComponentSpec
-    hand: "TaskHand | None"
+    mechanism: Annotated[ComponentSpec, ComponentOf(MECHANISMS, "mechanism")]
+    axes: Annotated[tuple[str, ...], AfterValidator(_as_many_as_move_it)]
+    hand: Annotated[TaskHand | None, WrapValidator(_in_its_unit)] = None
     substeps: int = 1
+
+
+def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
+    info.context.bus = bus
+    return bus
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,18 +214,24 @@ class Scene:
     source: str  # the file as given, for messages
     text: str  # the file as read, for the log
     overrides: tuple[str, ...]
-    bus: BusParameters
-    axes: tuple[AxisScene, ...]
-    log: LogParameters
     run: RunParameters
+    log: LogParameters
+    bus: Annotated[BusParameters, AfterValidator(_known_bus)]
+    axes: tuple[Annotated[AxisScene, WrapValidator(_in_its_unit)], ...]
     simulation: SimulationParameters | None
-    bus_effects: "BusEffects | None" = None  # what the simulated bus does to its frames
-    bus_name: str = ""  # of the first bus, or of the only one
+    bus_effects: Annotated[BusEffects | None, OnDemand("canhaptic.sim.bus.bus_effects:BusEffects")] = None
+    bus_name: BusName = ""  # of the first bus; empty where the only one has no name
     further_buses: tuple[FurtherBus, ...] = ()
-    accuracy_tolerance: float | None = None  # of `accuracy: {auto: ...}` [m or rad]; None where accuracy is given
+    accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)  # of every simulated plant
+    auto_accuracy: AutoAccuracy | None = None  # in its place
     accuracy_choices: Mapping[str, Any] = field(default_factory=dict)  # axis -> what was chosen for it, and why
     groups: tuple[GroupScene, ...] = ()
     mechanisms: tuple[MechanismScene, ...] = ()
+
+    @property
+    def accuracy_tolerance(self) -> float | None:
+        """Of `accuracy: {auto: ...}` [m or rad]; None where accuracy is given."""
+        return self.auto_accuracy.auto if self.auto_accuracy else None
 
     @property
     def buses(self) -> tuple[NamedBus, ...]:
@@ -149,35 +254,25 @@ class Scene:
 
     def resolved(self) -> dict[str, Any]:
         """Returns the configuration in effect, defaults and overrides included, as plain values."""
-        return {
-            "bus": self._buses(),
-            "axes": {axis.parameters.name: _axis(axis) for axis in self.axes},
-            "log": _plain(self.log),
-            "run": _plain(self.run),
-            "simulation": self.simulation and {**_plain(self.simulation), **self._bus_effects(), **self._mechanisms()},
-            **self._groups(),
-            **self._accuracy(),
+        plain = scene_adapter().dump_python(self, mode="json")
+        groups = {group.pop("name"): group for group in plain["groups"]}
+        mechanisms = [{**of.pop("mechanism"), **of} for of in plain["mechanisms"]]
+        simulation = plain["simulation"] and {
+            **plain["simulation"],
+            **({"bus": plain["bus_effects"]} if self.bus_effects else {}),
+            **({"mechanisms": mechanisms} if mechanisms else {}),
         }
-
-    def _buses(self) -> dict[str, Any] | list[dict[str, Any]]:
-        first = _plain(self.bus)
-        if not self.bus_name:
-            return first
-        return [{"name": self.bus_name, **first}, *(_plain(bus) for bus in self.further_buses)]
-
-    def _groups(self) -> dict[str, Any]:
-        return {"groups": {group.name: _group(group) for group in self.groups}} if self.groups else {}
-
-    def _mechanisms(self) -> dict[str, Any]:
-        return {"mechanisms": [_mechanism(of) for of in self.mechanisms]} if self.mechanisms else {}
-
-    def _accuracy(self) -> dict[str, Any]:
-        if self.accuracy_tolerance is None:
-            return {}
-        return {"accuracy": {"auto": self.accuracy_tolerance, "chosen": dict(self.accuracy_choices)}}
-
-    def _bus_effects(self) -> dict[str, Any]:
-        return {} if self.bus_effects is None else {"bus": _plain(self.bus_effects)}
+        bus = [{"name": self.bus_name, **plain["bus"]}, *plain["further_buses"]] if self.bus_name else plain["bus"]
+        auto = {"auto": self.accuracy_tolerance, "chosen": dict(self.accuracy_choices)}
+        return {
+            "bus": bus,
+            "axes": {axis["parameters"]["name"]: _resolved_axis(axis) for axis in plain["axes"]},
+            "log": plain["log"],
+            "run": plain["run"],
+            "simulation": simulation,
+            **({"groups": groups} if groups else {}),
+            **({"accuracy": auto} if self.auto_accuracy else {}),
+        }
 
     def config_hash(self) -> str:
         """Returns the SHA-256 of the configuration in effect, dictionaries by content.
@@ -189,62 +284,23 @@ class Scene:
         del resolved["log"]
         for axis in self.axes:
             resolved["axes"][axis.parameters.name]["eds"] = axis.dictionary_hash()
-            if self.accuracy_tolerance is not None and axis.simulation is not None:
+            if self.auto_accuracy is not None and axis.simulation is not None:
                 del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
-        if self.accuracy_tolerance is not None:
+        if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
         canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def _plain(parameters: Parameters) -> dict[str, Any]:
-    return parameters.model_dump(mode="json")
+def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
+    """Returns an axis as it stands in the configuration in effect."""
+    parameters, bus, drive = axis.pop("parameters"), axis.pop("bus"), axis.pop("simulated_drive")
+    del axis["group"]
+    simulation = axis["simulation"] if drive is None else {"drive": drive}
+    return {**parameters, **axis, "simulation": simulation, **({"bus": bus} if bus else {})}
 
 
-def _typed(selector: str, typed: ComponentSpec) -> dict[str, Any]:
-    return {selector: typed.name, **_plain(typed.parameters)}
-
-
-def _group(group: GroupScene) -> dict[str, Any]:
-    return {
-        "axes": list(group.axes),
-        "kinematics": _typed("type", group.kinematics),
-        "network": _typed("type", group.network),
-        "passivity": _typed("algorithm", group.passivity),
-    }
-
-
-def _mechanism(of: MechanismScene) -> dict[str, Any]:
-    return {
-        "axes": list(of.axes),
-        **_typed("type", of.mechanism),
-        "hand": of.hand and _plain(of.hand),
-        "substeps": of.substeps,
-    }
-
-
-def _axis(axis: AxisScene) -> dict[str, Any]:
-    return {
-        **_plain(axis.parameters),
-        "environment": _typed("type", axis.environment),
-        "passivity": _typed("algorithm", axis.passivity),
-        "loop": _plain(axis.loop),
-        "simulation": _far_side(axis),
-        **({"bus": axis.bus} if axis.bus else {}),
-    }
-
-
-def _far_side(axis: AxisScene) -> dict[str, Any] | None:
-    if axis.simulated_drive is not None:
-        return {"drive": _plain(axis.simulated_drive)}
-    simulation = axis.simulation
-    if simulation is None:
-        return None
-    return {
-        "drive": _plain(simulation.drive),
-        "plant": _plain(simulation.plant),
-        "user": simulation.user and _plain(simulation.user),
-        "effects": [_typed("type", effect) for effect in simulation.effects],
-        "seed": simulation.seed,
-        "accuracy": _plain(simulation.accuracy),
-    }
+@cache
+def scene_adapter() -> TypeAdapter[Scene]:
+    """Returns what validates, writes and describes a `Scene`."""
+    return TypeAdapter(Scene)

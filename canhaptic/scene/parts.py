@@ -16,7 +16,8 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
-from canhaptic.scene.models import AxisScene, AxisSimulation, ComponentSpec, GroupScene, MechanismScene, Scene
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect

@@ -13,7 +13,7 @@ from canhaptic.errors import SceneError
 from canhaptic.package_data import shipped
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedMapping, parse_yaml
-from canhaptic.scene.section import read_mapping, refuse_unknown_keys
+from canhaptic.scene.explain import read_mapping, refuse_unknown_keys
 from canhaptic.units import shown
 
 PROFILES: Final = shipped("configs") / "drives"

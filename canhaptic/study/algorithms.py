@@ -7,7 +7,8 @@ from typing import Final, NamedTuple
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
-from canhaptic.scene.models import AxisScene, ComponentSpec, Scene
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.study.scenes import loop_case
 from canhaptic.units import Parameters
 

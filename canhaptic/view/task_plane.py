@@ -17,7 +17,7 @@ from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered
 from canhaptic.errors import CanHapticError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.registry import load
-from canhaptic.scene.groups import task_unit
+from canhaptic.scene.models import task_unit
 from canhaptic.view.decimate import decimate
 
 _Array = NDArray[Any]
@@ -68,7 +68,7 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
     depth = np.array([[_depth(rendered, (x, y)) for x in across.tolist()] for y in along.tolist()])
     # A path without width has no inside; its line is drawn as wide as one cell of the grid.
     surface = 0.0 if depth.min() < 0.0 else float(across[1] - across[0])
-    unit = task_unit(group["kinematics"]["type"], log.ports[axes[0]].unit("position"))  # type: ignore[type-var]
+    unit = task_unit(group["kinematics"]["type"], log.ports[axes[0]].unit("position"))
     return TaskPlane(name, str(unit), log.time[rows][shown], path, across, along, depth, surface)
 
 

@@ -4,7 +4,6 @@ from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.sim.plant.effects import EFFECTS, read_effect
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from canhaptic.units import axis_motion
 from tests.plant.plant_scenes import make_plant
 
 DRY = {"kinetic": 0.3, "static": 0.5}
@@ -80,9 +79,7 @@ def test_settings_outside_their_range_are_refused(values):
 
 
 def test_units_follow_the_axis():
-    with axis_motion("rad"):
-        assert read_effect({"type": "shaft_compliance", "stiffness": "5 N*m/rad", "load_mass": "20 g*m^2"})
-        with pytest.raises(ParameterError, match="does not fit"):
-            read_effect({"type": "shaft_compliance", "stiffness": "5 N/m", "load_mass": 0.1})
-    with axis_motion("m"):
-        assert read_effect({"type": "hard_stop", "position": "10 mm", "stiffness": "1 MN/m"}).position == 0.01  # type: ignore[attr-defined]
+    assert read_effect({"type": "shaft_compliance", "stiffness": "5 N*m/rad", "load_mass": "20 g*m^2"}, "rad")
+    with pytest.raises(ParameterError, match="does not fit"):
+        read_effect({"type": "shaft_compliance", "stiffness": "5 N/m", "load_mass": 0.1}, "rad")
+    assert read_effect({"type": "hard_stop", "position": "10 mm", "stiffness": "1 MN/m"}, "m").position == 0.01  # type: ignore[attr-defined]

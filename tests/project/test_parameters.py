@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from canhaptic.errors import CanHapticError, ParameterError
-from canhaptic.units import Parameters, axis_motion, parse_unit, quantity
+from canhaptic.units import Parameters, parse_unit, quantity
 
 
 class Wall(Parameters):
@@ -66,12 +66,12 @@ def test_a_bad_value_is_refused_with_the_value_and_the_limit(values: dict[str, A
 
 
 def test_a_linear_unit_is_refused_on_a_rotary_axis_and_the_other_way_round() -> None:
-    with axis_motion("rad"):
-        assert Wall(stiffness="2 N*m/rad").stiffness == 2.0
-        with pytest.raises(ParameterError, match=r"expected \[N\*m/rad\]"):
-            Wall(stiffness="2 N/m")
-    with axis_motion("m"), pytest.raises(ParameterError, match=r"expected \[N/m\]"):
-        Wall(stiffness="2 N*m/rad")
+    assert Wall.validated({"stiffness": "2 N*m/rad"}, "rad").stiffness == 2.0
+    with pytest.raises(ParameterError, match=r"expected \[N\*m/rad\]"):
+        Wall.validated({"stiffness": "2 N/m"}, "rad")
+    with pytest.raises(ParameterError, match=r"expected \[N/m\]"):
+        Wall.validated({"stiffness": "2 N*m/rad"}, "m")
+    assert Wall.validated({"stiffness": "2 N/m"}).stiffness == Wall.validated({"stiffness": "2 N*m/rad"}).stiffness
 
 
 def test_nested_faults_keep_their_path_and_come_all_at_once() -> None:

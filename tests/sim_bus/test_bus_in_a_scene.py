@@ -50,7 +50,7 @@ def test_a_scene_says_what_its_bus_does_with_units(tmp_path: Path) -> None:
         ("    direction: up\n    drop: 0.1\n", "simulation.bus.direction: got 'up', expected 'both', 'to_drive' or"),
         (
             "    foreign_ids: [2048]\n    foreign_rate: 1\n",
-            "foreign_ids.0: got 2048, expected less than or equal to 2047",
+            "foreign_ids.0: got 2048, expected 0 <= foreign_ids <= 2047",
         ),
         ("    foreign_ids: []\n    foreign_rate: 1\n", "foreign_ids is empty, expected at least one COB-ID"),
         ("    bring_up: true\n", "names no effect, expected one of: drop, duplicate,"),

@@ -6,7 +6,8 @@ from typing import Any, Final, TypeVar
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import ParameterError
-from canhaptic.scene.models import AxisScene, AxisSimulation, ComponentSpec, Scene
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.units import Parameters
 
 _P = TypeVar("_P", bound=Parameters)

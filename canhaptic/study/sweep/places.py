@@ -5,9 +5,9 @@ A key that names its place in full (`axes.0.environment.stiffness`, `bus.rate`) 
 
 from typing import Any
 
-from canhaptic.scene.axes import OWN_SECTIONS, SIMULATION_PARTS
 from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
+from canhaptic.scene.layout import OWN_SECTIONS, SIMULATION_PARTS
 from canhaptic.scene.models import Scene
 from canhaptic.scene.overrides import apply_overrides
 

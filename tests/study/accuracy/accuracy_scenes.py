@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from canhaptic.scene.models import AxisSimulation, ComponentSpec
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.scene.models import AxisSimulation, ComponentSpec
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters

@@ -8,8 +8,9 @@ import pytest
 
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import CanHapticError, ParameterError
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.models import ComponentSpec, Scene
+from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.effects import read_effect
 from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import (

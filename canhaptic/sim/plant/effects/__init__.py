@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Final, Protocol, cast
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.units import Motion
 
 EFFECTS: Final[dict[str, str]] = {
     "backlash": "canhaptic.sim.plant.effects.backlash:Backlash",
@@ -53,8 +54,8 @@ class Effect(Protocol):
         """
 
 
-def read_effect(values: Mapping[str, Any]) -> Effect:
-    """Returns the effect that a mapping with `type` describes; call it inside `axis_motion` for an axis' units.
+def read_effect(values: Mapping[str, Any], motion: Motion | None = None) -> Effect:
+    """Returns the effect that a mapping with `type` describes, in the units of an axis that moves in "m" or "rad".
 
     Raises:
         ParameterError: The type is missing or unknown (the nearest name is offered), or a value is out of range.
@@ -62,4 +63,4 @@ def read_effect(values: Mapping[str, Any]) -> Effect:
     name = values.get("type")
     if not isinstance(name, str):
         raise ParameterError(f"effect.type: got {name!r}, expected one of: {', '.join(sorted(EFFECTS))}")
-    return cast(Effect, load(EFFECTS, name, "effect")(**values))
+    return cast(Effect, load(EFFECTS, name, "effect").validated(values, motion))

@@ -1,0 +1,136 @@
+"""Fields of the scene whose model is chosen by name from a table, or imported only where the scene has the key."""
+
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
+
+from canhaptic.errors import ParameterError
+from canhaptic.registry import load
+from canhaptic.scene.document import MarkedMapping
+from canhaptic.units import Parameters, shown
+
+READY: Final = "ready"
+"""Type of an error of pydantic whose text needs no value in front."""
+
+
+class ComponentSpec(NamedTuple):
+    """Parameters of a thing chosen by name from a table."""
+
+    name: str
+    parameters: Parameters
+
+    def as_plain(self, selector: str) -> dict[str, Any]:
+        """Returns the section of a scene, defaults included, as plain values."""
+        return {selector: self.name, **self.parameters.model_dump(mode="json")}
+
+
+class ComponentOf:
+    """Annotation of a `ComponentSpec`: its section of the scene names an entry of a table, which is then imported.
+
+    Args:
+        table: Name -> "module:Class", of parameter models or of classes with a `parameters_type`.
+        kind: What the table lists, for messages.
+        selector: Key of the section that has the name.
+        apart: Further keys of the section, which another field reads; a model that has one of the same name reads it
+            too.
+    """
+
+    def __init__(
+        self, table: Mapping[str, str], kind: str, selector: str = "type", apart: tuple[str, ...] = ()
+    ) -> None:
+        self.table, self.kind, self.selector, self.apart = table, kind, selector, apart
+
+    @property
+    def expected(self) -> str:
+        """What the section has, in words."""
+        return f"{self.selector} (one of {', '.join(sorted(self.table))}) and more"
+
+    def model_of(self, section: Any) -> type[Parameters] | None:
+        """Returns the model that a section names; None when it names none."""
+        name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
+        return self._model(name) if isinstance(name, str) and name in self.table else None
+
+    def _model(self, name: str) -> type[Parameters]:
+        entry = load(self.table, name, self.kind)
+        model: type[Parameters] = getattr(entry, "parameters_type", entry)
+        return model
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        plain = core_schema.plain_serializer_function_ser_schema(lambda spec: spec.as_plain(self.selector))
+        return core_schema.with_info_plain_validator_function(self._read, serialization=plain)
+
+    def _read(self, value: Any, info: ValidationInfo) -> ComponentSpec:
+        if isinstance(value, ComponentSpec):
+            return value
+        if value is None:
+            raise PydanticCustomError(READY, "missing, expected {what}", {"what": self.expected})
+        if not isinstance(value, MarkedMapping):
+            raise ValueError(f"expected a mapping of {self.selector} and its parameters")
+        name = value.get(self.selector)
+        try:
+            if not isinstance(name, str):
+                seen = "missing" if name is None else f"got {shown(name)}"
+                raise ParameterError(f"{seen}, expected one of: {', '.join(sorted(self.table))}")
+            model = self._model(name)
+        except ParameterError as error:
+            raise self._refused(str(error)) from error
+        except ImportError as error:
+            text = f"got {name!r}, a {self.kind} that this installation lacks a module for ({error})"
+            raise self._refused(text) from error
+        own = value.without(self.selector, *(key for key in self.apart if key not in model.model_fields))
+        return ComponentSpec(name, validated(model, own, info.context))
+
+    def _refused(self, text: str) -> ValidationError:
+        fault = InitErrorDetails(
+            type=PydanticCustomError(READY, "{text}", {"text": text}), loc=(self.selector,), input=None
+        )
+        return ValidationError.from_exception_data(self.kind, [fault])
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"oneOf": [self._choice(name, handler) for name in self.table]}
+
+    def _choice(self, name: str, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Returns the schema of one entry of the table, which names itself."""
+        model = handler.resolve_ref_schema(handler(self._model(name).__pydantic_core_schema__))
+        own = {key: value for key, value in model.get("properties", {}).items() if key != self.selector}
+        required = [key for key in model.get("required", []) if key != self.selector]
+        properties = {self.selector: {"const": name}, **own}
+        return {**model, "properties": properties, "required": [self.selector, *required]}
+
+
+class OnDemand:
+    """Annotation of a field whose model is imported only where the scene has the key.
+
+    Args:
+        path: "module:Class" of the model.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def model_of(self, _section: Any = None) -> type[Parameters]:
+        """Returns the model."""
+        model: type[Parameters] = load({"": self._path}, "", "model")
+        return model
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        plain = core_schema.plain_serializer_function_ser_schema(lambda value: value and value.model_dump(mode="json"))
+        return core_schema.with_info_plain_validator_function(self._read, serialization=plain)
+
+    def _read(self, value: Any, info: ValidationInfo) -> Parameters | None:
+        if value is None:
+            return None
+        if not isinstance(value, MarkedMapping):
+            raise ValueError("expected a mapping of keys and values")
+        return validated(self.model_of(), value, info.context)
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return handler(self.model_of().__pydantic_core_schema__)
+
+
+def validated(model: type[Parameters], section: MarkedMapping, context: Any) -> Parameters:
+    """Returns the parameters of a section, in the units of its axis or of what the model itself moves in."""
+    with context.moving(section.motion or getattr(model, "motion", None)):
+        return model.model_validate(section, context=context)

@@ -1,0 +1,228 @@
+"""What pydantic finds wrong with a scene, as faults with line, value seen, unit and range."""
+
+import dataclasses
+import typing
+from collections.abc import Iterable, Iterator
+from typing import Any, Final, NamedTuple
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from canhaptic.registry import nearest
+from canhaptic.scene.components import READY, ComponentOf, OnDemand
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
+from canhaptic.scene.document import MarkedList, MarkedMapping
+from canhaptic.units import Motion, Unit, shown
+
+NOTED: Final = object()
+"""Replaces a value whose fault is noted already."""
+
+_SYMBOLS: Final = {"gt": "<", "ge": "<=", "lt": "<", "le": "<="}
+_NUMBER_FAULTS: Final = {
+    "greater_than",
+    "greater_than_equal",
+    "less_than",
+    "less_than_equal",
+    "finite_number",
+    "float_type",
+    "float_parsing",
+    "int_type",
+    "int_parsing",
+    "int_parsing_size",
+    "int_from_float",
+}
+_SHAPES: Final = {
+    "model_type": "a mapping of keys and values",
+    "dataclass_type": "a mapping of keys and values",
+    "dict_type": "a mapping",
+    "tuple_type": "a list of {name}",
+    "list_type": "a list of {name}",
+}
+
+
+def read_mapping(value: Any, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedMapping | None:
+    """Returns a value that must be a mapping; None, with a fault, when it is something else."""
+    if isinstance(value, MarkedMapping):
+        return value
+    faults.add(at, f"got {shown(value)}, expected a mapping of {what}")
+    return None
+
+
+def read_list(value: Any, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedList | None:
+    """Returns a value that must be a list; None, with a fault, when it is something else."""
+    if isinstance(value, MarkedList):
+        return value
+    faults.add(at, f"got {shown(value)}, expected a list of {what}")
+    return None
+
+
+def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Diagnostics) -> None:
+    """Notes every key of a section that is none of the known ones, with the nearest name."""
+    names = tuple(known)
+    for key in section:
+        if key not in names:
+            faults.add(section.keys_at[key], _unknown_key(key, names))
+
+
+def _unknown_key(key: str, names: Iterable[str]) -> str:
+    known = sorted(set(names))
+    return f"unknown key{nearest(key, known) or '; expected one of: ' + ', '.join(known)}"
+
+
+def note_errors(model: type, section: MarkedMapping, error: ValidationError, faults: Diagnostics) -> None:
+    """Notes every error of a validation at the place of its value.
+
+    Args:
+        model: Class that was validated: a parameter model, or a dataclass of such.
+        section: What it was validated from.
+        error: What pydantic found.
+        faults: Receives one line per error.
+    """
+    for fault in error.errors(include_url=False):
+        if fault.get("input") is not NOTED:
+            _note(_find(model, section, fault["loc"], fault.get("input")), fault, faults)
+
+
+class _Found(NamedTuple):
+    """What a location of pydantic means in the scene."""
+
+    name: str  # of the key, as written
+    value: Any  # as written
+    value_at: SourceLocation
+    key_at: SourceLocation
+    annotation: Any  # of the field; None where no model has it
+    names: tuple[str, ...]  # of all keys that its mapping may have
+    motion: Motion | None
+
+
+def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], seen: Any) -> _Found:
+    """Walks models and values to a location; what is missing takes its owner's place and `seen` for its value."""
+    owner: Any = model
+    container: Any = section
+    chosen: tuple[str, ...] = ()
+    annotation, motion = None, section.motion
+    found = _Found("", section, section.mark, section.mark, None, (), motion)
+    for part in location:
+        fields = _fields(owner)
+        annotation = fields.get(str(part), annotation if isinstance(part, int) else None)
+        names: tuple[str, ...] = ()
+        name = found.name if isinstance(part, int) and found.name else str(part)
+        if isinstance(container, MarkedMapping):
+            name, names = _key_of(container, part), (*fields, *container.elsewhere, *chosen)
+            at, key_at = container.value_at(name), container.keys_at.get(name, container.mark.below(name))
+        elif isinstance(container, MarkedList) and isinstance(part, int) and part < len(container):
+            at = key_at = container.values_at[part]
+        else:
+            at, key_at = found.value_at, found.key_at
+        value = _entry(container, name, part)
+        if value is _ABSENT and not isinstance(container, MarkedMapping):
+            return found._replace(value=seen)  # a part of pydantic's own, such as a branch of a union
+        container = seen if value is _ABSENT else value
+        found = _Found(name, container, at, key_at, annotation, names, motion)
+        if isinstance(container, MarkedMapping):
+            owner, chosen = _model_in(annotation, container, owner)
+            motion = container.motion or getattr(owner, "motion", None) or motion
+    return found
+
+
+_ABSENT: Final = object()
+
+
+def _entry(container: Any, name: str, part: int | str) -> Any:
+    if isinstance(container, dict):
+        return container.get(name, _ABSENT)
+    if isinstance(container, list | tuple) and isinstance(part, int) and part < len(container):
+        return container[part]
+    return _ABSENT
+
+
+def _key_of(container: MarkedMapping, part: int | str) -> str:
+    """Returns the key as it was written; pydantic names a numbered one by its number."""
+    if str(part) in container:
+        return str(part)
+    return next((key for key in container if isinstance(part, int) and _is_number(key, part)), str(part))
+
+
+def _is_number(key: str, number: int) -> bool:
+    try:
+        return int(key, 0) == number
+    except ValueError:
+        return False
+
+
+def _fields(owner: type | None) -> dict[str, Any]:
+    """Returns the annotation of each field of a model or dataclass, with what it is annotated with."""
+    if owner is None:
+        return {}
+    if issubclass(owner, BaseModel):
+        fields = owner.model_fields.items()
+        return {name: (field.annotation, *field.metadata) for name, field in fields}
+    if dataclasses.is_dataclass(owner):
+        return typing.get_type_hints(owner, include_extras=True)
+    return {}
+
+
+def _inner(annotation: Any) -> Iterator[Any]:
+    """Yields an annotation, and the types and annotations inside it."""
+    yield annotation
+    parts = annotation if isinstance(annotation, tuple) else typing.get_args(annotation)
+    for part in (*parts, *getattr(annotation, "__metadata__", ())):
+        yield from _inner(part)
+
+
+def _model_in(annotation: Any, section: MarkedMapping, owner: Any) -> tuple[Any, tuple[str, ...]]:
+    """Returns the model of a section in a field of this annotation, `owner` where it has none; and further keys."""
+    for part in _inner(annotation):
+        if isinstance(part, ComponentOf):
+            return part.model_of(section), (part.selector, *part.apart)
+        if isinstance(part, OnDemand):
+            return part.model_of(), ()
+        if isinstance(part, type) and (issubclass(part, BaseModel) or dataclasses.is_dataclass(part)):
+            return part, ()
+    return owner, ()
+
+
+def _note(found: _Found, fault: ErrorDetails, faults: Diagnostics) -> None:
+    kind, value = fault["type"], found.value
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        faults.add(found.key_at, _unknown_key(found.name, found.names))
+    elif kind == READY:
+        faults.add(found.value_at, fault["msg"])
+    elif kind == "missing":
+        expected = _expected(found)
+        faults.add(found.value_at, f"missing{', expected ' + expected if expected else '; add it'}")
+    elif kind == "value_error":
+        seen = "" if isinstance(value, MarkedMapping) else f"got {shown(value)}, "  # the error names the key
+        faults.add(found.value_at, f"{seen}{fault['ctx']['error']}")
+    elif kind in _NUMBER_FAULTS and _expected(found):
+        faults.add(found.value_at, f"got {shown(value)}, expected {_expected(found)}")
+    elif kind in _SHAPES:
+        faults.add(found.value_at, f"got {shown(value)}, expected {_SHAPES[kind].format(name=found.name)}")
+    else:
+        message = fault["msg"].replace("Input should be", "expected").split(", unable to parse")[0]
+        faults.add(found.value_at, f"got {shown(value)}, {message[:1].lower()}{message[1:]}")
+
+
+def _expected(found: _Found) -> str:
+    """Returns `0 < stiffness <= 1e8 [N/m]` for a number with a unit, what a component needs, else ``."""
+    for item in _inner(found.annotation):
+        if isinstance(item, ComponentOf):
+            return item.expected
+        unit, limits = getattr(item, "unit", None), getattr(item, "limits", None)
+        if isinstance(unit, Unit) and isinstance(limits, dict):
+            return _range(found.name, limits, unit, found.motion)
+    return ""
+
+
+def _range(name: str, limits: dict[str, float], unit: Unit, motion: Motion | None) -> str:
+    units = unit.accepted(motion)
+    low = next((f"{_number(limits[k])} {_SYMBOLS[k]} " for k in ("gt", "ge") if k in limits), "")
+    high = next((f" {_SYMBOLS[k]} {_number(limits[k])}" for k in ("lt", "le") if k in limits), "")
+    subject = f"{low}{name}{high}" if low or high else f"a number for {name}"
+    shown_units = [] if units in {("1",), ("count",)} else [f"[{' or '.join(units)}]"]
+    return " ".join([subject, *shown_units])
+
+
+def _number(value: float) -> str:
+    text = f"{value:g}"
+    return text.replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")

@@ -1,0 +1,129 @@
+"""Groups of axes and simulated mechanisms as a scene has them, laid out over `GroupScene` and `MechanismScene`.
+
+    groups:
+      - name: stylus
+        axes: [left, right]
+        kinematics: {type: five_bar, ...}      # identity where it is left out
+        network: {type: sphere, ...}
+        passivity: {algorithm: guarded, moving_mass: 1e-3 kg*m^2, hand_force: 0}
+    simulation:
+      mechanisms:
+        - {type: five_bar, axes: [left, right], base: 0.1 m, hand: {stiffness: 300 N/m, rest: [0 m, 0.25 m]}}
+
+What a scene says of the loop of all axes is in `passivity` of the group; an axis may have its own.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from canhaptic.control.mechanisms import KINEMATICS
+from canhaptic.registry import nearest
+from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
+from canhaptic.scene.document import MarkedList, MarkedMapping
+from canhaptic.scene.explain import NOTED, read_list, read_mapping
+from canhaptic.scene.models import task_unit
+from canhaptic.units import Motion, shown
+
+
+class Members(NamedTuple):
+    """A group or a simulated mechanism as written, with the names of its axes."""
+
+    section: MarkedMapping
+    axes: tuple[str, ...]
+
+
+def members_of(owner: MarkedMapping | None, key: str, what: str, faults: Diagnostics) -> list[Members]:
+    """Returns the groups or the mechanisms of a scene with the axes that belong to each; faults in these are noted."""
+    if owner is None or owner.get(key) is None:
+        return []
+    entries = read_list(owner[key], owner.value_at(key), faults, what)
+    sections = [read_mapping(e, at, faults, "keys and values") for e, at in (entries.items_at() if entries else ())]
+    return [Members(section, _names_of_axes(section, faults)) for section in sections if section is not None]
+
+
+def _names_of_axes(section: MarkedMapping, faults: Diagnostics) -> tuple[str, ...]:
+    names = read_list(section.get("axes"), section.value_at("axes"), faults, "names of axes")
+    if names is not None and names and all(isinstance(name, str) for name in names):
+        return tuple(names)
+    if names is not None:
+        faults.add(section.value_at("axes"), f"got {', '.join(map(shown, names)) or 'none'}, expected names of axes")
+    return ()
+
+
+def check_group_axes(
+    groups: Sequence[Members], mechanisms: Sequence[Members], names: Sequence[str], faults: Diagnostics
+) -> None:
+    """Notes names of axes that are none or taken, and names of groups that are taken.
+
+    Args:
+        groups: From `members_of`.
+        mechanisms: From `members_of`.
+        names: Of all axes.
+        faults: Receives one line per fault.
+    """
+    for members, what in ((groups, "group"), (mechanisms, "mechanism")):
+        if names:
+            _check_members(members, names, what, faults)
+    taken = set(names)
+    for group in groups:
+        name = group.section.get("name")
+        if isinstance(name, str) and name in taken:
+            text = f"got {name!r}, which is the name of an axis or of another group; both have an account by name"
+            faults.add(group.section.value_at("name"), text)
+        taken.add(str(name))
+
+
+def _check_members(members: Iterable[Members], known: Sequence[str], what: str, faults: Diagnostics) -> None:
+    """Notes every axis that does not exist or is in two groups (or mechanisms)."""
+    taken: set[str] = set()
+    for section, names in members:
+        value = section.get("axes")
+        for index, name in enumerate(names):
+            at: SourceLocation = value.values_at[index] if isinstance(value, MarkedList) else section.value_at("axes")
+            if name not in known:
+                faults.add(at, f"got {name!r}, expected the name of an axis: {', '.join(known)}{nearest(name, known)}")
+            elif name in taken:
+                faults.add(at, f"got {name!r}, which is in a {what} already; an axis belongs to one")
+            taken.add(name)
+
+
+def group_layout(group: Members, units: dict[str, Motion]) -> MarkedMapping:
+    """Returns a group in the units of its axes, and what it renders in those of its task space."""
+    motions = {units[name] for name in group.axes if name in units}
+    motor = next(iter(motions)) if len(motions) == 1 else None
+    section = group.section.copy()
+    section.put("axes", group.axes or NOTED, section.mark, section.value_at("axes"))
+    kinematics = section.get("kinematics")
+    if kinematics is None:
+        kinematics = MarkedMapping(section.value_at("kinematics"))
+        kinematics.set("type", "identity")
+    name = kinematics.get("type") if isinstance(kinematics, MarkedMapping) else None
+    task = task_unit(str(name), motor) if str(name) in KINEMATICS else None
+    for key, value, motion in (
+        ("kinematics", kinematics, task),
+        ("network", section.get("network"), task),
+        ("passivity", section.get("passivity"), motor),
+    ):
+        section.put(key, _moving(value, motion), section.keys_at.get(key, section.mark), section.value_at(key))
+    if name == "identity" and "axes" not in kinematics:
+        section["kinematics"].set("axes", max(1, len(group.axes)))
+    return section
+
+
+def mechanism_layout(moved: Members) -> MarkedMapping:
+    """Returns a simulated mechanism; its hand is in metres, whatever the motors move in."""
+    section = MarkedMapping(moved.section.mark)
+    section.put("axes", moved.axes or NOTED, section.mark, moved.section.value_at("axes"))
+    section.set("mechanism", moved.section.without("axes", "hand"))
+    if moved.section.get("hand") is not None:
+        section.put("hand", _moving(moved.section["hand"], "m"), section.mark, moved.section.value_at("hand"))
+    return section
+
+
+def _moving(value: Any, motion: Motion | None) -> Any:
+    """Returns a section whose values are in the units of a motion; what is no mapping as it is."""
+    if not isinstance(value, MarkedMapping):
+        return value
+    section = value.copy()
+    section.motion = motion
+    return section

@@ -1,0 +1,317 @@
+"""How a scene file is laid out over the fields of `Scene`: what is shared, what an axis has of its own, and profiles.
+
+    written                                   `Scene`
+    bus: {...}, or a list                     bus, bus_name, further_buses
+    environment, passivity, simulation.drive  environment, passivity, loop, simulation of each axis: its own keys over
+      .plant .user .effects, and those of       the shared ones, and those over the profile of its drive
+      axes.N, simulation.axes.NAME
+    simulation: {seed, bus, mechanisms, ...}  simulation, bus_effects, mechanisms
+    accuracy, log, duration                   accuracy or auto_accuracy, log, run
+
+Every value keeps its place in the file; what is wrong with the layout itself is noted here, the values are validated
+by `Scene`.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final, get_args
+
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.registry import nearest
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.diagnostics import Diagnostics
+from canhaptic.scene.document import MarkedList, MarkedMapping
+from canhaptic.scene.eds_path import find_dictionary
+from canhaptic.scene.explain import NOTED, read_list, read_mapping, refuse_unknown_keys
+from canhaptic.scene.group_layout import Members, check_group_axes, group_layout, mechanism_layout, members_of
+from canhaptic.scene.models import LOOP_KEYS, FurtherBus, GroupMembership, RunParameters
+from canhaptic.scene.profiles import with_profile
+from canhaptic.scene.simulated_defaults import mirror_quirks
+from canhaptic.units import Motion, shown
+
+SECTIONS: Final = ("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log", "duration")
+OWN_SECTIONS: Final = ("environment", "passivity")
+"""Shared sections of which an axis may have its own."""
+SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")
+"""Keys of an axis that its simulated drive takes over unless `simulation.drive` has its own."""
+SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects")
+"""Parts of `simulation` that `simulation.axes.NAME` may have its own of."""
+
+
+def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Any:
+    """Returns a scene as written in the form of `Scene`, every value with its place; faults of the layout are noted."""
+    refuse_unknown_keys(written, SECTIONS, faults)
+    scene = MarkedMapping(written.mark)
+    scene.update(source=source, text=text, overrides=tuple(overrides), simulation=None)
+    scene.set("run", written.only(RunParameters.model_fields))
+    for key in ("log", "accuracy"):
+        if written.get(key) is not None:
+            scene.put(key, written[key], written.keys_at[key], written.values_at[key])
+    scene.put("log", scene.get("log", MarkedMapping(written.mark)), written.mark, written.value_at("log"))
+    _put_accuracy(scene, faults)
+    _put_buses(scene, written, faults)
+    simulation = None
+    if written.get("simulation") is not None:
+        simulation = read_mapping(written["simulation"], written.value_at("simulation"), faults, "keys and values")
+        whole = simulation and simulation.without(*SIMULATION_PARTS, "axes", "bus", "mechanisms")
+        scene.set("simulation", _or_noted(whole))
+    if simulation is not None and simulation.get("bus") is not None:
+        scene.put("bus_effects", simulation["bus"], simulation.keys_at["bus"], simulation.values_at["bus"])
+    groups = members_of(written, "groups", "groups, each with name, axes, network, ...", faults)
+    mechanisms = members_of(simulation, "mechanisms", "mechanisms, each with type and axes", faults)
+    axes = _axes(written, simulation, groups, mechanisms, faults)
+    scene.set("axes", axes)
+    units: dict[str, Motion] = {str(a["parameters"].get("name")): a.motion for a in axes if a is not NOTED and a.motion}
+    scene.set("groups", [group_layout(group, units) for group in groups])
+    scene.set("mechanisms", [mechanism_layout(mechanism) for mechanism in mechanisms])
+    return scene
+
+
+def axis_names(written: MarkedMapping) -> list[str]:
+    """Returns the names of all axes as written, right or wrong otherwise."""
+    return [str(entry.get("name")) for entry in _entries(written.get("axes"))]
+
+
+def _entries(value: Any) -> list[MarkedMapping]:
+    return [entry for entry in value if isinstance(entry, MarkedMapping)] if isinstance(value, MarkedList) else []
+
+
+def _or_noted(section: MarkedMapping | None) -> Any:
+    return NOTED if section is None else section
+
+
+def _put_accuracy(scene: MarkedMapping, faults: Diagnostics) -> None:
+    """Tells accuracy that is given from accuracy that the build chooses."""
+    accuracy = scene.get("accuracy")
+    if accuracy == "auto":
+        faults.add(scene.value_at("accuracy"), "got 'auto' without a tolerance; write it as {auto: 1 um}")
+        scene["accuracy"] = NOTED
+    elif isinstance(accuracy, MarkedMapping):
+        scene["accuracy"] = accuracy.without("auto")
+        if "auto" in accuracy:
+            scene.set("auto_accuracy", accuracy)
+            del scene["accuracy"]
+
+
+# --- buses --------------------------------------------------------------------------------------------------------
+
+
+def bus_names(written: MarkedMapping) -> tuple[str, ...]:
+    """Returns the names of the buses as written; an empty one for the only bus without a name."""
+    value = written.get("bus")
+    return tuple(str(bus.get("name")) for bus in _entries(value)) if isinstance(value, MarkedList) else ("",)
+
+
+def bus_section(written: MarkedMapping, index: int) -> MarkedMapping:
+    """Returns the section of one bus as written."""
+    value = written["bus"]
+    section: MarkedMapping = value[index] if isinstance(value, MarkedList) else value
+    return section
+
+
+def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics) -> None:
+    value = written.get("bus")
+    if not isinstance(value, MarkedList):
+        expected = "keys and values, or a list of such for several buses"
+        scene.set("bus", _or_noted(read_mapping(value, written.value_at("bus"), faults, expected)))
+        return
+    if not value:
+        faults.add(value.mark, "got an empty list, expected at least one bus")
+    entries = [read_mapping(entry, at, faults, "name, interface, channel, ...") for entry, at in value.items_at()]
+    head, *further = entries or [None]
+    scene.set("bus", NOTED)
+    if head is not None:
+        scene.set("bus", head.without("name"))
+        if "name" not in head:
+            faults.add(head.value_at("name"), "missing; add it")
+        scene.put("bus_name", head.get("name"), head.keys_at.get("name", head.mark), head.value_at("name"))
+    names = bus_names(written)
+    for index, entry in enumerate(entries):
+        if entry is not None and len(entries) == len(names) and names[index] in names[:index]:
+            faults.add(entry.value_at("name"), f"got {names[index]!r}, which is the name of another bus already")
+    scene.set("further_buses", [_or_noted(entry and _further_bus(entry, faults)) for entry in further])
+
+
+def _further_bus(entry: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    common = [key for key in entry if key in BusParameters.model_fields and key not in FurtherBus.model_fields]
+    for key in common:
+        faults.add(entry.keys_at[key], "holds for all buses of the rig; give it in the first one")
+    return entry.without(*common)
+
+
+def _bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Diagnostics) -> str:
+    """Returns the name of the bus that an axis is on; a fault is noted when it names none of them."""
+    named = section.get("bus")
+    if named is None and len(names) == 1:
+        return names[0]
+    if isinstance(named, str) and named in names:
+        return named
+    known, at = ", ".join(dict.fromkeys(filter(None, names))), section.value_at("bus")
+    if named is None:
+        faults.add(at, f"missing, expected the name of the axis's bus: one of {known}")
+    elif not known:
+        faults.add(at, f"got {shown(named)}, but the scene's bus has no name; leave it out")
+    else:
+        faults.add(at, f"got {shown(named)}, expected one of: {known}{nearest(str(named), names)}")
+    return ""
+
+
+# --- axes ---------------------------------------------------------------------------------------------------------
+
+
+def _axes(
+    written: MarkedMapping,
+    simulation: MarkedMapping | None,
+    groups: Sequence[Members],
+    mechanisms: Sequence[Members],
+    faults: Diagnostics,
+) -> list[Any]:
+    at, buses = written.value_at("axes"), bus_names(written)
+    entries = read_list(written.get("axes"), at, faults, "axes, each with name, node_id, eds, ...")
+    if entries is not None and not entries:
+        faults.add(at, "got an empty list, expected at least one axis")
+    axes: list[Any] = []
+    for entry, entry_at in () if entries is None else entries.items_at():
+        section = read_mapping(entry, entry_at, faults, "name, node_id, eds, ...")
+        if section is None:
+            axes.append(NOTED)
+            continue
+        name = str(section.get("name"))
+        axis = _axis(section, written, next((group for group in groups if name in group.axes), None), faults)
+        if buses:
+            axis["bus"] = _bus_of_axis(section, buses, faults)
+        if simulation is not None:
+            _put_far_side(axis, name, simulation, any(name in moved.axes for moved in mechanisms), faults)
+        axes.append(axis)
+    _check_names(written, simulation, groups, faults)
+    check_group_axes(groups, mechanisms, axis_names(written), faults)
+    return axes
+
+
+def _axis(section: MarkedMapping, written: MarkedMapping, group: Members | None, faults: Diagnostics) -> MarkedMapping:
+    section = with_profile(section, faults)
+    own = find_dictionary(section.without(*OWN_SECTIONS, "bus"), faults)
+    unit = section.get("unit", AxisParameters.model_fields["unit"].default)
+    axis = MarkedMapping(section.mark, unit if unit in get_args(Motion) else None)
+    axis.set("parameters", own)
+    if group is None:
+        passivity = _own_over_shared(written, section, "passivity", "algorithm", faults)
+        axis.set("environment", _or_noted(_own_over_shared(written, section, "environment", "type", faults)))
+        axis.set("passivity", _or_noted(passivity))
+    else:
+        passivity = _loop_in_group(section, group, faults)
+        name = str(group.section.get("name"))
+        membership = ComponentSpec("group", GroupMembership(group=name))
+        axis.update(environment=membership, passivity=membership, group=name)
+    axis.set("loop", MarkedMapping(section.mark) if passivity is None else passivity.only(LOOP_KEYS))
+    axis.update(simulation=None)
+    return axis
+
+
+def _own_over_shared(
+    shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Diagnostics
+) -> MarkedMapping | None:
+    """Returns a section of an axis: its own keys over the shared ones, unless it names another type.
+
+    None, with a fault, when there is no such section.
+    """
+    before, result = len(faults), None
+    for owner in (shared, own):
+        if owner.get(name) is None:
+            continue
+        section = read_mapping(owner[name], owner.value_at(name), faults, f"{selector} and its parameters")
+        if section is None:
+            continue
+        if result is None or section.get(selector, result.get(selector)) != result.get(selector):
+            result = section
+        else:
+            result = section.over(result)
+    if result is None and len(faults) == before:
+        faults.add(shared.value_at(name), f"missing; give it here or in the axis, with {selector}")
+    return result
+
+
+def _loop_in_group(section: MarkedMapping, group: Members, faults: Diagnostics) -> MarkedMapping | None:
+    """Returns what a scene says of the loop of an axis in a group: its own `passivity` over that of the group."""
+    renders = f"group {group.section.get('name')!r} renders on this axis;"
+    if section.get("environment") is not None:
+        faults.add(section.keys_at["environment"], f"{renders} leave it out")
+    of_group = group.section.get("passivity")
+    loop = of_group if isinstance(of_group, MarkedMapping) else None
+    if section.get("passivity") is None:
+        return loop
+    own = read_mapping(section["passivity"], section.value_at("passivity"), faults, ", ".join(LOOP_KEYS))
+    if own is None:
+        return loop
+    for key in own.keys() - set(LOOP_KEYS):
+        faults.add(own.keys_at[key], f"{renders} give it in the group, and here only {', '.join(LOOP_KEYS)}")
+    return own if loop is None else own.over(loop)
+
+
+# --- simulation of an axis ----------------------------------------------------------------------------------------
+
+
+def _put_far_side(
+    axis: MarkedMapping, name: str, simulation: MarkedMapping, moves_mechanism: bool, faults: Diagnostics
+) -> None:
+    """Sets what is simulated behind the drive of an axis, or its drive alone where that moves a mechanism."""
+    parts, own = simulation.only(SIMULATION_PARTS), _own_parts(name, simulation, faults)
+    for key, value in own.items():
+        below = parts.get(key)
+        if isinstance(value, MarkedMapping) and isinstance(below, MarkedMapping):
+            value = value.over(below)
+        parts.put(key, value, own.keys_at[key], own.values_at[key])
+    drive = _drive(parts, axis["parameters"], faults)
+    if moves_mechanism:
+        axis.set("simulated_drive", drive)
+        for key in own.keys() & {"plant", "user", "effects"}:
+            text = f"{name!r} moves a mechanism, which has masses and hand of its own; leave it out"
+            faults.add(own.keys_at[key], text)
+        return
+    for key in ("user", "effects"):
+        if parts.get(key) is None:
+            parts = parts.without(key)
+    if parts.get("plant") is None:
+        parts.set("plant", MarkedMapping(parts.value_at("plant")))
+    parts.set("drive", drive)
+    axis.set("simulation", parts.only(SIMULATION_PARTS))
+
+
+def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    """Returns the entry of `simulation.axes` of an axis; an empty one where it has none."""
+    axes = simulation.get("axes")
+    if not isinstance(axes, MarkedMapping) or axes.get(name) is None:
+        return MarkedMapping(simulation.mark)
+    own = read_mapping(axes[name], axes.value_at(name), faults, ", ".join(SIMULATION_PARTS))
+    return MarkedMapping(simulation.mark) if own is None else own
+
+
+def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    """Returns the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
+    at = parts.value_at("drive")
+    written = MarkedMapping(at)
+    if parts.get("drive") is not None:
+        written = read_mapping(parts["drive"], at, faults, "its parameters") or written
+    drive = written.copy()
+    for key in SCALING_KEYS:
+        if key not in drive and axis.get(key) is not None:
+            drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
+    mirror_quirks(drive, axis)
+    return drive
+
+
+def _check_names(
+    written: MarkedMapping, simulation: MarkedMapping | None, groups: Sequence[Members], faults: Diagnostics
+) -> None:
+    """Notes names of axes that are none, and shared sections that no axis reads because groups render on all."""
+    names = axis_names(written)
+    if groups and names and all(any(name in group.axes for group in groups) for name in names):
+        for key in OWN_SECTIONS:
+            if written.get(key) is not None:
+                faults.add(written.keys_at[key], "no axis renders by itself; give it in the group, or leave it out")
+    own = None if simulation is None else simulation.get("axes")
+    if simulation is not None and own is not None:
+        entries = read_mapping(own, simulation.value_at("axes"), faults, "an axis name to its parts")
+        refuse_unknown_keys(entries or MarkedMapping(simulation.mark), names, faults)
+        for parts in (entries or {}).values():
+            if isinstance(parts, MarkedMapping):
+                refuse_unknown_keys(parts, SIMULATION_PARTS, faults)
