@@ -8,7 +8,7 @@ from rich.text import Text
 
 from canhaptic.cli.arguments import add_json, add_overrides, scene_of
 from canhaptic.cli.output import write_json
-from canhaptic.replay.replayed_run import replay
+from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.view.energy_table import energy_report, make_console
 
 
@@ -32,7 +32,7 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: The recording or the scene cannot be used.
     """
     scene = scene_of(arguments)
-    result = replay(arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync)
+    result = replay_bus_log(arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync)
     if arguments.json:
         write_json(result)
     else:

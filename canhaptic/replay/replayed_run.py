@@ -26,7 +26,9 @@ from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, bui
 _BUS: Final[dict[str, Any]] = {"interface": "virtual", "channel": None, "options": {}}
 
 
-def replay(bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False) -> dict[str, Any]:
+def replay_bus_log(
+    bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False
+) -> dict[str, Any]:
     """Returns whether the master sends today what it sent in a recording.
 
     Boot, SDO answers, TPDOs, heartbeats and EMCYs come from the recording, on python-can's virtual bus; rig,

@@ -14,7 +14,7 @@ from canhaptic.cli.main import main
 from canhaptic.control.balance import Branch
 from canhaptic.control.mechanisms.five_bar import FiveBar as MastersFiveBar
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay
+from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.build import Experiment
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
@@ -98,7 +98,7 @@ def test_log_and_frames_give_the_same_account_again_bit_for_bit(name: str, tmp_p
         assert again["differences"] == []
         seen = inspect(log)["ports"]
         assert again["ports"][GROUP[name]]["in"] == pytest.approx(seen[GROUP[name]]["in"], rel=1e-12)
-    assert replay(frames, experiment.scene)["status"] == "identical"
+    assert replay_bus_log(frames, experiment.scene)["status"] == "identical"
 
 
 def test_a_recomputed_group_shows_a_row_that_was_tampered_with(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay
+from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 
@@ -116,8 +116,8 @@ def test_any_frames_are_replayed_and_rederived_or_refused(
     scene = load_scene(DEMO)
     for use in (
         lambda: rederive(path, scene),
-        lambda: replay(path, scene),
-        lambda: replay(path, scene, from_sync=True),
+        lambda: replay_bus_log(path, scene),
+        lambda: replay_bus_log(path, scene, from_sync=True),
     ):
         with suppress(InputError):
             use()

@@ -4,12 +4,21 @@ import sys
 import pytest
 
 import canhaptic
+from canhaptic import extending
 
 
-def test_every_public_name_can_be_imported_and_there_are_few() -> None:
-    assert len(canhaptic.__all__) <= 30
+def test_every_public_name_can_be_imported_and_there_are_at_most_sixty() -> None:
+    assert len({*canhaptic.__all__, *extending.__all__}) <= 60
     for name in canhaptic.__all__:
         assert getattr(canhaptic, name).__name__ == name
+    for name in extending.__all__:
+        assert hasattr(extending, name)
+
+
+def test_dir_lists_the_public_names_and_the_two_modules_that_hold_more() -> None:
+    assert dir(canhaptic) == sorted([*canhaptic.__all__, "errors", "extending"])
+    assert canhaptic.extending is extending
+    assert set(canhaptic.__all__).isdisjoint(extending.__all__)
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

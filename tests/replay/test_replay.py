@@ -11,7 +11,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import convert
-from canhaptic.replay.replayed_run import replay
+from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from tools.record import RECORDINGS
@@ -41,12 +41,12 @@ def flipped(line: str, bit: int) -> str:
 def replay_lines(folder: Path, name: str, lines: list[str], **options: Any) -> dict[str, Any]:
     path = folder / f"{name}.log"
     path.write_text("".join(lines))
-    return replay(path, scene_of(name), **options)
+    return replay_bus_log(path, scene_of(name), **options)
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
-    result = replay(FOLDER / f"{name}.log", scene_of(name))
+    result = replay_bus_log(FOLDER / f"{name}.log", scene_of(name))
     assert result["difference"] is None
     assert result["status"] == "identical"
     assert result["start"] == "boot"
@@ -67,10 +67,10 @@ def test_a_recording_without_the_start_is_replayed_from_the_first_sync(name: str
 
 
 def test_the_end_of_a_run_is_found_in_the_frames() -> None:
-    assert replay(FOLDER / "demo.log", scene_of("demo"))["cycles"] == 1600
-    emergency = replay(FOLDER / "emergency.log", scene_of("emergency"))
+    assert replay_bus_log(FOLDER / "demo.log", scene_of("demo"))["cycles"] == 1600
+    emergency = replay_bus_log(FOLDER / "emergency.log", scene_of("emergency"))
     assert "handle: the drive sent an EMCY at SYNC 150: EMCY 0x5000" in emergency["ended"]
-    assert "no TPDO for too many SYNCs" in replay(FOLDER / "lost_frames.log", scene_of("lost_frames"))["ended"]
+    assert "no TPDO for too many SYNCs" in replay_bus_log(FOLDER / "lost_frames.log", scene_of("lost_frames"))["ended"]
 
 
 def random_frames(name: str, can_id: str, count: int, seed: int) -> Iterator[tuple[int, int]]:
@@ -172,15 +172,15 @@ def test_a_recording_that_was_cut_off_is_compared_as_far_as_it_goes(tmp_path: Pa
 def test_recordings_in_other_formats_are_replayed(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"run{suffix}"
     convert(FOLDER / "paper_fig7_40hz.log", path)
-    result = replay(path, scene_of("paper_fig7_40hz"))
+    result = replay_bus_log(path, scene_of("paper_fig7_40hz"))
     assert (result["status"], result["difference"]) == ("identical", None)
 
 
-def test_a_late_sync_and_a_skipped_one_are_as_late_in_the_replay(tmp_path: Path) -> None:
+def test_a_late_sync_and_a_skipped_one_are_as_late_in_the_replay_bus_log(tmp_path: Path) -> None:
     path = tmp_path / "real.log"
     words = ["run", str(ROOT / "configs" / "demo.yaml"), "--pace", "real", "--duration", "0.3", "--json"]
     main([*words, "--bus-log", str(path)])  # however it ends on a busy machine
-    result = replay(path, scene_of("demo"))
+    result = replay_bus_log(path, scene_of("demo"))
     assert (result["status"], result["difference"]) == ("identical", None)
 
 
@@ -193,7 +193,7 @@ def test_the_masters_heartbeats_are_left_out(tmp_path: Path) -> None:
 
 
 def test_in_real_time_a_replay_takes_as_long_as_the_recording() -> None:
-    result = replay(FOLDER / "emergency.log", scene_of("emergency"), realtime=True)
+    result = replay_bus_log(FOLDER / "emergency.log", scene_of("emergency"), realtime=True)
     assert result["status"] == "identical"
     assert result["elapsed"] >= 0.99 * result["duration"]
 
@@ -214,12 +214,12 @@ def test_another_wall_is_found_and_shown_decoded_on_both_sides(capsys: pytest.Ca
 def test_a_recording_of_another_scene_or_without_a_cycle_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(1.0) can0 123#00\n")
     with pytest.raises(InputError, match="none of its 1 frames"):
-        replay(tmp_path / "a.log", scene_of("demo"))
+        replay_bus_log(tmp_path / "a.log", scene_of("demo"))
     (tmp_path / "b.log").write_text("(1.0) can0 080#\n(1.1) can0 181#3712\n(1.2) can0 080#\n")  # a TPDO cut short
     with pytest.raises(InputError, match="nowhere to begin"):
-        replay(tmp_path / "b.log", scene_of("demo"))
+        replay_bus_log(tmp_path / "b.log", scene_of("demo"))
     with pytest.raises(InputError, match="nowhere to begin"):
-        replay(FOLDER / "demo.log", scene_of("demo", "axes.0.node_id=7"))
+        replay_bus_log(FOLDER / "demo.log", scene_of("demo", "axes.0.node_id=7"))
 
 
 def test_damaged_recordings_give_a_result_or_one_clear_error(tmp_path: Path) -> None:
@@ -232,7 +232,7 @@ def test_damaged_recordings_give_a_result_or_one_clear_error(tmp_path: Path) -> 
         path = tmp_path / "damaged.log"
         path.write_text("".join(damaged))
         with contextlib.suppress(InputError):
-            assert replay(path, scene_of("emergency"))["status"] in {"identical", "different"}
+            assert replay_bus_log(path, scene_of("emergency"))["status"] in {"identical", "different"}
 
 
 @pytest.mark.slow
@@ -240,4 +240,4 @@ def test_a_whole_minute_is_replayed_frame_by_frame(tmp_path: Path) -> None:
     path = tmp_path / "minute.log"
     words = ["run", str(ROOT / "configs" / "demo.yaml"), "--pace", "free", "--duration", "60", "--json"]
     assert main([*words, "--bus-log", str(path)]) == 0
-    assert replay(path, scene_of("demo"))["status"] == "identical"
+    assert replay_bus_log(path, scene_of("demo"))["status"] == "identical"

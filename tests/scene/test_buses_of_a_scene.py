@@ -13,7 +13,7 @@ from canhaptic.cycle import run
 from canhaptic.errors import LogFormatError, RigError, SceneError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay
+from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene
@@ -144,7 +144,7 @@ def test_the_frames_alone_give_the_same_accounts(recorded: tuple[Path, Path]) ->
 @pytest.mark.parametrize("from_sync", [False, True])
 def test_a_replay_sends_the_same_frames_on_the_same_buses(recorded: tuple[Path, Path], from_sync: bool) -> None:
     scene = load_scene(TWO_BUSES, ["environment.side=above"])
-    assert replay(recorded[1], scene, from_sync=from_sync)["status"] == "identical"
+    assert replay_bus_log(recorded[1], scene, from_sync=from_sync)["status"] == "identical"
 
 
 def test_a_frame_that_is_sent_on_the_other_bus_is_a_difference(recorded: tuple[Path, Path], tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_a_frame_that_is_sent_on_the_other_bus_is_a_difference(recorded: tuple[P
     which = next(n for n, line in enumerate(lines) if n > 400 and " right 201#" in line)
     lines[which] = lines[which].replace(" right ", " left ")
     (tmp_path / "b.log").write_text("".join(lines))
-    result = replay(tmp_path / "b.log", load_scene(TWO_BUSES, ["environment.side=above"]))
+    result = replay_bus_log(tmp_path / "b.log", load_scene(TWO_BUSES, ["environment.side=above"]))
     assert result["status"] == "different"
     assert result["difference"]["number"] == which + 1
     recorded_frame, sent = result["difference"]["recorded"], result["difference"]["sent"]
@@ -163,14 +163,14 @@ def test_a_frame_that_is_sent_on_the_other_bus_is_a_difference(recorded: tuple[P
 def test_a_log_of_other_buses_is_refused(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "b.log").write_text(recorded[1].read_text().replace(" right ", " middle "))
     with pytest.raises(LogFormatError, match=r"bus 'middle', which is no name, channel or number of a bus of .*right"):
-        replay(tmp_path / "b.log", load_scene(TWO_BUSES))
+        replay_bus_log(tmp_path / "b.log", load_scene(TWO_BUSES))
 
 
 def test_a_log_with_the_channels_of_the_interfaces_is_understood(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     text = recorded[1].read_text().replace(" left ", " can0 ").replace(" right ", " can1 ")
     (tmp_path / "b.log").write_text(text)
     channels = ["bus.left.channel=can0", "bus.right.channel=can1", "environment.side=above"]
-    assert replay(tmp_path / "b.log", load_scene(TWO_BUSES, channels))["status"] == "identical"
+    assert replay_bus_log(tmp_path / "b.log", load_scene(TWO_BUSES, channels))["status"] == "identical"
 
 
 @pytest.mark.parametrize(

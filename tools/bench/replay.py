@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 
 from canhaptic.cli.main import main as canhaptic
-from canhaptic.replay.replayed_run import replay
+from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.load import load_scene
 from tools.bench.demo import CONFIG
 from tools.bench.report import Row, publish
@@ -28,7 +28,7 @@ def main() -> None:
         scene = load_scene(CONFIG)
         for _ in range(REPEATS):
             begin = perf_counter()
-            result = replay(path, scene)
+            result = replay_bus_log(path, scene)
             factors.append(DURATION / (perf_counter() - begin))
             if result["status"] != "identical":
                 raise SystemExit(f"the replay differs: {result}")
