@@ -30,14 +30,14 @@ class _AbleAxis(NamedTuple):
 
 
 def chosen_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Returns the names asked for, each known; all of them for None.
+    """Returns the names asked for, each known; for None all of them, the one that is meant for a rig first.
 
     Raises:
         ParameterError: One is unknown.
     """
     for name in algorithms or ():
         load(ALGORITHMS, name, "passivity algorithm")
-    return list(dict.fromkeys(algorithms or ALGORITHMS))
+    return list(dict.fromkeys(algorithms or ("guarded", *ALGORITHMS)))
 
 
 def with_algorithm(axis: AxisScene, name: str) -> AxisScene:

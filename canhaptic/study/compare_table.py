@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -11,10 +10,7 @@ from rich.text import Text
 from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.units import effort_unit
 from canhaptic.view.si import si
-
-_COLUMNS: Final = 6
-"""Algorithms in one table: 100 columns of text."""
-_LABEL_WIDTH: Final = 22
+from canhaptic.view.table_style import FigureTable
 
 _Account = Mapping[str, Any]
 
@@ -27,10 +23,8 @@ def comparison_report(result: _Account) -> RenderableType:
     """
     parts: list[RenderableType] = [_heading(result)]
     for name, axis in result["axes"].items():
-        algorithms = list(axis["algorithms"])
         parts.append(Text(f" {name}: {axis['environment']}   continuous: {axis['reference']['method']}"))
-        for start in range(0, len(algorithms), _COLUMNS):
-            parts.append(_table(axis, algorithms[start : start + _COLUMNS]))
+        parts.append(_table(axis, list(axis["algorithms"])))
         parts.extend(_remarks(axis))
     return Group(*parts)
 
@@ -44,10 +38,10 @@ def _heading(result: _Account) -> Text:
 
 
 def _table(axis: _Account, algorithms: list[str]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
-    table.add_column("", no_wrap=True, width=_LABEL_WIDTH)
+    table = FigureTable(pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("", no_wrap=True)
     for name in algorithms:
-        table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True, min_width=11)
+        table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True, min_width=10)
     for label, read, show, better in _ROWS:
         values = [_value(read, axis, axis["algorithms"][name]) for name in algorithms]
         if all(value is None for value in values):

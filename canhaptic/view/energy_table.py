@@ -1,9 +1,9 @@
 """The account of a run as tables for a terminal, from the same dictionary that `run --json` prints."""
 
+import os
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
@@ -12,10 +12,10 @@ from rich.text import Text
 from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, passive_verdict
 from canhaptic.units import damping_unit
 from canhaptic.view.si import si
+from canhaptic.view.table_style import FigureTable, in_lines
 
 _PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
-_PORTS_PER_TABLE: Final = 4
-_WIDTHS: Final = (34, 18)  # of a column, where there are few ports and where there are many
+_HEAD_WIDTH: Final = 18  # of the name of a port above its figures; longer ones go on in the next line
 _NOTHING: Final = "-   "
 
 _VERDICTS: Final[dict[Verdict, Text]] = {
@@ -32,9 +32,11 @@ _Row = tuple[str, Callable[[_Result], str | Text]]
 
 
 def make_console(**options: Any) -> Console:
-    """Returns a console on standard output; 100 columns wide where there is no terminal."""
+    """Returns a console on standard output, as wide as COLUMNS says, else the terminal; 100 columns without either."""
     console = Console(highlight=False, **options)
-    return console if console.is_terminal else Console(highlight=False, width=_PLAIN_WIDTH, **options)
+    if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
+        return console
+    return Console(highlight=False, width=_PLAIN_WIDTH, **options)
 
 
 def print_energy(result: _Result, console: Console | None = None) -> None:
@@ -51,8 +53,8 @@ def energy_report(result: _Result) -> RenderableType:
     """Returns energy table, timing line, link line and method line of a run."""
     names = _ordered(result.get("ports", {}))
     parts: list[RenderableType] = [_heading(result)]
-    for start in range(0, len(names), _PORTS_PER_TABLE):
-        parts.append(_energy_table(result, names[start : start + _PORTS_PER_TABLE]))
+    if names:
+        parts.append(_energy_table(result, names))
     for name in ("timing", "link", "method"):
         if result.get(name):
             parts.append(_line(name, result[name]))
@@ -81,11 +83,10 @@ def _heading(result: _Result) -> Text:
 
 
 def _energy_table(result: _Result, names: list[str]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=True)
+    table = FigureTable(pad_edge=True)
     table.add_column("energy account", no_wrap=True)
-    width = _WIDTHS[len(names) > _PORTS_PER_TABLE // 2]
     for name in names:
-        table.add_column(Text(name), justify="right", no_wrap=True, max_width=width, overflow="ellipsis")
+        table.add_column(Text(in_lines(name, _HEAD_WIDTH)), justify="right", no_wrap=True)
     for label, cell in _PORT_ROWS:
         cells = [_cell(cell, result["ports"][name]) for name in names]
         if any(content != _NOTHING for content in cells):

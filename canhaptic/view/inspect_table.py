@@ -4,22 +4,24 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from rich.console import Group, RenderableType
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
 from canhaptic.units import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
-from canhaptic.view.table_style import plain_table
+from canhaptic.view.table_style import FigureTable, in_lines, plain_table
 
 _CONTACTS_SHOWN: Final = 8
 _EVENTS_SHOWN: Final = 20
+_NAME_WIDTH: Final = 24  # of a quantity; longer ones go on in the next line
 
 _Result = Mapping[str, Any]
 
 
 def inspection_report(result: _Result) -> RenderableType:
-    """Returns everything that `inspect` found, for a terminal of 100 columns."""
+    """Returns everything that `inspect` found, for a terminal."""
     parts: list[RenderableType] = [_header(result), energy_report(result)]
     for name, contacts in result.get("contacts", {}).items():
         if contacts:
@@ -43,7 +45,7 @@ def _header(result: _Result) -> Text:
 def _contacts_table(name: str, contacts: list[_Result], unit: str, depth_unit: str) -> Table:
     hardest = sorted(contacts, key=lambda contact: -float(contact["peak_torque"]))[:_CONTACTS_SHOWN]
     shown = f", the {_CONTACTS_SHOWN} hardest" if len(contacts) > _CONTACTS_SHOWN else ""
-    table = plain_table(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}")
+    table = FigureTable(title=escape(f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}"))
     for column in ("start", "duration", "depth", "peak", "energy taken in"):
         table.add_column(column, justify="right", no_wrap=True)
     for contact in sorted(hardest, key=lambda contact: float(contact["start"])):
@@ -117,12 +119,13 @@ def comparison_report(comparison: _Result) -> RenderableType:
 
 
 def _differences_table(title: str, comparison: _Result) -> Table:
-    table = plain_table(title, "quantity")
-    for column in ("first at cycle", "first log", "second log", "largest difference"):
+    table = FigureTable(title=title)
+    table.add_column("quantity", no_wrap=True)
+    for column in ("cycle", "first log", "second log", "largest difference"):
         table.add_column(column, justify="right", no_wrap=True)
     for difference in comparison["differences"]:
         table.add_row(
-            difference["name"],
+            Text(in_lines(difference["name"], _NAME_WIDTH)),
             str(difference["cycle"]),
             f"{difference['first']:.9g}",
             f"{difference['second']:.9g}",

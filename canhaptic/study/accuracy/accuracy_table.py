@@ -3,15 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from rich import box
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.study.accuracy.advice import FLOOR
 from canhaptic.units import effort_unit
 from canhaptic.view.si import si
+from canhaptic.view.table_style import FigureTable
 
 Row = Mapping[str, Any]
 _Table = tuple[str, Sequence[str], list[list[str]], list[bool]]
@@ -30,7 +29,6 @@ _NEARER: Final = 0.8
 """Part of the scene's own error below which a change is worth naming."""
 _SHOWN: Final = 4
 _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
-_LOOK: Final[Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}
 _AIRY: Final = 9
 """Columns that a terminal of 100 characters shows with two spaces between them."""
 
@@ -39,8 +37,7 @@ def accuracy_report(result: Row) -> RenderableType:
     """Returns heading, tables and advice for a terminal."""
     parts: list[RenderableType] = [Text(f" {line}") for line in heading(result)]
     for title, heads, rows, marked in _tables(result):
-        padding = (0, int(len(heads) <= _AIRY), 0, 0)
-        table = Table(title=f" {title}", title_justify="left", title_style="bold", padding=padding, **_LOOK)
+        table = FigureTable(keys=2, title=f" {title}", padding=(0, int(len(heads) <= _AIRY), 0, 0), pad_edge=False)
         for index, head in enumerate(heads):
             table.add_column(head, justify="left" if index < 2 else "right", no_wrap=True)
         for cells, mark in zip(rows, marked, strict=True):

@@ -3,12 +3,12 @@
 from typing import Any, Final
 
 import yaml
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from canhaptic.view.si import si
+from canhaptic.view.table_style import FigureTable
 
 _UNITS: Final = {"m": ("N/m", "N*s/m"), "rad": ("N*m/rad", "N*m*s/rad")}
 
@@ -67,9 +67,9 @@ def _price(result: dict[str, Any]) -> list[Text]:
 
 def _trade(result: dict[str, Any]) -> Table:
     stiffness, damping = _UNITS[result["unit"]]
-    table = Table(title="stiffness for damping", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column(f"stiffness [{stiffness}]", justify="right")
-    table.add_column(f"largest damping [{damping}]", justify="right")
+    table = FigureTable(title="stiffness for damping", pad_edge=False)
+    table.add_column(f"stiffness [{stiffness}]", justify="right", no_wrap=True)
+    table.add_column(f"largest damping [{damping}]", justify="right", no_wrap=True)
     for wall in result["trade"]:
         table.add_row(f"{wall['stiffness']:g}", f"{wall['damping']:g}")
     return table

@@ -4,7 +4,6 @@ from collections import Counter
 from typing import Any, Final
 
 import numpy as np
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -14,6 +13,7 @@ from canhaptic.study.sweep.points import CONTROLLER
 from canhaptic.study.sweep.selected import Selected
 from canhaptic.study.sweep.sweep_table import SweepTable
 from canhaptic.view.si import si
+from canhaptic.view.table_style import FigureTable
 
 _MOST_REMARKS: Final = 20
 
@@ -113,13 +113,13 @@ _COLUMNS: Final = {
 
 
 def _shares_table(found: _Summary) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table = FigureTable(pad_edge=False)
     table.add_column("axis, algorithm", no_wrap=True)
     shown = [
         key for key in _COLUMNS if any(key in entry for axis in found["figures"].values() for entry in axis.values())
     ]
     for title in ("scenes", *(_COLUMNS[key] for key in shown)):
-        table.add_column(title, justify="right")
+        table.add_column(title, justify="right", no_wrap=True)
     for axis, controllers in found["figures"].items():
         for name, entry in controllers.items():
             cells = [_cell(key, entry.get(key)) for key in shown]
