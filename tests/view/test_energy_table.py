@@ -158,7 +158,8 @@ def test_no_line_is_longer_than_a_hundred_columns_and_no_figure_is_broken(ports:
     names = [f"a_rather_long_axis_name_{number}" for number in range(ports)]
     text = printed(result(names))
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
-    assert set(printed(result(["handle"]), width=200).split()) - {"handle"} <= set(text.split())
+    wide = {word for word in printed(result(names), width=1000).split() if len(word) < 18}  # a head may be broken
+    assert wide <= set(text.split())
 
 
 def test_a_result_with_missing_parts_still_prints() -> None:
