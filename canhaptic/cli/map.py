@@ -5,10 +5,10 @@ from pathlib import Path
 
 from canhaptic.cli.arguments import add_json, check_folder, check_picture
 from canhaptic.cli.output import note_file, write_json, write_line
-from canhaptic.study.map.border import JUDGEMENTS, passing_share, usual_judgement
 from canhaptic.study.map.field import fields_of
 from canhaptic.study.map.panel import Lines, Panel
 from canhaptic.study.map.panels import Chosen, panels_of
+from canhaptic.study.map.z_width import JUDGEMENTS, passing_share, usual_judgement
 from canhaptic.study.sweep.sweep_table import SweepTable
 
 

@@ -1,7 +1,7 @@
 """The steps in their order; what was found before a fault is kept."""
 
+from canhaptic.commission.find_drives import identify
 from canhaptic.commission.hand_motion import STANDSTILL, move_by_hand, stand_still
-from canhaptic.commission.identify import identify
 from canhaptic.commission.session import Session
 from canhaptic.commission.torque_tests import identify_dynamics, pulse, time_the_read_back
 from canhaptic.commission.watchdog import pull_the_master, time_the_cycle

@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from canhaptic.commission.estimate import Dynamics, estimate
 from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
+from canhaptic.commission.mass_and_friction import Dynamics, estimate
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
 from canhaptic.units import damping_unit, effort_unit

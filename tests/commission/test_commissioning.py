@@ -8,8 +8,8 @@ import can
 import pytest
 
 from canhaptic.commission.dialogue import Unattended
+from canhaptic.commission.find_drives import _scan
 from canhaptic.commission.findings import Report, StepFinding, StepVerdict
-from canhaptic.commission.identify import _scan
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session

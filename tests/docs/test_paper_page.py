@@ -46,7 +46,7 @@ def test_the_source_has_no_measured_number_of_its_own() -> None:
         ("[[paper_figures#fig6#no_delay]]", "'fig6'"),
         ("[[paper_figures#fig7]]", "expected a number"),
         ("[[passivity#A99 nothing#value]]", "'A99 nothing'"),
-        ("[[code:control/port.py:no_such]]", "has no 'no_such'"),
+        ("[[code:control/balance.py:no_such]]", "has no 'no_such'"),
         ("[[code:no_such.py:any]]", "no_such.py"),
         ("[[test:control/test_root.py:test_no_such]]", "has no 'test_no_such'"),
     ],

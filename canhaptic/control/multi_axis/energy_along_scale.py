@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from canhaptic.control.multi_axis.torque_scaling import ScaledHold, TorqueScaling, solve_scale
+from canhaptic.control.multi_axis.step_scaling import ScaledHold, StepScaling, solve_scale
 from canhaptic.control.passivity.root import solve_balance
 from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, discrete_gradient, extension, gradient
 from canhaptic.control.port_hamiltonian.user_energy import UserEnergies
@@ -69,7 +69,7 @@ class EnergyAlongScale:
                 total += s * sum([q * other for q, other in zip(row, self._step, strict=True)])
         return total
 
-    def solve(self, energy: float, loss: float, limit: float = _FURTHEST) -> TorqueScaling:
+    def solve(self, energy: float, loss: float, limit: float = _FURTHEST) -> StepScaling:
         """Returns the share nearest 0 that takes up an energy [J] together with a loss [J] in proportion to it."""
         stiffness = self.stiffness()
         if stiffness is None:
@@ -77,13 +77,13 @@ class EnergyAlongScale:
             return solve_scale(lambda share: self.taken(share, loss), energy, limit, _ROUNDING * size)
         length = math.sqrt(sum([s * s for s in self._step]))  # along a unit step: of one state, eq. 16 itself
         if length == 0.0:
-            return TorqueScaling(0.0, energy >= 0.0, 1)
+            return StepScaling(0.0, energy >= 0.0, 1)
         change = solve_balance(
             stiffness / (length * length), self.taken(0.0, loss).slope / length, energy, length
         )  # fmt: skip
         share = None if change is None else change / length
         if share is None:
-            return TorqueScaling(0.0, False, 1)
+            return StepScaling(0.0, False, 1)
         if abs(share) > limit and energy > 0.0:
-            return TorqueScaling(limit if share > 0.0 else -limit, True, 1)
-        return TorqueScaling(share, True, 1)
+            return StepScaling(limit if share > 0.0 else -limit, True, 1)
+        return StepScaling(share, True, 1)

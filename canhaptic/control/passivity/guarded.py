@@ -23,14 +23,13 @@ import math
 from collections import deque
 from typing import Annotated, ClassVar, Final
 
-from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance, interaction_energy
 from canhaptic.control.certificates.scalar_bounds import displacement_response
 from canhaptic.control.certificates.torque_bound import Declared, TorqueBound
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.in_flight import CommandsInFlight
 from canhaptic.control.passivity.settlement import settle
-from canhaptic.control.port import interaction_energy
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.control.velocity import AdaptiveWindow
 from canhaptic.errors import ControlError, ParameterError

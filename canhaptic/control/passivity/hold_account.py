@@ -2,10 +2,9 @@
 
 from typing import NamedTuple
 
-from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.balance import AT_REST, Branch, EnergyBalance, interaction_energy
 from canhaptic.control.passivity.in_flight import CommandsInFlight
 from canhaptic.control.passivity.storage import Account
-from canhaptic.control.port import interaction_energy
 from canhaptic.control.velocity import AdaptiveWindow
 
 _HELD = Branch.HELD.value

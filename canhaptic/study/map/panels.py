@@ -7,9 +7,9 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.study.loop import Array
-from canhaptic.study.map.border import JUDGEMENTS, border_of, theory_at, usual_judgement
 from canhaptic.study.map.field import MapField
 from canhaptic.study.map.panel import Cells, Lines, Panel, PanelCurve
+from canhaptic.study.map.z_width import JUDGEMENTS, border_of, theory_at, usual_judgement
 
 _STIFFNESS: Final = "environment.stiffness"
 _PREFERRED: Final = ("bus.rate", "environment.damping")

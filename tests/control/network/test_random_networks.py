@@ -5,7 +5,7 @@ import random
 import pytest
 
 from canhaptic.control.multi_axis.energy_along_scale import _FURTHEST, EnergyAlongScale
-from canhaptic.control.multi_axis.torque_scaling import _EVALUATIONS as SCALE_EVALUATIONS
+from canhaptic.control.multi_axis.step_scaling import _EVALUATIONS as SCALE_EVALUATIONS
 from canhaptic.control.port_hamiltonian import newton as step
 from canhaptic.control.port_hamiltonian.discrete_gradient import stored_energy
 from canhaptic.control.port_hamiltonian.equation import new_workspace

@@ -9,12 +9,12 @@ import pytest
 
 from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
-from canhaptic.study.map.border import _Border, _colgate_stiffness, _passes, border_of, theory_at, usual_judgement
 from canhaptic.study.map.field import fields_of
 from canhaptic.study.map.map_page import write_map
 from canhaptic.study.map.map_picture import draw_map
 from canhaptic.study.map.panel import Cells, Lines, _edges_of
 from canhaptic.study.map.panels import Chosen, panels_of
+from canhaptic.study.map.z_width import _Border, _colgate_stiffness, _passes, border_of, theory_at, usual_judgement
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.sweep_table import SweepTable
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.commission.estimate import _Array, estimate
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
+from canhaptic.commission.mass_and_friction import _Array, estimate
 from canhaptic.errors import ControlError
 
 TIME = 1e-3

@@ -1,4 +1,4 @@
-"""The largest stiffness that passes at every value of the other keys, and what theory says of it.
+"""Z-width: the largest stiffness that passes at every value of the other keys, and what theory says of it.
 
 Colgate and Schenkel, "Passivity of a class of sampled-data systems", Journal of Robotic Systems 14, 1997: with the
 damping b of the device a sampled wall H(z) is passive for every user if and only if, at every frequency,

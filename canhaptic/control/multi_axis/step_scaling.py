@@ -25,7 +25,7 @@ class ScaledHold(NamedTuple):
     slope: float  # [J]
 
 
-class TorqueScaling(NamedTuple):
+class StepScaling(NamedTuple):
     """A share of the step."""
 
     share: float
@@ -33,7 +33,7 @@ class TorqueScaling(NamedTuple):
     evaluations: int
 
 
-def solve_scale(taken: Callable[[float], ScaledHold], energy: float, limit: float, tolerance: float) -> TorqueScaling:
+def solve_scale(taken: Callable[[float], ScaledHold], energy: float, limit: float, tolerance: float) -> StepScaling:
     """Returns the share l nearest 0, |l| <= limit, at which `taken` equals an energy.
 
     Args:
@@ -44,16 +44,16 @@ def solve_scale(taken: Callable[[float], ScaledHold], energy: float, limit: floa
     """
     search = _ScaleSearch(taken)
     if abs(energy) <= tolerance:
-        return TorqueScaling(0.0, True, 0)
+        return StepScaling(0.0, True, 0)
     slope = search.at(0.0).slope
     if slope == 0.0 and energy < 0.0:
-        return TorqueScaling(0.0, False, 1)
+        return StepScaling(0.0, False, 1)
     far = limit if (slope > 0.0) == (energy > 0.0) or slope == 0.0 else -limit
     bracket = search.upwards(energy, far) if energy > 0.0 else search.downwards(energy, far)
     if bracket is None:
-        return TorqueScaling(search.best, False, search.evaluations)
+        return StepScaling(search.best, False, search.evaluations)
     share = search.root(energy, *bracket, tolerance)
-    return TorqueScaling(share, True, search.evaluations)
+    return StepScaling(share, True, search.evaluations)
 
 
 class _ScaleSearch:
