@@ -7,11 +7,13 @@ whether it is passive included, is that of the group, which has `axes`. Energies
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from canhaptic.control.balance import Certificate, Ledger
 from canhaptic.cycle import Cycle
 from canhaptic.drive.can.servo_drive import ServoDrive
+
+_OF_AN_AXIS: Final = ("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound")
 
 
 def run_result(
@@ -55,18 +57,14 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
             "read_back_bound": drive.read_back_bound,
         }
     for group in cycle.groups:
-        members = [ports[axis] for axis in group.axes]
-        for name, _ in members:
-            accounts[name] = part_in_group(accounts[name], group.name)
         accounts[group.name] = {
-            "unit": members[0][1],
-            "axes": [name for name, _ in members],
+            "unit": ports[group.axes[0]][1],
             **_ledger(group.ledger, sample_time, [drives[axis] for axis in group.axes], group.controller),
             "supplied": group.supplied,
             "unsure": group.unsure,
             "limits": dict(group.limits),
         }
-    return accounts
+    return with_groups(accounts, {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups})
 
 
 def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], controller: object) -> dict[str, Any]:
@@ -85,10 +83,21 @@ def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], co
     return account
 
 
-def part_in_group(account: Mapping[str, Any], group: str) -> dict[str, Any]:
-    """Returns what is left of the account of an axis when a group renders on it: alone it proves nothing."""
-    kept = ("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound")
-    return {"group": group, **{name: account[name] for name in kept if name in account}}
+def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """Returns the accounts of axes and groups with what each says of the other.
+
+    Args:
+        accounts: By name, as if every port were alone.
+        groups: Names of the axes of each group. Alone an axis of a group proves nothing: of its account is left what
+            came in and went out by it.
+    """
+    found = {name: dict(account) for name, account in accounts.items()}
+    for group, axes in groups.items():
+        found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
+        for name in axes:
+            kept: dict[str, Any] = {key: found[name][key] for key in _OF_AN_AXIS if key in found[name]}
+            found[name] = {"group": group, **kept}
+    return found
 
 
 def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, dict[str, float]]:

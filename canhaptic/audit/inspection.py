@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts, rows_between
 from canhaptic.canopen.objects import StatusBit
-from canhaptic.control.balance import Branch, Certificate
+from canhaptic.control.balance import Branch, Certificate, LedgerSummary
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
-from canhaptic.result import part_in_group
+from canhaptic.result import with_groups
 from canhaptic.signals import CycleTiming
 
 _Array = NDArray[Any]
@@ -71,59 +71,53 @@ def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
     def column(name: str) -> _Array:
         return port.read(name, rows.start, rows.stop)
 
-    return {"unit": port.unit("position")} | _flows(log, column, rows) | _use(column)
-
-
-def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
-    """The account of each port; of an axis in a group what came in and went out by it."""
-    accounts = {name: _port(log, port, rows) for name, port in log.ports.items()}
-    for name, group in log.group_of.items():
-        accounts[name] = part_in_group(accounts[name], group)
-    for group, axes in log.groups.items():
-        accounts[group] |= {"axes": list(axes), "state_unit": log.ports[group].unit("state")}
-    return accounts
-
-
-def _flows(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> dict[str, Any]:
-    h_i, h_r = column("h_i"), column("h_r")
-    margin, margin_row = _least(_running(h_i - h_r))
-    cycle = int(log.timing["sync_index"][rows.start + margin_row]) if len(h_i) else 0
-    surplus = column("h_dis")
     return {
-        "in": _sum(np.maximum(h_i, 0.0)),
-        "out": -_sum(np.minimum(h_i, 0.0)),
-        "stored": _last(column("h_s")),
-        "dissipated": _sum(h_r),
-        "generated": _sum(column("gen")),
-        "surplus": {"end": _last(surplus), "max": float(surplus.max(initial=0.0))},
-        "recovered": _sum(column("h_pas")),
-        "leaked": _sum(column("leak")),
-        "paid": _sum(column("paid")),
-        "deficit": _sum(column("deficit")),
-        "margin": {"value": margin, "cycle": cycle, "time": cycle * log.sample_time},
-        "least_interaction": _least(_running(h_i))[0],
-    }
-
-
-def _use(column: Callable[[str], _Array]) -> dict[str, Any]:
-    branch = column("branch")
-    return {
-        "certificate": Certificate(int(column("certificate").max(initial=0))).name.lower(),
-        "branches": {member.name.lower(): int((branch == member).sum()) for member in Branch},
-        "damping_rendered": _range(column("damping_rendered")[(branch != Branch.FREE) & (branch != Branch.EXIT)]),
+        "unit": port.unit("position"),
+        **_summary(log, column, rows).as_json(log.sample_time),
         "peak_torque": float(np.abs(column("torque_applied")).max(initial=0.0)),
         "limited_cycles": int((column("statusword") & StatusBit.INTERNAL_LIMIT != 0).sum()),
     }
 
 
+def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
+    """The account of each port; of an axis in a group what came in and went out by it."""
+    accounts = {name: _port(log, port, rows) for name, port in log.ports.items()}
+    for group in log.groups:
+        accounts[group]["state_unit"] = log.ports[group].unit("state")
+    return with_groups(accounts, log.groups)
+
+
+def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> LedgerSummary:
+    """The account of rows in arrays; what `Ledger` sums up one row at a time."""
+    h_i, h_r = column("h_i"), column("h_r")
+    margin, margin_row = _least(_running(h_i - h_r))
+    cycle = int(log.timing["sync_index"][rows.start + margin_row]) if len(h_i) else 0
+    surplus, branch = column("h_dis"), column("branch")
+    rendered = column("damping_rendered")[(branch != Branch.FREE) & (branch != Branch.EXIT)]
+    return LedgerSummary(
+        energy_in=_sum(np.maximum(h_i, 0.0)),
+        energy_out=-_sum(np.minimum(h_i, 0.0)),
+        stored=_last(column("h_s")),
+        dissipated=_sum(h_r),
+        generated=_sum(column("gen")),
+        surplus_end=_last(surplus),
+        surplus_max=float(surplus.max(initial=0.0)),
+        recovered=_sum(column("h_pas")),
+        leaked=_sum(column("leak")),
+        paid=_sum(column("paid")),
+        deficit=_sum(column("deficit")),
+        margin_value=margin,
+        margin_cycle=cycle,
+        least_interaction=_least(_running(h_i))[0],
+        certificate=Certificate(int(column("certificate").max(initial=0))),
+        branches={member.name.lower(): int((branch == member).sum()) for member in Branch},
+        damping_least=float(rendered.min()) if len(rendered) else 0.0,
+        damping_most=float(rendered.max()) if len(rendered) else 0.0,
+    )
+
+
 def _last(values: _Array) -> float:
     return float(values[-1]) if len(values) else 0.0
-
-
-def _range(values: _Array) -> dict[str, float]:
-    if not len(values):
-        return {"least": 0.0, "most": 0.0}
-    return {"least": float(values.min()), "most": float(values.max())}
 
 
 def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:

@@ -16,7 +16,7 @@ from canhaptic.control.multi_axis.axis_group import GroupedControllers
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.result import part_in_group
+from canhaptic.result import with_groups
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
@@ -90,9 +90,12 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         cycles += 1
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
-    result = {"cycles": cycles, "ports": _accounts(scene, ledgers)}
+    result: dict[str, Any] = {"cycles": cycles, "ports": _accounts(scene, ledgers)}
     if log is not None:
         result["differences"] = [judge.difference for judge in judges if judge.difference is not None]
+        if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived
+            short = {"port": "", "cycle": cycles, "quantity": "cycles", "logged": log.rows, "rederived": cycles}
+            result["differences"].append(short)
     return result
 
 
@@ -104,9 +107,7 @@ def _accounts(scene: Scene, ledgers: Sequence[Ledger]) -> dict[str, Any]:
         name: {"unit": unit, **ledger.summary().as_json(scene.bus.sample_time)}
         for (name, unit), ledger in zip(units.items(), ledgers, strict=True)
     }
-    for group in scene.groups:
-        ports.update({name: part_in_group(ports[name], group.name) for name in group.axes})
-    return ports
+    return with_groups(ports, {group.name: group.axes for group in scene.groups})
 
 
 class _Judge:
