@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts, rows_between
+from canhaptic.audit.not_finite import not_finite
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control.balance import Branch, Certificate, LedgerSummary
+from canhaptic.errors import LogFormatError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.result import with_groups
 from canhaptic.signals import CycleTiming
@@ -39,6 +41,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "rate": 1.0 / log.sample_time,
         "from": float(sync_index[0] * log.sample_time) if len(sync_index) else 0.0,
         "to": float(sync_index[-1] * log.sample_time) if len(sync_index) else 0.0,
+        "findings": not_finite(log),
         "ports": _ports(log, rows),
         "truth": {name: _truth(log, name, rows) for name in log.truth},
         "timing": _timing(log, rows),
@@ -92,7 +95,8 @@ def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> Le
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
     cycle = int(log.timing["sync_index"][rows.start + margin_row]) if len(h_i) else 0
-    surplus, branch = column("h_dis"), column("branch")
+    surplus, branch = column("h_dis"), _known(log, "branch", column("branch"), len(Branch))
+    certificates = _known(log, "certificate", column("certificate"), len(Certificate))
     rendered = column("damping_rendered")[(branch != Branch.FREE) & (branch != Branch.EXIT)]
     return LedgerSummary(
         energy_in=_sum(np.maximum(h_i, 0.0)),
@@ -109,11 +113,24 @@ def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> Le
         margin_value=margin,
         margin_cycle=cycle,
         least_interaction=_least(_running(h_i))[0],
-        certificate=Certificate(int(column("certificate").max(initial=0))),
+        certificate=Certificate(int(certificates.max(initial=0))),
         branches={member.name.lower(): int((branch == member).sum()) for member in Branch},
         damping_least=float(rendered.min()) if len(rendered) else 0.0,
         damping_most=float(rendered.max()) if len(rendered) else 0.0,
     )
+
+
+def _known(log: EnergyLog, name: str, values: _Array, count: int) -> _Array:
+    """Returns the values of a column of codes, of which there are `count`.
+
+    Raises:
+        LogFormatError: One is none of them.
+    """
+    worst = int(values.max(initial=0))
+    if worst >= count:
+        row = int(values.argmax())
+        raise LogFormatError(f"{log.path}: {name} holds {worst} in row {row}, expected 0 to {count - 1}; damaged")
+    return values
 
 
 def _last(values: _Array) -> float:

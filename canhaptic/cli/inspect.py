@@ -65,7 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Does what the arguments ask for; returns 0, or 1 when a check, the comparison or the recomputation failed.
+    """Does what the arguments ask for; returns 0, or 1 when something that was looked for fails.
+
+    A check, the comparison or the recomputation failed, or the log holds values that are no finite number.
 
     Raises:
         InputError: A log or an argument that cannot be used.
@@ -96,7 +98,7 @@ def _judge(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace
     if arguments.compare is not None:
         with EnergyLog.open(arguments.compare) as other:
             result["comparison"] = compare(log, other)
-    if arguments.recompute:
+    if arguments.recompute and not result["findings"]:  # controllers take finite numbers
         result["recomputed"] = recompute_all(log, arguments.config)
     if arguments.bus_log is not None:
         from canhaptic.audit.rederive import rederive
@@ -106,7 +108,8 @@ def _judge(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace
 
 def _is_good(result: dict[str, Any]) -> bool:
     return (
-        all(outcome["holds"] for outcome in result["checks"])
+        not result["findings"]
+        and all(outcome["holds"] for outcome in result["checks"])
         and result.get("comparison", {}).get("identical", True)
         and all(port["mismatch"] is None for port in result.get("recomputed", []))
         and not result.get("rederived", {}).get("differences")

@@ -36,7 +36,7 @@ class PortDescription(NamedTuple):
     state_unit: Motion | None = None  # of the storage's displacement; None: the same
 
 
-class _Column(NamedTuple):
+class LogColumn(NamedTuple):
     """One quantity of the log."""
 
     path: str  # of its dataset; empty when the ring carries it but the file does not
@@ -78,16 +78,16 @@ class LogSchema:
     synchronise: bool  # after each chunk the file is forced to the disk
     attributes: dict[str, Attribute]
 
-    def columns(self) -> list[_Column]:
+    def columns(self) -> list[LogColumn]:
         """Returns the columns in the order in which the ring's record holds them."""
-        columns = [_Column("timing/dropped_before", "1", "u4"), _Column("timing/sync_index", "1", "i8")]
-        columns += [_Column(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
+        columns = [LogColumn("timing/dropped_before", "1", "u4"), LogColumn("timing/sync_index", "1", "i8")]
+        columns += [LogColumn(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
         for port in self.ports:
             columns += _sample_columns(port) + _balance_columns(port)
         if self.with_truth:
             for port in self.ports:
-                columns.append(_Column(f"truth/{port.name}/position", port.unit, "f8"))
-                columns += [_Column(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
+                columns.append(LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
+                columns += [LogColumn(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
         return columns
 
     def ring(self, capacity: int) -> RingShape:
@@ -111,17 +111,17 @@ class LogSchema:
         return LogSchema(**fields)
 
 
-def _sample_columns(port: PortDescription) -> list[_Column]:
+def _sample_columns(port: PortDescription) -> list[LogColumn]:
     units = {"position": port.unit, "torque_applied": effort_unit(port.unit)}
     return [
-        _Column("", "1", "i8")  # the SYNC index is in /timing, once for all ports
+        LogColumn("", "1", "i8")  # the SYNC index is in /timing, once for all ports
         if name == "sync_index"
-        else _Column(f"ports/{port.name}/{name}", units.get(name, "1"), _INTEGERS.get(name, "f8"))
+        else LogColumn(f"ports/{port.name}/{name}", units.get(name, "1"), _INTEGERS.get(name, "f8"))
         for name in Sample._fields
     ]
 
 
-def _balance_columns(port: PortDescription) -> list[_Column]:
+def _balance_columns(port: PortDescription) -> list[LogColumn]:
     units = {
         "torque": effort_unit(port.unit),
         "damping_rendered": damping_unit(port.unit),
@@ -130,6 +130,8 @@ def _balance_columns(port: PortDescription) -> list[_Column]:
         "certificate": "1",
     }
     return [
-        _Column(f"ports/{port.name}/{_BALANCE_NAMES.get(name, name)}", units.get(name, "J"), _INTEGERS.get(name, "f8"))
+        LogColumn(
+            f"ports/{port.name}/{_BALANCE_NAMES.get(name, name)}", units.get(name, "J"), _INTEGERS.get(name, "f8")
+        )
         for name in EnergyBalance._fields
     ]

@@ -10,16 +10,18 @@ import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from canhaptic.errors import LogFormatError
+from canhaptic.logs.column_check import checked_rows
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
 from canhaptic.logs.hdf5 import Array, Hdf5File
 from canhaptic.logs.log_file import log_file
-from canhaptic.logs.packing import whole_lengths
 
+_DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError)
+"""What h5py and NumPy raise for one kind of damage or another."""
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
 
 
@@ -67,6 +69,7 @@ class EnergyLog:
         attributes: What was stored with the run (configuration, hashes, versions, ...).
         ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `h_i`, ...
         truth: The same for what truly happened in a simulation; empty on a real rig.
+        groups: Ports that are groups, and the names of their axes; the accounts of these are the group's.
         timing: Times of each cycle and `sync_index`.
         rows: Number of cycles in the log.
         rows_lost: Cycles at the start that a damaged file took with it.
@@ -74,41 +77,36 @@ class EnergyLog:
         sample_time_ns: Sample time [ns].
     """
 
-    def __init__(self, path: Path, file: Hdf5File) -> None:
+    def __init__(self, path: Path, file: Hdf5File, description: "LogDescription") -> None:
         self.path = path
         self._file = file
-        attributes = file.attributes
-        _check_format(path, attributes)
-        self.attributes = {name: _plain(value) for name, value in attributes.items() if name not in _OURS}
-        self.sample_time_ns = int(attributes["sample_time_ns"])
-        self.rows_lost = int(attributes["rows_lost"])
-        self.status = str(attributes["status"])
-        described = [line.rpartition(" ") for line in str(attributes["ports"]).splitlines()]
-        self.rows, _ = whole_lengths(file)
-        self.ports = {name: Quantities(file, f"ports/{name}", self.rows) for name, _, _ in described}
+        self.attributes = {n: _plain(value) for n, value in file.attributes.items() if n not in _OURS}
+        self.sample_time_ns = description.sample_time_ns
+        self.rows_lost = description.rows_lost
+        self.status = description.status
+        self.rows = checked_rows(path, file, description.ports, self.status)
+        self.ports = {name: Quantities(file, f"ports/{name}", self.rows) for name in description.ports}
         self.truth = {name: Quantities(file, f"truth/{name}", self.rows) for name in file.names("truth")}
         self.timing = Quantities(file, "timing", self.rows)
+        self.groups = self._groups()
 
     @staticmethod
     def open(path: str | Path) -> "EnergyLog":
         """Opens a log.
 
         Raises:
-            LogFormatError: Missing, empty, truncated, foreign or written by a newer version.
+            LogFormatError: Missing, empty, truncated, foreign or written by a newer version; or a column of it is
+                missing, of another type, or shorter than the others.
         """
-        path = log_file(path)
+        path = Path(path)
+        file, description = open_file(path)
         try:
-            file = Hdf5File(path, "live")
-        except (OSError, RuntimeError) as error:  # h5py raises either for one kind of damage or another
-            raise LogFormatError(f"{path}: not a readable HDF5 file ({error})") from error
-        try:
-            return EnergyLog(path, file)
-        except LogFormatError:
+            return EnergyLog(path, file, description)
+        except BaseException as error:
             file.close()
+            if isinstance(error, _DAMAGE) and not isinstance(error, LogFormatError):
+                raise LogFormatError(f"{path}: the file is damaged ({error})") from error
             raise
-        except (OSError, RuntimeError, KeyError, ValueError) as error:
-            file.close()
-            raise LogFormatError(f"{path}: the file is damaged ({error})") from error
 
     def __enter__(self) -> "EnergyLog":
         return self
@@ -122,12 +120,14 @@ class EnergyLog:
         """Closes the file; arrays already loaded stay valid."""
         self._file.close()
 
-    @property
-    def groups(self) -> dict[str, tuple[str, ...]]:
-        """Ports that are groups, and the names of their axes; the accounts of these are the group's."""
+    def _groups(self) -> dict[str, tuple[str, ...]]:
         suffix = f".{GROUP_AXES}"
-        found = {name: text for name, text in self.attributes.items() if name.endswith(suffix)}
-        return {name.removesuffix(suffix): tuple(json.loads(str(text))) for name, text in found.items()}
+        texts = {n.removesuffix(suffix): str(text) for n, text in self.attributes.items() if n.endswith(suffix)}
+        groups = {name: tuple(json.loads(text)) for name, text in texts.items()}
+        unknown = {*groups, *(axis for axes in groups.values() for axis in axes)} - set(self.ports)
+        if unknown:
+            raise LogFormatError(f"{self.path}: {', '.join(sorted(map(str, unknown)))}: a group without its columns")
+        return groups
 
     @property
     def group_of(self) -> dict[str, str]:
@@ -160,7 +160,37 @@ class EnergyLog:
         ]
 
 
-def _check_format(path: Path, attributes: Mapping[str, Any]) -> None:
+class LogDescription(NamedTuple):
+    """What the attributes of a log say of it."""
+
+    sample_time_ns: int
+    ports: tuple[str, ...]
+    status: str
+    rows_lost: int
+
+
+def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
+    """Opens the file of a log of which columns may be damaged.
+
+    Raises:
+        LogFormatError: Missing, empty, truncated, foreign or written by a newer version.
+    """
+    path = log_file(path)
+    try:
+        file = Hdf5File(path, "live")
+    except (OSError, RuntimeError) as error:  # h5py raises either for one kind of damage or another
+        raise LogFormatError(f"{path}: not a readable HDF5 file ({error})") from error
+    try:
+        return file, _description(path, file.attributes)
+    except LogFormatError:
+        file.close()
+        raise
+    except _DAMAGE as error:
+        file.close()
+        raise LogFormatError(f"{path}: the file is damaged ({error})") from error
+
+
+def _description(path: Path, attributes: Mapping[str, Any]) -> LogDescription:
     if attributes.get("format") != FORMAT_NAME:
         raise LogFormatError(f"{path}: an HDF5 file, but no energy log of canhaptic")
     version = int(attributes.get("format_version", 0))
@@ -171,6 +201,11 @@ def _check_format(path: Path, attributes: Mapping[str, Any]) -> None:
     missing = [name for name in _OURS if name not in attributes]
     if missing:
         raise LogFormatError(f"{path}: the attributes {', '.join(missing)} are missing")
+    ports = tuple(line.rpartition(" ")[0] for line in str(_plain(attributes["ports"])).splitlines())
+    sample_time_ns = int(attributes["sample_time_ns"])
+    if not ports or sample_time_ns <= 0:
+        raise LogFormatError(f"{path}: {len(ports)} ports at a sample time of {sample_time_ns} ns; the file is damaged")
+    return LogDescription(sample_time_ns, ports, str(_plain(attributes["status"])), int(attributes["rows_lost"]))
 
 
 def _plain(value: Any) -> str | int | float:

@@ -21,7 +21,22 @@ class Dataset:
         self._dataset = dataset
 
     def __len__(self) -> int:
-        return int(self._dataset.shape[0])
+        return int(self._dataset.shape[0]) if self._dataset.shape else 0
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Its lengths; () for a single value."""
+        return tuple(self._dataset.shape or ())
+
+    @property
+    def chunk(self) -> int:
+        """Elements that are written at once; 1 where the column is in one piece."""
+        return int(self._dataset.chunks[0]) if self._dataset.chunks else 1
+
+    def refreshed_length(self) -> int:
+        """Returns its length now, while another process writes it."""
+        self._dataset.id.refresh()
+        return len(self)
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -99,18 +114,21 @@ class Hdf5File:
         return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
 
     def __getitem__(self, path: str) -> Dataset:
-        return Dataset(self._file[path])
+        found = self._file[path]
+        if not isinstance(found, h5py.Dataset):
+            raise KeyError(f"{path} is no column")
+        return Dataset(found)
 
     def names(self, group: str) -> list[str]:
         """Returns the names inside a group; none when the group is missing."""
-        return list(self._file[group]) if group in self._file else []
+        return list(self._file[group]) if isinstance(self._file.get(group), h5py.Group) else []
 
     def datasets(self) -> Iterator[tuple[str, Dataset]]:
-        """Yields path and column of everything in the file."""
+        """Yields path and column of everything in the file that is one."""
         found: list[tuple[str, Dataset]] = []
 
         def visit(path: str | bytes, item: Any) -> None:  # h5py leaves a damaged name as bytes
-            if isinstance(item, h5py.Dataset):
+            if isinstance(item, h5py.Dataset) and item.ndim == 1:
                 found.append((path if isinstance(path, str) else path.decode("utf-8", "replace"), Dataset(item)))
 
         self._file.visititems(visit)

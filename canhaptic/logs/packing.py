@@ -1,7 +1,6 @@
 """What is whole of an energy log, and how it is packed: a kill or a full disk can come between two columns."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,17 +11,12 @@ _BLOCK: Final = 16 * _PACKED_CHUNK  # rows copied at a time
 _EVENTS: Final = "events/"
 
 
-def least(file: Hdf5File, measure: Callable[[Dataset], int]) -> tuple[int, int]:
-    """Returns the least that a measure finds in the columns of the rows, and in those of the events; 0 for none."""
-    found: tuple[list[int], list[int]] = ([], [])
-    for path, dataset in file.datasets():
-        found[path.startswith(_EVENTS)].append(measure(dataset))
-    return min(found[0], default=0), min(found[1], default=0)
-
-
 def whole_lengths(file: Hdf5File) -> tuple[int, int]:
     """Returns (rows, events): how many of each every column of a file has."""
-    return least(file, len)
+    found: tuple[list[int], list[int]] = ([], [])
+    for path, dataset in file.datasets():
+        found[path.startswith(_EVENTS)].append(len(dataset))
+    return min(found[0], default=0), min(found[1], default=0)
 
 
 def trim(file: Hdf5File) -> tuple[int, int]:

@@ -4,15 +4,16 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.errors import InputError
-from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.hdf5 import Dataset, Hdf5File
-from canhaptic.logs.packing import least, repack
+from canhaptic.logs.column_check import found_columns
+from canhaptic.logs.energy_reader import open_file
+from canhaptic.logs.hdf5 import Dataset
+from canhaptic.logs.packing import repack
 
 _STEP: Final = 512  # rows tried at a time
 
 
 def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
-    """Copies every whole row up to the first that is damaged into a clean, packed log.
+    """Copies every whole row up to the first that is damaged or that a column lacks into a clean, packed log.
 
     Args:
         source: The log; it is not changed.
@@ -22,22 +23,23 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
         (rows saved, rows that could not be read).
 
     Raises:
-        LogFormatError: Nothing can be read.
+        LogFormatError: Nothing can be read: the file is no log, or a column of it is missing or of another type.
         InputError: Source and target are the same file, or the copy cannot be written.
     """
     source, target = Path(source), Path(target)
     if target.exists() and source.samefile(target):
         raise InputError(f"{target}: the repaired copy needs another name than the log itself")
-    with EnergyLog.open(source) as log:
-        status, rows = log.status, log.rows
-    with Hdf5File(source, "live") as file:
-        readable, events = least(file, _readable)
-    note = "" if status == "complete" else f" (was: {status})"
+    file, description = open_file(source)
+    with file:
+        rows, events = found_columns(source, file, description.ports)
+        longest = max(len(dataset) for dataset in rows.values())
+        readable, notes = (min(_readable(dataset) for dataset in found.values()) for found in (rows, events))
+    note = "" if description.status == "complete" else f" (was: {description.status})"
     try:
-        repack(source, target, {"status": f"repaired{note}"}, (readable, events))
+        repack(source, target, {"status": f"repaired{note}"}, (readable, notes))
     except OSError as error:
         raise InputError(f"{target}: the repaired copy cannot be written ({error}); name another file") from error
-    return readable, rows - readable
+    return readable, longest - readable
 
 
 def _readable(dataset: Dataset) -> int:

@@ -23,6 +23,7 @@ _Result = Mapping[str, Any]
 def inspection_report(result: _Result) -> RenderableType:
     """Returns everything that `inspect` found, for a terminal."""
     parts: list[RenderableType] = [_header(result), energy_report(result)]
+    parts += [_finding_line(finding) for finding in result.get("findings", ())]
     for name, contacts in result.get("contacts", {}).items():
         if contacts:
             port = result["ports"][name]
@@ -79,6 +80,12 @@ def checks_table(checks: list[_Result]) -> Table:
         verdict = Text("holds", style="green") if check["holds"] else Text("FAILS", style="bold red")
         table.add_row(check["check"], check["name"], f"{check['value']:.9g}", verdict)
     return table
+
+
+def _finding_line(finding: _Result) -> Text:
+    rows = f"{finding['rows']} row{'s are' if finding['rows'] != 1 else ' is'}"
+    words = f" {finding['dataset']}: {rows} no finite number, first in cycle {finding['cycle']}; nothing is recomputed from it"
+    return Text(words, style="bold red")
 
 
 def _recomputed_line(recomputed: _Result) -> Text:

@@ -307,6 +307,10 @@ def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.Captu
     with h5py.File(path, "r+") as file:
         file["ports/handle/h_m"][7] = math.nan
         file["ports/handle/leak"][7] = math.inf
-    assert typed.inspect(path, "--json") == 0
+    assert typed.inspect(path, "--json") == 1
     result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert result["findings"] == [
+        {"dataset": "ports/handle/h_m", "rows": 1, "cycle": 7},
+        {"dataset": "ports/handle/leak", "rows": 1, "cycle": 7},
+    ]
     assert result["ports"]["handle"]["leaked"] is None

@@ -1,0 +1,196 @@
+"""Every column of an energy log, damaged in every way: one error that names it, or a finding; nothing passes."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import typed
+
+from canhaptic.cycle import run
+from canhaptic.errors import LogFormatError
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.repair import repair
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.view.live_log import LiveLog
+
+DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
+ROWS = 40
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("damaged") / "whole.h5"
+    with build(load_scene(DEMO, ["simulation.plant.initial_position=-0.021"]), energy_log=path) as experiment:
+        run(experiment.cycle, ROWS)
+        experiment.close("completed")
+    with h5py.File(path, "r+") as file:
+        for dataset in file["events"].values():
+            dataset.resize((2,))
+    assert typed.inspect(path, "--recompute", "--check", "in >= 0") == 0
+    return path
+
+
+def columns(path: Path) -> list[str]:
+    found: list[str] = []
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
+    assert len(found) == 34
+    return found
+
+
+def missing(file: Any, name: str) -> None:
+    del file[name]
+
+
+def of_another_type(file: Any, name: str) -> None:
+    length = len(file[name])
+    del file[name]
+    file[name] = np.zeros(length, "c8")
+
+
+def two_wide(file: Any, name: str) -> None:
+    dtype, length = file[name].dtype, len(file[name])
+    del file[name]
+    file[name] = np.zeros((length, 2), dtype)
+
+
+def one_value(file: Any, name: str) -> None:
+    dtype = file[name].dtype
+    del file[name]
+    file[name] = np.zeros((), dtype)
+
+
+def a_folder(file: Any, name: str) -> None:
+    del file[name]
+    file.create_group(name)
+
+
+def cut_in_half(file: Any, name: str) -> None:
+    file[name].resize((len(file[name]) // 2,))
+
+
+DAMAGES = (missing, of_another_type, two_wide, one_value, a_folder, cut_in_half)
+
+
+def damaged(whole: Path, damage: Callable[[Any, str], None], name: str) -> Path:
+    path = whole.with_name("damaged.h5")
+    path.write_bytes(whole.read_bytes())
+    with h5py.File(path, "r+") as file:
+        damage(file, name)
+    return path
+
+
+USES: tuple[Callable[[Path, Path], object], ...] = (
+    lambda path, _whole: typed.inspect(path),
+    lambda path, _whole: typed.inspect(path, "--check", "deficit >= 0"),
+    lambda path, _whole: typed.inspect(path, "--recompute"),
+    lambda path, whole: typed.inspect(path, "--compare", whole),
+    lambda path, whole: typed.inspect(whole, "--compare", path),
+    lambda path, _whole: typed.inspect(path, "--csv", path.with_suffix(".csv")),
+)
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
+def test_a_damaged_column_is_one_error_that_names_it(whole: Path, damage: Callable[[Any, str], None]) -> None:
+    for number, name in enumerate(columns(whole)):
+        path, expected = damaged(whole, damage, name), ROWS if not name.startswith("events/") else 2
+        with pytest.raises(LogFormatError) as refused:
+            USES[number % len(USES)](path, whole)
+        message = str(refused.value)
+        assert f"damaged.h5: {name} " in message
+        if damage is cut_in_half:
+            assert f"has {expected // 2} rows, expected {expected} like the other columns" in message
+        assert LiveLog(path).look() is None
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_value_that_is_no_finite_number_is_a_finding_and_no_check_passes(whole: Path, value: float) -> None:
+    for number, name in enumerate(columns(whole)):
+        with h5py.File(whole) as file:
+            if file[name].dtype.kind != "f":
+                continue
+
+        def put(file: Any, name: str) -> None:
+            file[name][ROWS // 2] = value
+
+        path = damaged(whole, put, name)
+        use = USES[number % 4]
+        assert use(path, whole) == 1, name
+        LiveLog(path).look()
+
+
+def test_a_finding_is_shown_with_its_column_and_cycle(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def put(file: Any, name: str) -> None:
+        file[name][7:9] = np.nan
+
+    assert typed.inspect(damaged(whole, put, "ports/handle/h_m"), "--check", "deficit >= 0") == 1
+    assert "ports/handle/h_m: 2 rows are no finite number, first in cycle 7" in capsys.readouterr().out
+
+
+def test_repair_keeps_the_rows_that_every_column_has_and_refuses_what_it_cannot_save(whole: Path) -> None:
+    saved = whole.with_name("saved.h5")
+    for name in columns(whole)[::4]:
+        is_event = name.startswith("events/")
+        assert repair(damaged(whole, cut_in_half, name), saved) == ((ROWS, 0) if is_event else (ROWS // 2, ROWS // 2))
+        with EnergyLog.open(saved) as log:
+            assert (log.rows, len(log.events)) == (ROWS if is_event else ROWS // 2, 1 if is_event else 2)
+            assert log.status == "repaired (was: completed)"
+    for damage in (missing, of_another_type, one_value):
+        with pytest.raises(LogFormatError, match=r"damaged\.h5: ports/handle/h_i "):
+            repair(damaged(whole, damage, "ports/handle/h_i"), saved)
+
+
+def test_a_log_that_is_being_written_may_be_a_chunk_short_in_some_columns_and_no_more(whole: Path) -> None:
+    def running(rows: int, chunk: int) -> Callable[[Any, str], None]:
+        def cut(file: Any, name: str) -> None:
+            file.attrs["status"] = "running"
+            for path in columns(whole):
+                values = file[path][:]
+                dtype = file[path].dtype
+                del file[path]
+                file.create_dataset(path, data=values.astype(dtype), chunks=(chunk,), maxshape=(None,))
+            file[name].resize((rows,))
+
+        return cut
+
+    with EnergyLog.open(damaged(whole, running(ROWS - 10, 10), "ports/handle/h_i")) as log:
+        assert log.rows == ROWS - 10
+    with pytest.raises(LogFormatError, match=rf"ports/handle/h_i has {ROWS // 2} rows, expected {ROWS}"):
+        EnergyLog.open(damaged(whole, running(ROWS // 2, 10), "ports/handle/h_i"))
+
+
+@pytest.mark.parametrize("name", ["branch", "certificate"])
+def test_a_code_that_does_not_exist_is_one_error(whole: Path, name: str) -> None:
+    def put(file: Any, name: str) -> None:
+        file[name][5] = 200
+
+    with pytest.raises(LogFormatError, match=rf"damaged\.h5: {name} holds 200 in row 5, expected 0 to "):
+        typed.inspect(damaged(whole, put, f"ports/handle/{name}"))
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value"),
+    [
+        ("ports", "handle m\nghost m"),
+        ("ports", ""),
+        ("sample_time_ns", 0),
+        ("sample_time_ns", "soon"),
+        ("rows_lost", "many"),
+        ("format_version", "x"),
+        ("handle.group_axes", "{"),
+        ("handle.group_axes", '["ghost"]'),
+        ("ghost.group_axes", '["handle"]'),
+    ],
+)
+def test_a_damaged_attribute_is_one_error(whole: Path, attribute: str, value: object) -> None:
+    def put(file: Any, name: str) -> None:
+        file.attrs[name] = value
+
+    path = damaged(whole, put, attribute)
+    with pytest.raises(LogFormatError, match=r"damaged\.h5: "):
+        typed.inspect(path)
+    assert LiveLog(path).look() is None
