@@ -1,6 +1,6 @@
 """The account of a run as plain values: what `canhaptic run --json` prints and every table and comparison reads.
 
-    {status, config_hash, cycles, ports: {NAME: {...}}, truth: {NAME: {...}}, timing, link, method}
+    {status, config_hash, cycles, passive, ports: {NAME: {passive, ...}}, truth: {NAME: {...}}, timing, link, method}
 
 A port is an axis or a group of axes. An axis in a group has `group` and what came in and went out by it; the account,
 whether it is passive included, is that of the group, which has `axes`. Energies in [J], times in [s].
@@ -14,6 +14,30 @@ from canhaptic.cycle import Cycle
 from canhaptic.drive.can.servo_drive import ServoDrive
 
 _OF_AN_AXIS: Final = ("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound")
+
+
+PASSIVE_TOLERANCE: Final = 1e-6
+"""Energy below zero that still counts as zero [J]."""
+VERDICTS: Final = ("yes", "in doubt", "no")
+"""Whether a run was passive, the best first."""
+
+
+def passive(least_interaction: float, unsure: float = 0.0) -> str:
+    """Returns one of `VERDICTS`: "in doubt" where only energy of which nothing is known lies between yes and no.
+
+    Args:
+        least_interaction: Least sum of the interaction energy after any hold (eq. 3) [J].
+        unsure: Energy that was taken off that sum because nothing is known of it [J].
+    """
+    if least_interaction >= -PASSIVE_TOLERANCE:
+        return "yes"
+    return "in doubt" if least_interaction + unsure >= -PASSIVE_TOLERANCE else "no"
+
+
+def overall(ports: Mapping[str, Mapping[str, Any]]) -> str:
+    """Returns the worst verdict of all accounts; "in doubt" where there is none, as of a run without a cycle."""
+    found = [account["passive"] for account in ports.values() if "passive" in account]
+    return max(found, key=VERDICTS.index) if found else "in doubt"
 
 
 def run_result(
@@ -35,6 +59,7 @@ def run_result(
         "config_hash": config_hash,
         "cycles": cycle.cycles,
         "duration": cycle.cycles * sample_time,
+        "passive": overall(accounts),
         "ports": accounts,
         "truth": _truth(cycle, list(accounts)),
         "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
@@ -84,7 +109,7 @@ def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], co
 
 
 def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """Returns the accounts of axes and groups with what each says of the other.
+    """Returns the accounts of axes and groups with the verdict of each, and with what each says of the other.
 
     Args:
         accounts: By name, as if every port were alone.
@@ -92,6 +117,8 @@ def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, 
             came in and went out by it.
     """
     found = {name: dict(account) for name, account in accounts.items()}
+    for account in found.values():
+        account["passive"] = passive(account["least_interaction"], account.get("unsure", 0.0))
     for group, axes in groups.items():
         found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
         for name in axes:

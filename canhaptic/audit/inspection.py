@@ -12,7 +12,7 @@ from canhaptic.canopen.objects import StatusBit
 from canhaptic.control.balance import Branch, Certificate, LedgerSummary
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
-from canhaptic.result import with_groups
+from canhaptic.result import overall, with_groups
 from canhaptic.signals import CycleTiming
 
 _Array = NDArray[Any]
@@ -33,6 +33,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     """
     rows = rows_between(log, start, stop)
     sync_index = log.timing["sync_index"][rows]
+    ports = _ports(log, rows)
     return {
         "file": str(log.path),
         "status": log.status,
@@ -42,7 +43,8 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "from": float(sync_index[0] * log.sample_time) if len(sync_index) else 0.0,
         "to": float(sync_index[-1] * log.sample_time) if len(sync_index) else 0.0,
         "findings": not_finite(log),
-        "ports": _ports(log, rows),
+        "passive": overall(ports),
+        "ports": ports,
         "truth": {name: _truth(log, name, rows) for name in log.truth},
         "timing": _timing(log, rows),
         "link": _link(log, rows, sync_index),

@@ -16,7 +16,7 @@ from canhaptic.control.multi_axis.axis_group import GroupedControllers
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.result import with_groups
+from canhaptic.result import overall, with_groups
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
@@ -90,7 +90,8 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         cycles += 1
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
-    result: dict[str, Any] = {"cycles": cycles, "ports": _accounts(scene, ledgers)}
+    ports = _accounts(scene, ledgers)
+    result: dict[str, Any] = {"cycles": cycles, "passive": overall(ports), "ports": ports}
     if log is not None:
         result["differences"] = [judge.difference for judge in judges if judge.difference is not None]
         if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived

@@ -1,4 +1,4 @@
-"""Checks of a run that a user writes as text: `margin >= -1 uJ`, `handle.deficit == 0`, `compute.p99.9 < 50 us`."""
+"""Checks of a run that a user writes as text: `passive`, `margin >= -1 uJ`, `handle.deficit == 0`, `rate == 1 kHz`."""
 
 import difflib
 import operator
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.units import parse_unit
+from canhaptic.units import damping_unit, effort_unit, parse_unit
 
 _EXPRESSION: Final = re.compile(
     r"\s*([\w.]+)\s*(>=|<=|==|!=|>|<)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([A-Za-z*/^0-9]*)\s*"
@@ -20,6 +20,7 @@ _OPERATORS: Final = {
     ">": operator.gt,
     "<": operator.lt,
 }
+_VERDICT: Final = "passive"
 _SHORT: Final = {"margin": "margin.value", "surplus": "surplus.max"}
 
 
@@ -28,28 +29,28 @@ def check(result: Mapping[str, Any], expression: str) -> list[dict[str, Any]]:
 
     A name without a port means every port: `margin>=-1e-6`. A name may be shortened from the left as long as it ends
     at a dot: `handle.margin.value`, `margin`. A bound may carry a unit with a prefix; plain numbers are SI.
+    A verdict is named alone: `passive` holds where the verdict is yes, and fails where it is no or in doubt.
 
     Args:
         result: As `inspect` or `run --json` gives it.
-        expression: NAME, one of >= <= == != > <, a number.
+        expression: NAME, one of >= <= == != > <, a number; or `passive` or `NAME.passive`.
 
     Returns:
         One `{check, name, value, holds}` per value.
 
     Raises:
-        InputError: The expression cannot be read, or names nothing in the result.
+        InputError: The expression cannot be read, names nothing in the result, or has the unit of something else.
     """
+    if expression.strip().rpartition(".")[2] == _VERDICT:
+        return _verdicts(result, expression)
     match = _EXPRESSION.fullmatch(expression)
     if match is None:
         raise InputError(f"check {expression!r}: expected NAME >= NUMBER, such as 'margin >= -1e-6'")
     name, comparison, number, unit = match.groups()
-    try:
-        bound = float(number) * (parse_unit(unit)[0] if unit else 1.0)
-    except ValueError as error:
-        raise InputError(f"check {expression!r}: {error}") from error
     values = dict(_numbers(result, ""))
     wanted = _wanted(name)
     found = {path: value for path, value in values.items() if f".{path}".endswith(f".{wanted}")}
+    bound = float(number) * _factor(expression, unit, found, result)
     if not found:
         names = {path.split(".", 2)[-1] if path.startswith("ports.") else path for path in values}
         near = difflib.get_close_matches(wanted, names, n=3, cutoff=0.4)
@@ -61,6 +62,69 @@ def check(result: Mapping[str, Any], expression: str) -> list[dict[str, Any]]:
         {"check": expression, "name": path, "value": value, "holds": bool(holds(value, bound))}
         for path, value in found.items()
     ]
+
+
+def _verdicts(result: Mapping[str, Any], expression: str) -> list[dict[str, Any]]:
+    """Returns whether each account that the expression names was passive.
+
+    Raises:
+        InputError: It names none.
+    """
+    port = expression.strip().rpartition(".")[0]
+    verdicts = {name: account[_VERDICT] for name, account in result["ports"].items() if _VERDICT in account}
+    if port:
+        verdicts = {name: verdict for name, verdict in verdicts.items() if name == port}
+    if not verdicts:
+        raise InputError(f"check {expression!r}: the run has no account of that name; expected NAME.passive or passive")
+    return [
+        {"check": expression, "name": f"ports.{name}.{_VERDICT}", "value": verdict, "holds": verdict == "yes"}
+        for name, verdict in verdicts.items()
+    ]
+
+
+def _factor(expression: str, unit: str, found: Mapping[str, float], result: Mapping[str, Any]) -> float:
+    """Returns how much a unit is of that in which the figures found are kept; 1 where none is given.
+
+    Raises:
+        InputError: The unit cannot be read, or is of another quantity than one of the figures.
+    """
+    if not unit:
+        return 1.0
+    try:
+        factor, dimension = parse_unit(unit)
+    except ValueError as error:
+        raise InputError(f"check {expression!r}: {error}") from error
+    for path in found:
+        kept = unit_of(path, result)
+        if parse_unit(kept)[1] != dimension:
+            expected = "no unit: it is a pure number" if kept == "1" else f"{kept}, or that with a prefix"
+            raise InputError(f"check {expression!r}: got {unit} for {path}, expected {expected}")
+    return factor
+
+
+def unit_of(path: str, result: Mapping[str, Any]) -> str:
+    """Returns the unit in which a figure is kept, "1" for a pure number.
+
+    Args:
+        path: Of the figure in the result, such as `ports.handle.margin.value`.
+        result: As `inspect` or `run --json` gives it.
+    """
+    section, _, rest = path.partition(".")
+    name = path.rpartition(".")[2]
+    if section in ("ports", "truth"):
+        port, _, figure = rest.partition(".")
+        while port not in result[section]:  # a name may hold dots
+            head, _, figure = figure.partition(".")
+            port = f"{port}.{head}"
+        motion = result[section][port].get("unit", "m")
+        units = {"peak_torque": effort_unit(motion), "margin.time": "s", "margin.cycle": "1", "longest_hold": "1"}
+        if figure.startswith("damping_rendered."):
+            return damping_unit(motion)
+        pure = figure.startswith(("branches.", "limits.")) or name.endswith("cycles")
+        return units.get(figure, "1" if pure else "J")
+    if section == "timing":
+        return {"cycles_per_second": "1/s", "deadlines_missed": "1"}.get(name, "s")
+    return {"duration": "s", "from": "s", "to": "s", "rate": "Hz"}.get(path, "1")
 
 
 def _wanted(name: str) -> str:

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="EXPRESSION",
-        help="exit with 1 unless it holds, such as 'margin >= -1 uJ', 'handle.deficit == 0', 'compute.p99.9 < 50 us'",
+        help="exit with 1 unless it holds: 'passive', 'margin >= -1 uJ', 'handle.deficit == 0', 'compute.p99 < 50 us'",
     )
     parser.add_argument(
         "--compare",

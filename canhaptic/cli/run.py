@@ -2,9 +2,10 @@
 
 import argparse
 import tempfile
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from canhaptic.cli.arguments import add_json, add_scene, check_picture, scene_of, seconds
 from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_note
@@ -19,6 +20,8 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.guesses import require_no_guesses
 
+_NOT_PASSIVE: Final = 1  # exit status of --strict
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `run`."""
@@ -32,11 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", metavar="FILE.h5", type=Path, help="energy log (HDF5)")
     parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the run (.png, .svg, .pdf)")
+    parser.add_argument(
+        "--strict", action="store_true", help="exit with 1 unless every account says that the run was passive"
+    )
     add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Runs the scene; returns 0, or 130 or 143 after a signal."""
+    """Runs the scene; returns 0, 1 when --strict was asked for and not kept, or 130 or 143 after a signal."""
     scene = scene_of(arguments)
     with ExitStack() as stack:
         energy_log = arguments.log or scene.log.energy
@@ -57,7 +63,18 @@ def execute(arguments: argparse.Namespace) -> int:
             with EnergyLog.open(energy_log) as log:
                 draw_energy(log, arguments.png)
     _report(result, error, arguments)
-    return stop.exit_status if error is None else error.exit_status
+    if error is not None:
+        return error.exit_status
+    return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+
+
+def _fails(result: Mapping[str, Any]) -> bool:
+    """Says which account is not passive, if one is not."""
+    for name, account in result["ports"].items():
+        if account.get("passive", "yes") != "yes":
+            least = f"{account['least_interaction']:.3g} J"
+            write_note(f"canhaptic: --strict: {name}: passive: {account['passive']}, least sum of interaction {least}")
+    return bool(result["passive"] != "yes")
 
 
 def _run(

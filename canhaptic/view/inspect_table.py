@@ -78,7 +78,8 @@ def checks_table(checks: list[_Result]) -> Table:
     table = plain_table(" checks", "check", "value of", "is", "")
     for check in checks:
         verdict = Text("holds", style="green") if check["holds"] else Text("FAILS", style="bold red")
-        table.add_row(check["check"], check["name"], f"{check['value']:.9g}", verdict)
+        value = check["value"] if isinstance(check["value"], str) else f"{check['value']:.9g}"
+        table.add_row(check["check"], check["name"], value, verdict)
     return table
 
 

@@ -1,5 +1,6 @@
 import json
 import math
+import re
 from pathlib import Path
 
 import h5py
@@ -12,6 +13,7 @@ from canhaptic.audit.user_checks import check
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance, Ledger
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.result import overall, passive
 from tests.view import typed
 from tests.view.synthetic_run import write_run, write_troubled_run
 
@@ -165,6 +167,60 @@ def test_checks_read_like_sentences(log: Path, expression: str, holds: bool) -> 
 def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, message: str) -> None:
     with EnergyLog.open(log) as opened, pytest.raises(InputError, match=message):
         check(inspect(opened), expression)
+
+
+@pytest.mark.parametrize(
+    ("expression", "message"),
+    [
+        ("margin >= -1 m", "got m for ports.handle.margin.value, expected J, or that with a prefix"),
+        ("handle.margin.time < 1 J", "expected s, or that"),
+        ("peak_torque < 1 kg", "expected N, or that"),
+        ("damping_rendered.most < 1 N/m", "expected N*s/m, or that"),
+        ("branches.free > 3 s", "expected no unit: it is a pure number"),
+        ("cycles == 4000 Hz", "expected no unit"),
+        ("rate > 1 s", "expected Hz, or that"),
+        ("wakeup_lateness.max < 1 m", "expected s, or that"),
+        ("knob.passive", "the run has no account of that name"),
+    ],
+)
+def test_a_check_with_the_unit_of_something_else_is_refused(log: Path, expression: str, message: str) -> None:
+    with EnergyLog.open(log) as opened, pytest.raises(InputError, match=re.escape(message)):
+        check(inspect(opened), expression)
+
+
+def test_every_figure_of_an_account_has_a_unit_that_a_check_takes(log: Path) -> None:
+    with EnergyLog.open(log) as opened:
+        result = inspect(opened)
+    for name in ("in", "surplus.max", "margin", "least_interaction", "deficit", "leaked"):
+        assert check(result, f"handle.{name} > -1 kJ")[0]["holds"], name
+    assert check(result, "rate == 1 kHz")[0]["holds"]
+    assert check(result, "handle.peak_torque < 1 kN")[0]["holds"]
+    assert check(result, "wakeup_lateness.max < 1 s")[0]["holds"]
+
+
+def test_the_verdict_is_one_word_for_machines(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with EnergyLog.open(log) as opened:
+        result = inspect(opened)
+    assert (result["passive"], result["ports"]["handle"]["passive"]) == ("yes", "yes")
+    assert [c["holds"] for c in check(result, "passive")] == [c["holds"] for c in check(result, "handle.passive")]
+    active = tmp_path / "active.h5"
+    active.write_bytes(log.read_bytes())
+    with h5py.File(active, "r+") as file:
+        file["ports/handle/h_i"][0] = -1.0
+    assert typed.inspect(active, "--check", "passive") == 1
+    assert "FAILS" in capsys.readouterr().out
+    assert typed.inspect(active, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["passive"], found["ports"]["handle"]["passive"]) == ("no", "no")
+
+
+def test_only_energy_of_which_nothing_is_known_makes_a_doubt() -> None:
+    assert [passive(*values) for values in ((0.0, 0.0), (-1e-3, 0.0), (-1e-3, 2e-3), (float("nan"), 1.0))] == [
+        "yes", "no", "in doubt", "no",
+    ]  # fmt: skip
+    assert overall({"a": {"passive": "yes"}, "b": {"passive": "in doubt"}, "c": {"group": "b"}}) == "in doubt"
+    assert overall({"a": {"passive": "no"}, "b": {"passive": "in doubt"}}) == "no"
+    assert overall({}) == "in doubt"
 
 
 def test_a_value_that_is_not_a_number_fails_every_check() -> None:

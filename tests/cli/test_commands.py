@@ -299,3 +299,18 @@ def test_the_schema_knows_every_key_of_every_shipped_configuration(capsys: Captu
     text = json.dumps(schema)
     for name in schema["$defs"]:
         assert f"#/$defs/{name}" in text
+
+
+def test_a_strict_run_exits_with_one_unless_it_was_passive(capsys):
+    """A spring without protection at a low rate gives energy out; the same under `guarded` does not."""
+    stiff = ["environment.stiffness=3000", "environment.damping=0", "bus.rate=200"]
+    words = [word for override in stiff for word in ("--set", override)]
+    command = ["run", DEMO, "--duration", "1.5", "--json", *words]
+    active = [*command, "--set", "passivity={algorithm: direct}"]
+    assert main(active) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["passive"], found["ports"]["handle"]["passive"]) == ("no", "no")
+    assert main([*active, "--strict"]) == 1
+    assert "--strict: handle: passive: no, least sum of interaction -" in capsys.readouterr().err
+    assert main([*command, "--strict"]) == 0
+    assert json.loads(capsys.readouterr().out)["passive"] == "yes"
