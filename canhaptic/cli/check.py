@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import yaml
 from rich.console import Console
@@ -31,11 +31,12 @@ _COLOURS: Final = {Verdict.FIT: "green", Verdict.UNKNOWN: "yellow", Verdict.REFU
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `check`."""
     add_scene(parser)
+    parser.add_argument("--resolved", action="store_true", help="print every value in effect, as YAML")
     add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Prints the configuration in effect, the bus budget, the fitness of each drive, stability hints and the host.
+    """Prints one line of verdict, the bus budget, the fitness of each drive, stability hints and the host.
 
     Returns 1 when values are marked as guesses and the drives are real: a run would be refused.
     """
@@ -53,19 +54,54 @@ def execute(arguments: argparse.Namespace) -> int:
         axis.name: check_dictionary(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)
     }
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
+    found = _Found(scene, budgets, findings, hints)
     if arguments.json:
-        write_json(_as_json(scene, budgets, findings, hints))
+        write_json(_as_json(found))
     else:
-        _print(make_console(), scene, budgets, findings, hints)
-    return _TO_BE_SET if guesses_left(scene) and refuses_guesses(scene) else 0
+        _print(make_console(), found, resolved=arguments.resolved)
+    return _TO_BE_SET if found.refused else 0
 
 
-def _as_json(
-    scene: Scene, budgets: dict[str, BusBudget], findings: dict[str, list[Finding]], hints: list[Hint]
-) -> dict[str, Any]:
+class _Found(NamedTuple):
+    """What `check` found."""
+
+    scene: Scene
+    budgets: dict[str, BusBudget]
+    findings: dict[str, list[Finding]]
+    hints: list[Hint]
+
+    @property
+    def refused(self) -> bool:
+        """Whether a run would be refused because values are still guesses."""
+        return bool(guesses_left(self.scene)) and refuses_guesses(self.scene)
+
+    @property
+    def exceeded(self) -> list[Hint]:
+        """Limits on which the chosen algorithm rests, and which the scene goes beyond."""
+        return [hint for hint in self.hints if hint.exceeded and hint.concerns]
+
+    def verdict(self) -> str:
+        """Returns whether the scene can run and what to look at, in one line."""
+        marks = len(guesses_left(self.scene))
+        unknown = sum(f.verdict is Verdict.UNKNOWN for rows in self.findings.values() for f in rows)
+        load = max(budget.periodic_load for budget in self.budgets.values())
+        parts = [
+            f"{marks} value{'s are' if marks != 1 else ' is'} still marked {TO_SET}" if marks else "",
+            f"{len(self.findings)} drive{'s fit' if len(self.findings) != 1 else ' fits'} by its dictionary",
+            f"{unknown} to be read from the drive" if unknown else "",
+            f"bus load {100.0 * load:.0f} %",
+            f"{len(self.exceeded)} limit{'s' if len(self.exceeded) != 1 else ''} exceeded" if self.exceeded else "",
+        ]
+        return f"{'not ready' if self.refused else 'ready'}: {', '.join(part for part in parts if part)}"
+
+
+def _as_json(found: _Found) -> dict[str, Any]:
+    scene, budgets, findings, hints = found
     buses = {name: _budget_as_json(budget) for name, budget in budgets.items()}
     return {
         "status": "ok",
+        "ready": not found.refused,
+        "verdict": found.verdict(),
         "config_hash": scene.config_hash(),
         "to_set": [guess._asdict() for guess in guesses_left(scene)],
         "config": scene.resolved(),
@@ -90,14 +126,19 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
     }
 
 
-def _print(
-    console: Console, scene: Scene, budgets: dict[str, BusBudget], findings: dict[str, list[Finding]], hints: list[Hint]
-) -> None:
-    console.print(f"[bold]configuration[/] {scene.config_hash()[:12]}")
+def _print(console: Console, found: _Found, *, resolved: bool) -> None:
+    scene, budgets, findings, hints = found
+    colour = "red" if found.refused else "yellow" if found.exceeded else "green"
+    console.print(f"[bold {colour}]{escape(found.verdict())}[/]", soft_wrap=True)
+    where = "; ".join(f"{bus.parameters.interface} {bus.parameters.channel or ''}".strip() for bus in scene.buses)
+    line = f"configuration {scene.config_hash()[:12]} on {where} at {1.0 / scene.bus.sample_time:g} Hz"
+    console.print(line + ("" if resolved else "; every value: --resolved"), markup=False, soft_wrap=True)
     if guesses := guesses_left(scene):
-        console.print(f"{len(guesses)} values are still marked {TO_SET}: real drives do not run on guesses")
+        console.print("real drives do not run on guesses:")
         console.print(_guess_table(guesses))
-    console.print(yaml.safe_dump(_without_empty(scene.resolved()), sort_keys=False, allow_unicode=True), markup=False)
+    if resolved:
+        values = _without_empty(scene.resolved())
+        console.print(yaml.safe_dump(values, sort_keys=False, allow_unicode=True), markup=False)
     for name, budget in budgets.items():
         console.print(_bus_table(name, budget))
         console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
@@ -156,7 +197,7 @@ def _hint_table(hints: list[Hint]) -> Table:
     for hint in hints:
         limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
         asked = "" if hint.asked is None else f"{hint.asked:.4g}"
-        style = "yellow" if hint.exceeded else ""
+        style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
         table.add_row(hint.axis, hint.what, limit, asked, hint.text, style=style)
     return table
 

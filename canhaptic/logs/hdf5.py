@@ -35,7 +35,7 @@ class Dataset:
 
     def refreshed_length(self) -> int:
         """Returns its length now, while another process writes it."""
-        self._dataset.id.refresh()
+        self._dataset.refresh()
         return len(self)
 
     @property

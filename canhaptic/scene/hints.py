@@ -17,6 +17,8 @@ from canhaptic.scene.models import AxisScene, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
 """Algorithms that certain damping of the device certifies."""
+_UNPROTECTED: Final = "direct"
+"""Algorithm that renders the plain wall."""
 _LINEAR_ROTARY: Final = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "N*m*s/rad"), "speed": ("m/s", "rad/s")}
 
 
@@ -29,6 +31,7 @@ class Hint(NamedTuple):
     asked: float | None  # by the scene; None where there is nothing to compare
     unit: str
     text: str  # where the limit comes from, or what to give so that it is known
+    concerns: bool = True  # False: a limit of a plain wall, which the chosen algorithm does not rest on
     certificate: str = ""  # whose largest stiffness this is: "device damping", "hand force", "hand speed" or "largest"
 
     @property
@@ -91,6 +94,16 @@ def _hint(axis: AxisScene, what: str, quantity: str, limit: float | None, asked:
     return Hint(axis.parameters.name, what, limit, asked, unit, text)
 
 
+def _of_plain_wall(
+    axis: AxisScene, what: str, quantity: str, limit: float | None, asked: float | None, text: str
+) -> Hint:
+    """Returns a limit that holds for a spring and damper without any algorithm."""
+    plain = axis.passivity.name == _UNPROTECTED
+    return _hint(axis, what, quantity, limit, asked, text if plain else f"plain wall only: {text}")._replace(
+        concerns=plain
+    )
+
+
 def _known(axis: AxisScene, key: str, of_plant: str) -> tuple[float | None, str]:
     """Returns a property of the device and where it comes from: declared, else that of the simulated plant."""
     declared = getattr(axis.loop, key)
@@ -111,11 +124,13 @@ def _stiffness_hints(axis: AxisScene) -> list[Hint]:
     stiffness, period, delay = _asked(axis, "stiffness"), axis.loop.sample_time, axis.loop.delay
     bound = None if damping is None else renderable_by_device_damping(damping, period, 0)
     what = "stiffness, Colgate's bound 2 b / T"
-    hints = [_hint(axis, what, "stiffness", bound, stiffness, f"a plain wall is passive below; {source}")]
+    hints = [_of_plain_wall(axis, what, "stiffness", bound, stiffness, f"passive below; {source}")]
     if delay and damping is not None:
         bound = renderable_by_device_damping(damping, period, delay)
         what = f"stiffness at delay {delay}, 2 b / {1 + delay} T"
-        hints.append(_hint(axis, what, "stiffness", bound, stiffness, f"held by the device's damping; {source}"))
+        hints.append(
+            _of_plain_wall(axis, what, "stiffness", bound, stiffness, f"held by the device's damping; {source}")
+        )
     return hints
 
 
@@ -126,13 +141,21 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
     Robotics 21, 2005: a plain spring wall is passive for every user up to the lesser of this and Colgate's bound.
     """
     count, stiffness, friction = axis.loop.encoder_count, _asked(axis, "stiffness"), _simulated_friction(axis)
+    limit = quantisation_bound(axis)
     needed = "" if stiffness is None else f"needs {0.5 * stiffness * count:.3g} of Coulomb friction for what is asked"
     if friction is None:
         text = f"no Coulomb friction known; {needed}" if needed else "no Coulomb friction known"
-        return _hint(axis, "stiffness, quantisation bound 2 f_c / count", "stiffness", None, stiffness, text)
-    limit = 2.0 * friction / count if count else math.inf
-    text = f"friction {friction:.3g} of the simulated plant; {needed}"
-    return _hint(axis, "stiffness, quantisation bound 2 f_c / count", "stiffness", limit, stiffness, text)
+    else:
+        text = f"friction {friction:.3g} of the simulated plant; {needed}"
+    return _of_plain_wall(axis, "stiffness, quantisation bound 2 f_c / count", "stiffness", limit, stiffness, text)
+
+
+def quantisation_bound(axis: AxisScene) -> float | None:
+    """Returns 2 f_c / count [N/m or N*m/rad]; None where no Coulomb friction is known, inf for an ideal encoder."""
+    count, friction = axis.loop.encoder_count, _simulated_friction(axis)
+    if friction is None:
+        return None
+    return 2.0 * friction / count if count else math.inf
 
 
 def _simulated_friction(axis: AxisScene) -> float | None:
@@ -164,7 +187,7 @@ def _colgate_damping(axis: AxisScene, asked: float | None) -> list[Hint]:
     if device is None or stiffness is None:
         return []
     limit = max(0.0, device - 0.5 * stiffness * axis.loop.sample_time)
-    return [_hint(axis, "damping, Colgate's bound b - k T / 2", "damping", limit, asked, f"a plain wall; {source}")]
+    return [_of_plain_wall(axis, "damping, Colgate's bound b - k T / 2", "damping", limit, asked, source)]
 
 
 def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:

@@ -188,8 +188,30 @@ def test_a_bar_is_drawn_where_the_end_is_known(capsys: Captured, monkeypatch: py
 def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captured) -> None:
     assert main(["check", DEMO]) == 0
     out = capsys.readouterr().out
-    for words in ("stiffness: 100.0", "1 SYNC x 55 + 1 TPDO x 135", "0x6071 target torque", "Colgate", "processors"):
+    assert out.splitlines()[0] == "ready: 1 drive fits by its dictionary, bus load 28 %"
+    for words in ("1 SYNC x 55 + 1 TPDO x 135", "0x6071 target torque", "Colgate", "processors"):
         assert words in out
+    assert "stiffness: 100.0" not in out
+    assert main(["check", DEMO, "--resolved"]) == 0
+    assert "stiffness: 100.0" in capsys.readouterr().out
+
+
+def test_check_marks_limits_that_the_chosen_algorithm_does_not_rest_on(capsys: Captured) -> None:
+    stiff = ["--set", "environment.stiffness=5000"]
+    assert main(["check", DEMO, *stiff, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["ready"] is True
+    rows = {hint["what"]: hint for hint in answer["stability"]}
+    colgate = rows["stiffness, Colgate's bound 2 b / T"]
+    assert (colgate["exceeded"], colgate["concerns"]) == (True, False)  # of a plain wall, and this one is guarded
+    assert colgate["text"].startswith("plain wall only: ")
+    assert rows["damping, stable"]["concerns"] is True
+    assert main(["check", DEMO, *stiff, "--json", "--set", "passivity={algorithm: direct}"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    rows = {hint["what"]: hint for hint in answer["stability"]}
+    assert rows["stiffness, Colgate's bound 2 b / T"]["concerns"] is True
+    exceeded = [what for what, hint in rows.items() if hint["exceeded"] and hint["concerns"]]
+    assert f", {len(exceeded)} limits exceeded" in answer["verdict"]
 
 
 def test_check_json_is_one_object(capsys: Captured) -> None:

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.control.balance import PASSIVE_TOLERANCE
-from canhaptic.scene.hints import stability_hints
+from canhaptic.scene.hints import quantisation_bound
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch import scene_with
 from canhaptic.study.loop import Array
@@ -152,8 +152,8 @@ def theory_at(field: MapField, values: Mapping[str, float]) -> _Theory:
     device = simulation.plant.damping + viscous_friction(simulation)
     wall = float(getattr(environment, "damping", 0.0))
     colgate = _colgate_stiffness(device, wall, scene.bus.sample_time, delay)
-    counts = [hint.limit for hint in stability_hints(axis) if "quantisation" in hint.what]
-    friction = counts[0] if counts and counts[0] and math.isfinite(counts[0]) else None
+    friction = quantisation_bound(axis)
+    friction = friction if friction and math.isfinite(friction) else None
     return _Theory(colgate, friction if delay == 0 and wall == 0.0 else None)
 
 
