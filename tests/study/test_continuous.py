@@ -15,11 +15,13 @@ from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMediu
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import InputError
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
+from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from canhaptic.study.reference.continuous_ode import integrate
+from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.study.reference.continuous_reference import continuous_reference
 from canhaptic.study.reference.continuous_wall import continuous_effect
+from canhaptic.study.reference.textbook_environment import continuous_run
 from tests.control.reference_loop import USER_S, continuous
 
 PLANT = PlantParameters(mass=0.25, damping=0.1)
@@ -55,8 +57,8 @@ def test_the_wall_is_that_of_an_independent_dop853(stiffness, damping, surface):
     ids=lambda environment: type(environment).__name__,
 )
 def test_the_exact_machine_and_dop853_agree(environment):
-    times = np.arange(1000) * 1e-3
-    position, _ = integrate(environment, Plant(PLANT, USER, [], MS), times)  # type: ignore[arg-type]
+    times = (np.arange(1000) * 1e-3).tolist()
+    position = continuous_run(environment, Model(PLANT, USER, []), times, 1e-10).position
     assert np.abs(reference(environment, 1000).position - position).max() < 2e-9
 
 
@@ -106,9 +108,26 @@ def test_the_energy_of_plant_and_continuous_environment_closes(environment):
     assert energy.dissipated > 1e-3
 
 
-def test_an_environment_that_is_not_affine_takes_a_linear_plant_only():
+def test_an_environment_that_is_not_affine_takes_any_plant():
     hard = HardeningWall(stiffness=200.0, hardening=2e6, damping=2.0)
     assert reference(hard, 300).method.startswith("DOP853")
     assert reference(Detents(peak=2.0, pitch=0.01, damping=0.5), 300).variation > 1.0
-    with pytest.raises(InputError, match="linear plant"):
-        reference(hard, 300, [CoulombFriction(kinetic=0.1, static=0.2)])
+    dry = reference(hard, 300, [CoulombFriction(kinetic=0.1, static=0.2)])
+    assert 1e-5 < np.abs(dry.position - reference(hard, 300).position).max() < 0.01
+
+
+def test_an_environment_without_equations_is_refused_although_it_descends_from_one_that_has_them():
+    class Ledge(SpringDamperWall):
+        def contact(self, position):
+            return int(position < self.position or position > 0.01)
+
+    with pytest.raises(InputError, match="got Ledge, for which there is no continuous run, expected one of: Spring"):
+        reference(Ledge(stiffness=100.0, damping=1.0), 300)
+
+
+def test_an_effect_without_equations_is_refused():
+    class Eddies(ViscousFriction):
+        type: str = "eddies"
+
+    with pytest.raises(InputError, match="got 'eddies', for which the textbook plant has no equations"):
+        reference(Detents(peak=2.0, pitch=0.01, damping=0.5), 300, [Eddies(damping=1.0)])

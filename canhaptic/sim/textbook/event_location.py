@@ -9,6 +9,8 @@ from functools import partial
 from itertools import pairwise
 from typing import Any, Final
 
+import numpy as np
+
 from canhaptic.errors import InputError
 from canhaptic.sim.textbook.reference_elements import Floats, Transition
 from canhaptic.sim.textbook.reference_model import Model, Modes
@@ -19,6 +21,8 @@ _LONGEST_STEP: Final = 2.5e-4
 """[s] where modes may change: their guards are looked at at the ends of steps."""
 _MOST_CHANGES: Final = 10_000
 """Changes of mode in one hold."""
+_STRETCH: Final = 0.02
+"""[s] that are solved at once, so that memory stays small and a request to stop is heard."""
 _CHAIN: Final = 16
 """Changes of mode without time between them."""
 
@@ -95,10 +99,55 @@ def located_states(
     return states
 
 
+def states_at(
+    model: Model, times: Sequence[float], rtol: float, stop: Callable[[], bool] | None = None
+) -> list[Floats]:
+    """Returns every state without a torque at some times, by DOP853 with dense output.
+
+    Args:
+        model: The plant and what acts on it.
+        times: Ascending, from 0 [s].
+        rtol: Relative tolerance; a thousandth of it is the absolute one, of each state in its own unit.
+        stop: Asked now and then whether to give up.
+
+    Raises:
+        InputError: scipy is missing, the solver fails, or it was stopped.
+    """
+    try:
+        from scipy.integrate import solve_ivp
+    except ImportError as error:
+        raise InputError(_MISSING) from error
+    longest = _LONGEST_STEP if model.switches else math.inf
+    solve = partial(solve_ivp, method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
+    state, modes, found = list(model.start), model.first, [list(model.start)]
+    wanted = iter(times[1:])
+    due = next(wanted, math.inf)
+
+    def read(result: Any) -> None:
+        nonlocal due
+        if stop is not None and stop():
+            raise InputError("stopped before the reference was there; nothing can be compared without it")
+        while due <= result.t[-1]:
+            found.append(result.sol(due).tolist())
+            due = next(wanted, math.inf)
+
+    cuts = [*np.arange(0.0, times[-1], _STRETCH), *(t for t in model.breaks if t < times[-1]), times[-1]]
+    for start, finish in pairwise(sorted(cuts)):
+        if finish > start:
+            state, modes = _hold(model, solve, state, modes, 0.0, (start, finish), read)
+    return found
+
+
 def _hold(
-    model: Model, solve: Callable[..., Any], state: list[float], modes: Modes, torque: float, span: tuple[float, float]
+    model: Model,
+    solve: Callable[..., Any],
+    state: list[float],
+    modes: Modes,
+    torque: float,
+    span: tuple[float, float],
+    read: Callable[[Any], None] = lambda _result: None,
 ) -> tuple[list[float], Modes]:
-    """Returns state and modes after one stretch of time under one torque."""
+    """Returns state and modes after one stretch of time under one torque; `read` sees every solution on the way."""
     now, end = span
     for _ in range(_MOST_CHANGES):
         state, modes = settled(model, now, state, torque, modes)
@@ -108,6 +157,7 @@ def _hold(
         )
         if result.status < 0:
             raise InputError(f"the reference failed at {now:g} s ({result.message}); shorten the study or the scene")
+        read(result)
         state, now = result.y[:, -1].tolist(), float(result.t[-1])
         if result.status == 0:
             return state, modes

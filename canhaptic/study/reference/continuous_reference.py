@@ -9,12 +9,15 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.study.loop import Array
 from canhaptic.study.reference.continuous_wall import continuous_effect
 
 _FINEST: Final = 200_000
 """Longest time between two readings of the reference [ns]; at least two readings a hold."""
 _MOST_READINGS: Final = 400_000
+_TOLERANCE: Final = 1e-10
+"""Relative, of DOP853."""
 REST: Final = 0.02
 """Peak-to-peak motion, as a part of the whole travel, below which the reference counts as being at rest."""
 
@@ -56,16 +59,17 @@ def continuous_reference(
         seed: Of random effects.
 
     Raises:
-        InputError: The environment is not piecewise affine and the plant not linear, or scipy is missing.
+        InputError: There are no equations for the environment or an effect, or they are not piecewise affine and scipy
+            is missing.
     """
     readings = readings_per_hold(sample_time_ns, cycles)
     times = [(k * sample_time_ns) // readings for k in range((cycles - 1) * readings + 1)]
     effect = continuous_effect(environment)
     if effect is None:
-        from canhaptic.study.reference.continuous_ode import integrate
+        from canhaptic.study.reference.textbook_environment import continuous_run
 
-        bare = Plant(plant, user, effects, sample_time_ns, seed)
-        position, velocity = integrate(environment, bare, np.array(times) * 1e-9)
+        run = continuous_run(environment, Model(plant, user, effects), [time * 1e-9 for time in times], _TOLERANCE)
+        position, velocity = run.position, run.velocity
         method = "DOP853 with event location, relative tolerance 1e-10"
     else:
         step = sample_time_ns // readings if sample_time_ns % readings == 0 else sample_time_ns

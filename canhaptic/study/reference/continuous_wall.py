@@ -1,7 +1,7 @@
 """The continuous environment rendered to the same user and plant: what every sampled algorithm is compared with.
 
 No sampling, no encoder, no torque limit. Environments that are piecewise affine become a part of the exact machine of
-`canhaptic.sim` (crossings bracketed to a tick); the others are integrated by DOP853 (`continuous_ode`).
+`canhaptic.sim` (crossings bracketed to a tick); the others are integrated by DOP853 (`textbook_environment`).
 """
 
 from collections.abc import Sequence
@@ -20,10 +20,16 @@ from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.sim.plant.assembly import MOTOR, Guard, LinearPart, Part, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.study.reference.textbook_environment import surfaces
 
 
 def continuous_effect(environment: Environment) -> Effect | None:
-    """Returns the environment as an exact effect of a plant; None when it is not piecewise affine."""
+    """Returns the environment as an exact effect of a plant; None when it is not piecewise affine.
+
+    Raises:
+        InputError: There are no equations for an environment of this class; a subclass may differ in anything.
+    """
+    surfaces(environment)
     if isinstance(environment, HardeningWall) and environment.linear_stiffness is not None:
         environment = SpringDamperWall(**environment.model_dump(exclude={"hardening"}))
     if isinstance(environment, SpringDamperWall | DamperWall):

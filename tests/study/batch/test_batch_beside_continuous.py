@@ -7,16 +7,17 @@ import pytest
 
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.registry import load
-from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.study.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
 from canhaptic.study.batch.batch_reference import ContinuousRuns, why_not_continuous
 from canhaptic.study.batch.cases import loop_in_arrays
 from canhaptic.study.batch.marching import march
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import render
-from canhaptic.study.reference.continuous_ode import integrate
 from canhaptic.study.reference.continuous_reference import continuous_reference
+from canhaptic.study.reference.textbook_environment import continuous_run
 from canhaptic.study.scenes import environment_of, loop_case, plant_parts
 from tests.study.batch.loops import PLANT, in_arrays, scalar_case
 from tests.study.batch.test_scenes import demo, many
@@ -82,7 +83,8 @@ def check(world: str, scenes: int, cycles: int, seed: int) -> int:
         motion = SinusoidMotion(amplitude=0.03, frequency=hand.pop("motion.frequency"))
         user, period = UserParameters(**hand, motion=motion), round(1e9 / float(varied["bus.rate"][i]))
         machine = continuous_reference(environment, plant, user, [], period, cycles)
-        solved, _ = integrate(environment, Plant(plant, user, [], period), np.arange(cycles) * period * 1e-9)  # type: ignore[arg-type]
+        times = (np.arange(cycles) * period * 1e-9).tolist()
+        solved = continuous_run(environment, Model(plant, user, []), times, 1e-10).position
         spread, least = np.abs(solved - machine.position).max(), 1e-8 * machine.travel
         for expected in (solved, machine.position):
             assert np.abs(position[:, i] - expected[1:]).max() <= max(least, 3.0 * spread), i
