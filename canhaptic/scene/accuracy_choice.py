@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.errors import InputError
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant, effect_of
@@ -167,17 +166,9 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
     """
     simulation, period = simulation_of(axis), scene.bus.sample_time_ns
     plant = build_plant(replace(simulation, accuracy=accuracy, compiled=False), period)
-    controller, limit = build_axis_controller(axis), axis.parameters.torque_limit
-
-    def step(position: float, held: float) -> EnergyBalance:
-        balance = controller.step(position, held)
-        if abs(balance.torque) > limit:
-            return AT_REST._replace(torque=limit if balance.torque > 0.0 else -limit)
-        return balance
-
-    rig = DirectRig(
-        plant, step, period, scene.bus.delay, axis.parameters.counts_per_unit, axis.loop.torque_quantum or None
-    )
+    given, quantum = axis.parameters, axis.loop.torque_quantum or None
+    step = build_axis_controller(axis).step
+    rig = DirectRig(plant, step, period, scene.bus.delay, given.counts_per_unit, quantum, given.torque_limit)
     held: list[float] = rig.run(holds + 1).torque_applied[1:].tolist()
     return held
 

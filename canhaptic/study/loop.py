@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.balance import AT_REST, Branch, CompensatedSum, EnergyBalance, Ledger, LedgerSummary, residual
+from canhaptic.control.balance import Branch, CompensatedSum, EnergyBalance, Ledger, LedgerSummary, residual
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller, LoopProperties
@@ -172,18 +172,17 @@ def render(
         ParameterError: The algorithm cannot do without something that its loop does not say.
     """
     controller, plant, taken = case.controller(), case.make_plant(), recorder or Recorder()
-    limit = case.torque_limit or float("inf")
 
     def step(position: float, held: float) -> EnergyBalance:
         balance = controller.step(position, held)
         taken.take(position, plant.position, held, balance, plant.energy().motor)
         if progress is not None:
             progress()
-        if abs(balance.torque) > limit:
-            return AT_REST._replace(torque=limit if balance.torque > 0.0 else -limit)
         return balance
 
-    rig = DirectRig(plant, step, case.sample_time_ns, case.delay, case.counts_per_unit, case.torque_quantum)
+    rig = DirectRig(
+        plant, step, case.sample_time_ns, case.delay, case.counts_per_unit, case.torque_quantum, case.torque_limit
+    )
     try:
         rig.run(cycles)
     except _DivergedError:

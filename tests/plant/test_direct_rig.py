@@ -45,7 +45,25 @@ def test_counts_and_torque_quantum_are_those_of_the_bus():
     assert np.array_equal(record.torque_applied, np.round(record.torque_applied / 0.01) * 0.01)
 
 
-@pytest.mark.parametrize("values", [{"delay": 2}, {"counts_per_unit": 0.0}, {"torque_quantum": -1.0}])
+def test_the_torque_is_limited_on_both_sides_before_it_is_rounded():
+    free = DirectRig(plant_with_hand(), spring, MS).run(400)
+    limit = 0.5 * float(np.abs(free.torque_command).max())
+    record = DirectRig(plant_with_hand(), spring, MS, torque_limit=limit).run(400)
+    assert float(np.abs(record.torque_command).max()) == limit
+    assert float(np.abs(record.torque_applied).max()) == limit
+    begin = int(np.argmax(np.abs(free.torque_command) > limit))
+    assert np.array_equal(record.position[: begin + 1], free.position[: begin + 1])
+    broken = DirectRig(plant_with_hand(), lambda _q, _held: HasNoTorque(), MS, torque_limit=limit).run(1)
+    assert np.isnan(broken.torque_command[0])  # no number is not made one
+
+
+class HasNoTorque:
+    torque = float("nan")
+
+
+@pytest.mark.parametrize(
+    "values", [{"delay": 2}, {"counts_per_unit": 0.0}, {"torque_quantum": -1.0}, {"torque_limit": 0.0}]
+)
 def test_bad_settings_are_refused_by_name(values):
     with pytest.raises(ParameterError, match=next(iter(values))):
         DirectRig(plant_with_hand(), spring, MS, **values)

@@ -30,7 +30,7 @@ class DirectRecord(NamedTuple):
 
     position: Array  # as the controller saw it, shape (n,) [m or rad]
     true_position: Array  # shape (n,) [m or rad]
-    torque_command: Array  # as computed at SYNC k, shape (n,) [N or N*m]
+    torque_command: Array  # as computed at SYNC k and limited, shape (n,) [N or N*m]
     torque_applied: Array  # held from SYNC k-1 to SYNC k, shape (n,) [N or N*m]
     energy: PlantEnergy  # at the last SYNC [J]
 
@@ -45,9 +45,10 @@ class DirectRig:
         delay: Whole holds between computing a torque and its hold, 0 or 1.
         counts_per_unit: Encoder counts per m or rad; None for an ideal encoder.
         torque_quantum: Step of the command [N or N*m], on CANopen a per mille of the rated torque; None: ideal.
+        torque_limit: Largest torque commanded [N or N*m]; None for none.
 
     Raises:
-        ParameterError: A delay other than 0 or 1, a scale or quantum that is not positive.
+        ParameterError: A delay other than 0 or 1, a scale, quantum or limit that is not positive.
     """
 
     def __init__(
@@ -58,10 +59,12 @@ class DirectRig:
         delay: int = 0,
         counts_per_unit: float | None = None,
         torque_quantum: float | None = None,
+        torque_limit: float | None = None,
     ) -> None:
         if delay not in (0, 1):
             raise ParameterError(f"delay: got {delay}, expected 0 (event RPDO) or 1 (synchronous RPDO)")
-        for name, value in (("counts_per_unit", counts_per_unit), ("torque_quantum", torque_quantum)):
+        given = {"counts_per_unit": counts_per_unit, "torque_quantum": torque_quantum, "torque_limit": torque_limit}
+        for name, value in given.items():
             if value is not None and not value > 0.0:
                 raise ParameterError(f"{name}: got {value}, expected > 0, or None for an ideal one")
         self.plant = plant
@@ -70,6 +73,7 @@ class DirectRig:
         self._delay = delay
         self._counts_per_unit = counts_per_unit
         self._torque_quantum = torque_quantum
+        self._torque_limit = float("inf") if torque_limit is None else torque_limit
 
     def run(self, cycles: int) -> DirectRecord:
         """Runs SYNC 0 .. cycles-1 from the plant's initial state and returns what happened."""
@@ -81,7 +85,7 @@ class DirectRig:
             if k:
                 plant.advance_to(k * period, held)
             position = self._measure(plant.encoder_position)
-            command = step(position, held).torque
+            command = self._limited(step(position, held).torque)
             rows[:, k] = position, plant.position, command, held
             quantised = self._quantise(command)
             held, waiting = (waiting, quantised) if self._delay else (quantised, 0.0)
@@ -91,6 +95,11 @@ class DirectRig:
         if self._counts_per_unit is None:
             return position
         return round(position * self._counts_per_unit) * (1.0 / self._counts_per_unit)
+
+    def _limited(self, torque: float) -> float:
+        if abs(torque) > self._torque_limit:  # false of NaN, which stays to be seen
+            return self._torque_limit if torque > 0.0 else -self._torque_limit
+        return torque
 
     def _quantise(self, torque: float) -> float:
         if self._torque_quantum is None:
