@@ -9,35 +9,20 @@ whether it is passive included, is that of the group, which has `axes`. Energies
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from canhaptic.control.balance import Certificate, Ledger
+from canhaptic.control.balance import Certificate, Ledger, Verdict, passive_verdict
 from canhaptic.cycle import Cycle
 from canhaptic.drive.can.servo_drive import ServoDrive
 
 _OF_AN_AXIS: Final = ("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound")
 
 
-PASSIVE_TOLERANCE: Final = 1e-6
-"""Energy below zero that still counts as zero [J]."""
-VERDICTS: Final = ("yes", "in doubt", "no")
-"""Whether a run was passive, the best first."""
+_WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
 
 
-def passive(least_interaction: float, unsure: float = 0.0) -> str:
-    """Returns one of `VERDICTS`: "in doubt" where only energy of which nothing is known lies between yes and no.
-
-    Args:
-        least_interaction: Least sum of the interaction energy after any hold (eq. 3) [J].
-        unsure: Energy that was taken off that sum because nothing is known of it [J].
-    """
-    if least_interaction >= -PASSIVE_TOLERANCE:
-        return "yes"
-    return "in doubt" if least_interaction + unsure >= -PASSIVE_TOLERANCE else "no"
-
-
-def overall(ports: Mapping[str, Mapping[str, Any]]) -> str:
+def overall(ports: Mapping[str, Mapping[str, Any]]) -> Verdict:
     """Returns the worst verdict of all accounts; "in doubt" where there is none, as of a run without a cycle."""
-    found = [account["passive"] for account in ports.values() if "passive" in account]
-    return max(found, key=VERDICTS.index) if found else "in doubt"
+    found: list[Verdict] = [account["passive"] for account in ports.values() if "passive" in account]
+    return max(found, key=_WORST_LAST.index) if found else "in doubt"
 
 
 def run_result(
@@ -118,7 +103,7 @@ def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, 
     """
     found = {name: dict(account) for name, account in accounts.items()}
     for account in found.values():
-        account["passive"] = passive(account["least_interaction"], account.get("unsure", 0.0))
+        account["passive"] = passive_verdict(account["least_interaction"], account.get("unsure", 0.0))
     for group, axes in groups.items():
         found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
         for name in axes:

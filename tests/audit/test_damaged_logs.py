@@ -7,7 +7,6 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-import typed
 
 from canhaptic.cycle import run
 from canhaptic.errors import LogFormatError
@@ -16,6 +15,7 @@ from canhaptic.logs.repair import repair
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view.live_log import LiveLog
+from tests.view import typed
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
 ROWS = 40
