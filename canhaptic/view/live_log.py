@@ -52,10 +52,14 @@ class LiveLog:
 
     Args:
         path: The log; it need not be there yet.
+
+    Attributes:
+        trouble: Why the last look found no log that can be read; "" where it did, or where no file is there yet.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.trouble = ""
         self._forget()
 
     def _forget(self) -> None:
@@ -69,8 +73,10 @@ class LiveLog:
         """Returns what is new; None while there is no log that can be read."""
         try:
             with EnergyLog.open(self.path) as log:
+                self.trouble = ""
                 return self._take(log)
-        except LogFormatError:  # not there yet, or just being replaced
+        except LogFormatError as error:  # not there yet, just being replaced, or damaged
+            self.trouble = str(error) if self.path.exists() else ""
             return None
 
     def _take(self, log: EnergyLog) -> News:

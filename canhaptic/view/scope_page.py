@@ -8,7 +8,7 @@ from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, DataRange1d, Div
 
 from canhaptic.control.balance import passive_verdict
-from canhaptic.drive.profile.power_states import drive_state
+from canhaptic.logs.statusword import state_text
 from canhaptic.view.common_panels import link_panel, timing_panel
 from canhaptic.view.decimate import decimate
 from canhaptic.view.live_log import LiveLog, News
@@ -54,6 +54,8 @@ class ScopePage:
         """Takes what is new into the page."""
         news = self._log.look()
         if news is None:
+            if self._log.trouble:
+                self._status.text = f"waiting for {html.escape(str(self._log.path))}: {html.escape(self._log.trouble)}"
             return
         if news.restarted or not self._ports:
             self._last = None
@@ -139,7 +141,7 @@ def _status(news: News, last: News) -> str:
     ]
     for name, rows in last.ports.items():
         if len(rows["margin"]) and name not in news.group_of:
-            state = drive_state(int(rows["statusword"][-1])).value
+            state = state_text(int(rows["statusword"][-1]))
             margin, surplus = si(float(rows["margin"][-1]), "J"), si(float(rows["surplus"][-1]), "J")
             facts.append(f"{html.escape(name)}: {state.lower()}, margin {margin}, surplus {surplus}")
     events = [f"SYNC {e.sync_index} {e.kind} {e.port}: {e.text}" for e in news.events[-_EVENTS_SHOWN:]]

@@ -104,7 +104,9 @@ def test_a_damaged_column_is_one_error_that_names_it(whole: Path, damage: Callab
         assert f"damaged.h5: {name} " in message
         if damage is cut_in_half:
             assert f"has {expected // 2} rows, expected {expected} like the other columns" in message
-        assert LiveLog(path).look() is None
+        live = LiveLog(path)
+        assert live.look() is None
+        assert live.trouble == message
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

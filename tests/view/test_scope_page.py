@@ -47,6 +47,9 @@ def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path
     page, document = page_of(path)
     page.update()
     assert "waiting for" in status_of(document)
+    path.write_bytes(b"no <b>log</b>")
+    page.update()
+    assert "not a readable HDF5 file" in status_of(document)  # why it still waits
     write_run(path, cycles=3000, ports=("handle", "knob"))
     page.update()
     parts = {"handle": ("position", "force"), "knob": ("position", "torque")}
