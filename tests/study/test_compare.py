@@ -13,6 +13,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from canhaptic.study.algorithms import _with_known_plant, with_algorithm
 from canhaptic.study.compare_picture import draw_comparison
@@ -185,15 +186,28 @@ def test_a_real_rig_and_an_unknown_algorithm_are_refused(scene):
         compare(scene(), ["gaurded"])
 
 
+class Ledge(SpringDamperWall):
+    """A wall of a user's own, for which the study has no equations."""
+
+
 def test_without_a_continuous_reference_the_errors_are_left_out(scene):
-    nonlinear = "environment={type: hardening_wall, stiffness: 200, hardening: 1e7}"
-    friction = "simulation.effects=[{type: coulomb_friction, kinetic: 0.1, static: 0.2}]"
-    result = compare(scene(nonlinear, friction), ["direct"], duration=0.6, repeats=0).result
+    own = scene()
+    wall = ComponentSpec("ledge", Ledge(**own.axes[0].environment.parameters.model_dump()))
+    own = replace(own, axes=(replace(own.axes[0], environment=wall),))
+    result = compare(own, ["direct"], duration=0.6, repeats=0).result
     axis = result["axes"]["handle"]
-    assert axis["reference"]["method"].startswith("none: DOP853 takes a linear plant")
+    assert axis["reference"]["method"].startswith("none: environment: got Ledge, for which there is no continuous run")
     assert axis["algorithms"]["direct"]["position_error"] is None
     assert axis["algorithms"]["direct"]["interaction"] > 0.0
     assert "position error" not in text_of(result)
+
+
+def test_a_plant_that_switches_has_a_reference_in_any_environment(scene):
+    nonlinear = "environment={type: hardening_wall, stiffness: 200, hardening: 1e7}"
+    friction = "simulation.effects=[{type: coulomb_friction, kinetic: 0.1, static: 0.2}]"
+    axis = compare(scene(nonlinear, friction), ["direct"], duration=0.3, repeats=0).result["axes"]["handle"]
+    assert axis["reference"]["method"].startswith("DOP853")
+    assert axis["algorithms"]["direct"]["position_error"]["max"] < 1e-3
 
 
 def text_of(result, width=100):

@@ -127,7 +127,7 @@ def test_an_environment_without_equations_is_refused_although_it_descends_from_o
 
 def test_an_effect_without_equations_is_refused():
     class Eddies(ViscousFriction):
-        type: str = "eddies"
+        type: str = "eddies"  # type: ignore[assignment]
 
     with pytest.raises(InputError, match="got 'eddies', for which the textbook plant has no equations"):
         reference(Detents(peak=2.0, pitch=0.01, damping=0.5), 300, [Eddies(damping=1.0)])
