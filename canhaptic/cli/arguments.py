@@ -2,12 +2,12 @@
 
 import argparse
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.errors import InputError
-from canhaptic.scene.load import load_scene
-from canhaptic.scene.models import Scene
-from canhaptic.units import Unit
+
+if TYPE_CHECKING:
+    from canhaptic.scene.models import Scene
 
 _PICTURES: Final = (".png", ".svg", ".pdf")
 """Suffixes of a picture."""
@@ -36,12 +36,14 @@ def add_json(parser: argparse.ArgumentParser, what: str = "one JSON object inste
     parser.add_argument("--json", action="store_true", help=f"print {what}")
 
 
-def scene_of(arguments: argparse.Namespace) -> Scene:
+def scene_of(arguments: argparse.Namespace) -> "Scene":
     """Returns the scene that the arguments name.
 
     Raises:
         SceneError: Anything in it is wrong.
     """
+    from canhaptic.scene.load import load_scene
+
     return load_scene(arguments.config, arguments.overrides)
 
 
@@ -72,28 +74,30 @@ def seconds(text: str) -> float:
     Raises:
         argparse.ArgumentTypeError: It is none, or not above zero.
     """
-    return positive_number(text, Unit("s", "s"), "duration", 1e6)
+    return positive_number(text, ("s", "s"), "duration", 1e6)
 
 
-def positive_number(text: str, unit: Unit, name: str, most: float) -> float:
+def positive_number(text: str, units: tuple[str, str], name: str, most: float) -> float:
     """Returns a number above zero, SI, from a text with or without its unit.
 
     Args:
         text: As typed.
-        unit: That it may carry.
+        units: That it may carry, where motion is linear and where it is rotary.
         name: What it is, for the message.
         most: Largest that is accepted.
 
     Raises:
         argparse.ArgumentTypeError: It is no number of this dimension, or out of range.
     """
+    from canhaptic.units import Unit
+
     try:
-        value = float(str(unit.read(text)))
+        value = float(str(Unit(*units).read(text)))
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"got {text!r}: {error}") from error
     if not 0.0 < value <= most:
-        units = " or ".join(dict.fromkeys((unit.linear, unit.rotary)))
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 < {name} <= {most:g} [{units}]")
+        shown = " or ".join(dict.fromkeys(units))
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 < {name} <= {most:g} [{shown}]")
     return value
 
 

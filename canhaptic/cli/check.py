@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.cli.arguments import add_json, add_scene, scene_of
+from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.host import host_settings
 from canhaptic.cli.output import write_json
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
@@ -26,13 +26,6 @@ from canhaptic.view.table_style import plain_table
 
 _TO_BE_SET: Final = 1  # exit status: a run is refused until the marked values are set
 _COLOURS: Final = {Verdict.FIT: "green", Verdict.UNKNOWN: "yellow", Verdict.REFUSED: "red"}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `check`."""
-    add_scene(parser)
-    parser.add_argument("--resolved", action="store_true", help="print every value in effect, as YAML")
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

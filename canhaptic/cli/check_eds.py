@@ -9,7 +9,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import write_json
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
 from canhaptic.drive.profile.fitness import Verdict
@@ -25,12 +24,6 @@ _WORDS: Final = {
     Verdict.REFUSED: "[red]unfit[/]",
 }
 _UNFIT: Final = 1
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `check-eds`."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="object dictionary of the drive (EDS or DCF)")
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

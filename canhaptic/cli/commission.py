@@ -6,10 +6,9 @@ import select
 import sys
 import termios
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.arguments import add_json, add_scene, check_folder, scene_of, seconds
+from canhaptic.cli.arguments import check_folder, scene_of
 from canhaptic.cli.output import failure, write_failure, write_file, write_json, write_line, write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.commission.dialogue import Dialogue, Unattended
@@ -24,30 +23,6 @@ from canhaptic.view.energy_table import make_console
 _TO_CORRECT: Final = 1  # exit status: the configuration differs from the rig, or the rig must not be used
 _LONGEST_LINE: Final = 4096  # bytes; a terminal hands over one line at a time
 _YES: Final = ("y", "yes")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `commission`."""
-    add_scene(parser)
-    defaults = CommissioningLimits()
-    parser.add_argument(
-        "--yes", action="store_true", help="agree to every step; only where all drives are simulated in this process"
-    )
-    parser.add_argument(
-        "--torque", metavar="PART", type=float, default=defaults.torque,
-        help=f"largest torque, as a part of the rated torque; {defaults.torque:g} by default, 0.3 at most",
-    )  # fmt: skip
-    parser.add_argument(
-        "--travel", metavar="X", type=float, default=defaults.travel,
-        help=f"distance [m or rad] after which a torque is taken away; {defaults.travel:g} by default",
-    )  # fmt: skip
-    parser.add_argument(
-        "--speed", metavar="V", type=float, default=defaults.speed,
-        help=f"speed [m/s or rad/s] after which a torque is taken away; {defaults.speed:g} by default",
-    )  # fmt: skip
-    parser.add_argument("--duration", metavar="S", type=seconds, default=10.0, help="length of the timing test [s]")
-    parser.add_argument("--out", metavar="FILE.yaml", type=Path, help="write the values to paste to a file as well")
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

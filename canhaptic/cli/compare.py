@@ -1,32 +1,14 @@
 """`canhaptic compare CONFIG`: every passivity algorithm on one scene, beside the continuous environment."""
 
 import argparse
-from pathlib import Path
-from typing import Final
 
-from canhaptic.cli.arguments import add_json, add_scene, check_picture, names, positive_number, scene_of, seconds
+from canhaptic.cli.arguments import check_picture, scene_of
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.study.algorithms import chosen_algorithms
 from canhaptic.study.comparison import compare
 from canhaptic.study.scenes import cycles_of
-from canhaptic.units import Unit
 from canhaptic.view.energy_table import make_console
-
-_FASTEST: Final = 1e6  # [Hz]
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `compare`."""
-    add_scene(parser)
-    parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
-    parser.add_argument("--duration", metavar="S", type=seconds, help="length of each run [s]; by default the scene's")
-    parser.add_argument(
-        "--rate", metavar="HZ", type=_rate, help="another rate than the scene's, also beyond what a bus could carry"
-    )
-    parser.add_argument("--can", action="store_true", help="over the whole CAN path instead of without a bus")
-    parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the comparison (.png, .svg, .pdf)")
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -63,7 +45,3 @@ def execute(arguments: argparse.Namespace) -> int:
         draw_comparison(comparison, arguments.png)
         note_file("picture", arguments.png)
     return 0
-
-
-def _rate(text: str) -> float:
-    return positive_number(text, Unit("Hz", "Hz"), "rate", _FASTEST)

@@ -8,7 +8,6 @@ from typing import Final
 
 from rich.markup import escape
 
-from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
 from canhaptic.package_data import FOLDERS, shipped
@@ -17,14 +16,6 @@ from canhaptic.view.table_style import plain_table
 
 _COMMENT: Final = "#"
 _SENTENCE_END: Final = re.compile(r"\.\s+(?=[A-Z])")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `configs`."""
-    parser.add_argument(
-        "--copy", metavar="FOLDER", type=Path, help="put configs/ and eds/ into FOLDER; nothing there is overwritten"
-    )
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from canhaptic.cli.arguments import add_json
 from canhaptic.cli.output import write_line
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.decoder import BusDecoder
@@ -14,16 +13,6 @@ from canhaptic.scene.channels import Channels
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.node_names import describe_nodes
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `decode`."""
-    parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
-    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file, for names, units and dictionaries")
-    parser.add_argument("--from", dest="start", type=float, metavar="S", help="from this time on [s]")
-    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="up to this time [s]")
-    parser.add_argument("--only", action="append", metavar="KIND", help="NMT, SYNC, EMCY, SDO, TPDO1, heartbeat, ...")
-    add_json(parser, "one JSON object per line")
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -2,26 +2,13 @@
 
 import argparse
 
-from canhaptic.cli.arguments import add_json, add_scene, scene_of
+from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.cli.scene_progress import scene_progress
 from canhaptic.study.design.design_report import design_report, snippet
-from canhaptic.study.design.wall import MARGIN, TOLERANCE, design_wall
+from canhaptic.study.design.wall import design_wall
 from canhaptic.study.sweep.run_sweep import Progress
 from canhaptic.view.energy_table import make_console
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `design`."""
-    add_scene(parser)
-    parser.add_argument(
-        "--margin", metavar="PART", type=float, default=MARGIN, help="part by which both could be larger; default 0.2"
-    )
-    parser.add_argument(
-        "--tolerance", metavar="PART", type=float, default=TOLERANCE, help="between asked and rendered; default 0.05"
-    )
-    parser.add_argument("--engine", choices=("auto", "numpy", "numba"), default="auto", help="of the trials")
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

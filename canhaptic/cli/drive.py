@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import can
 
-from canhaptic.cli.arguments import add_scene, scene_of, seconds
+from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.drive.clock import WallClock
@@ -19,12 +19,6 @@ from canhaptic.sim.drive.can.drive_group import DriveGroup
 
 _LONGEST_WAIT = 50_000_000  # [ns] between two looks at the stop signal
 _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be waited on together
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `drive`."""
-    add_scene(parser)
-    parser.add_argument("--duration", metavar="S", type=seconds, help="how long to live [s]; by default until stopped")
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -8,9 +8,9 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Final
 
+from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
 from canhaptic.cli.output import print_failure
 from canhaptic.errors import CanHapticError
 
@@ -34,40 +34,67 @@ _COMMANDS: Final = {
     "configs": "list the scenes that come with the package, or copy them to change",
     "schema": "print the JSON Schema of scene files, for editors",
 }
-_INTERRUPTED: Final = 130
+_STOP_IN_ORDER: Final = frozenset({"commission", "run", "drive", "scope"})
+"""Commands that take Ctrl-C as the operator's stop, and need time for it."""
 _BROKEN_PIPE: Final = 1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line and returns the exit status.
 
-    A subcommand is the module of `canhaptic.cli` of its name: `add_arguments` declares its arguments, `execute` takes
-    them and returns the exit status.
+    A subcommand has two modules of its name: `canhaptic.cli.options` declares its arguments with `add_arguments`, and
+    `canhaptic.cli` has `execute`, which takes them and returns the exit status. The second is imported once the
+    arguments are right.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    name = next((word for word in words if not word.startswith("-")), "")
+    try:
+        words = list(sys.argv[1:] if arguments is None else arguments)
+        name = next((word for word in words if not word.startswith("-")), "")
+        if name in _STOP_IN_ORDER:
+            return _run(words, name)
+        with PromptEnd():
+            return _run(words, name)
+    except KeyboardInterrupt:
+        say_interrupted()
+        return INTERRUPTED
+
+
+def _run(words: list[str], name: str) -> int:
     parser = argparse.ArgumentParser(prog="canhaptic", description="Passive haptic rendering on CiA 402 servo drives.")
-    parser.add_argument("--version", action="version", version=f"canhaptic {version('canhaptic')}")
+    parser.add_argument("--version", action=_ShowVersion)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for known, text in _COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
         if known == name:  # only what is used is imported
-            command = importlib.import_module(f"canhaptic.cli.{known.replace('-', '_')}")
-            command.add_arguments(subparser)
-            subparser.set_defaults(execute=command.execute)
+            options = importlib.import_module(f"canhaptic.cli.options.{_module_of(known)}")
+            options.add_arguments(subparser)
     return _execute(parser.parse_args(words))
+
+
+def _module_of(command: str) -> str:
+    return command.replace("-", "_")
+
+
+class _ShowVersion(argparse.Action):
+    """Looks the version up when it is asked for: the search takes as long as the rest of `--help`."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="show program's version number and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        """Prints it and ends."""
+        from importlib.metadata import version
+
+        parser.exit(0, f"canhaptic {version('canhaptic')}\n")
 
 
 def _execute(arguments: argparse.Namespace) -> int:
     try:
-        status: int = arguments.execute(arguments)
+        status: int = importlib.import_module(f"canhaptic.cli.{_module_of(arguments.command)}").execute(arguments)
         sys.stdout.flush()
         return status
     except CanHapticError as error:
         print_failure(error, as_json=getattr(arguments, "json", False))
         return error.exit_status
-    except KeyboardInterrupt:
-        return _INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left; nothing to report to it
         return _BROKEN_PIPE

@@ -1,30 +1,14 @@
 """`canhaptic map FILE.h5`: how stiff a wall may be, what is left of it, and where theory draws the line."""
 
 import argparse
-from pathlib import Path
 
-from canhaptic.cli.arguments import add_json, check_folder, check_picture
+from canhaptic.cli.arguments import check_folder, check_picture
 from canhaptic.cli.output import note_file, write_json, write_line
 from canhaptic.study.map.field import fields_of
 from canhaptic.study.map.panel import Lines, Panel
 from canhaptic.study.map.panels import Chosen, panels_of
-from canhaptic.study.map.z_width import JUDGEMENTS, passing_share, usual_judgement
+from canhaptic.study.map.z_width import passing_share, usual_judgement
 from canhaptic.study.sweep.sweep_table import SweepTable
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `map`."""
-    parser.add_argument("file", metavar="FILE.h5", type=Path, help="of canhaptic sweep, finished or not")
-    parser.add_argument("--png", metavar="FILE", type=Path, help="picture (.png, .svg, .pdf)")
-    parser.add_argument("--html", metavar="FILE", type=Path, help="self-contained page")
-    parser.add_argument("--x", metavar="KEY", help="across; by default the rate, or the first key that was varied")
-    parser.add_argument("--y", metavar="KEY", help="upwards, or one line per value")
-    parser.add_argument("--metric", metavar="NAME", help="one map of this figure, instead of the usual ones")
-    parser.add_argument("--axis", metavar="NAME", help="of a scene with several; by default the first")
-    parser.add_argument(
-        "--by", choices=tuple(JUDGEMENTS), help="what a wall must be to count; by default stable for direct"
-    )
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

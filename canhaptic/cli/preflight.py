@@ -5,7 +5,7 @@ from typing import Final
 
 from rich.markup import escape
 
-from canhaptic.cli.arguments import add_json, add_scene, scene_of
+from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.host.socketcan_state import PreflightFinding, preflight
 from canhaptic.view.energy_table import make_console
@@ -13,12 +13,6 @@ from canhaptic.view.table_style import plain_table
 
 _REFUSED: Final = 1
 _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `preflight`."""
-    add_scene(parser)
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

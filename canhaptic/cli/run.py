@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic.cli.arguments import add_json, add_scene, check_picture, scene_of, seconds
+from canhaptic.cli.arguments import check_picture, scene_of
 from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_note
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
@@ -21,24 +21,6 @@ from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.guesses import require_no_guesses
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `run`."""
-    add_scene(parser)
-    parser.add_argument("--duration", metavar="S", type=seconds, help="length of the run [s]; by default the scene's")
-    parser.add_argument(
-        "--pace",
-        choices=("real", "free"),
-        help="wall-clock pace, or as fast as the machine allows in lock-step; by default free where all is simulated",
-    )
-    parser.add_argument("--log", metavar="FILE.h5", type=Path, help="energy log (HDF5)")
-    parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
-    parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the run (.png, .svg, .pdf)")
-    parser.add_argument(
-        "--strict", action="store_true", help="exit with 1 unless every account says that the run was passive"
-    )
-    add_json(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -6,10 +6,6 @@ from canhaptic.cli.output import write_json
 from canhaptic.scene.json_schema import scene_schema
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `schema`: none."""
-
-
 def execute(arguments: argparse.Namespace) -> int:
     """Prints the schema."""
     write_json(scene_schema())

@@ -16,15 +16,6 @@ _HOST: Final = "127.0.0.1"  # nobody else may look at, or load, a machine that m
 _PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into one chunk
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `scope`."""
-    parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="energy log that a run writes or will write")
-    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file that names the log (log.energy)")
-    parser.add_argument("--port", type=int, default=5006, metavar="N", help="of the page; 0 for any that is free")
-    parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds shown")
-    parser.add_argument("--open", action="store_true", help="open the page in a browser")
-
-
 def execute(arguments: argparse.Namespace) -> int:
     """Serves the page until the process is interrupted.
 

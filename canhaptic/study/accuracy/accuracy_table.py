@@ -86,7 +86,7 @@ def advice_lines(result: Row) -> list[str]:
     """Returns the advice in sentences; none before there is any."""
     advice, unit = result["advice"], result["unit"]
     if advice is None:
-        return ["no advice: nothing was measured"]
+        return ["no advice: the study was stopped before its end"]
     within = f"within {length(advice['tolerance'], unit)}"
     chosen = advice["chosen"]
     if chosen is None:

@@ -203,7 +203,7 @@ class AccuracyStudy:
             "plant": rows,
             "orders": plant.orders(),
             "loop": self._loop_rows,
-            "advice": advice(rows, self._effect_rows(plant), self.tolerance),
+            "advice": None if self._status == "stopped" else advice(rows, self._effect_rows(plant), self.tolerance),
         }
 
     def _workload(self) -> dict[str, Any] | None:

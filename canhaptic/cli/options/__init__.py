@@ -1,0 +1,1 @@
+"""The arguments of each subcommand, one file each, apart from what it does: `--help` imports nothing else."""

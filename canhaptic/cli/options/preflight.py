@@ -1,0 +1,11 @@
+"""Arguments of `canhaptic preflight`."""
+
+import argparse
+
+from canhaptic.cli.arguments import add_json, add_scene
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `preflight`."""
+    add_scene(parser)
+    add_json(parser)

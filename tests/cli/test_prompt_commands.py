@@ -1,0 +1,135 @@
+"""How soon a command answers: its help without importing what it does, and Ctrl-C within a second."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from canhaptic.cli.main import _COMMANDS
+from canhaptic.cli.options import accuracy, commission, design
+from canhaptic.cli.options import map as map_options
+from canhaptic.commission.laws import CommissioningLimits
+from canhaptic.drive.clock import WallClock
+from canhaptic.study.accuracy.study import DEFAULT_BUDGET
+from canhaptic.study.design.wall import MARGIN, TOLERANCE
+from canhaptic.study.map.z_width import JUDGEMENTS
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+HEAVY = ("numpy", "pydantic", "rich", "h5py", "can", "canopen", "yaml", "canhaptic.scene", "canhaptic.control")
+
+
+@pytest.mark.parametrize("command", _COMMANDS)
+def test_help_imports_nothing_that_the_command_needs_to_work(command: str) -> None:
+    program = (
+        "import sys\nfrom canhaptic.cli.main import main\ntry:\n    main(sys.argv[1:])\nexcept SystemExit:\n"
+        f"    print(sorted(name for name in {HEAVY!r} if name in sys.modules), file=sys.stderr)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, command, "--help"], capture_output=True, text=True, check=True
+    )
+    assert done.stderr.strip() == "[]"
+    assert "usage: canhaptic" in done.stdout
+
+
+def cpu(*words: str) -> float:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, *words], check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def test_help_takes_no_more_than_three_times_the_import_of_numpy() -> None:
+    numpy = min(cpu("-c", "import numpy") for _ in range(3))
+    assert min(cpu("-m", "canhaptic", "sweep", "--help") for _ in range(3)) <= 3.0 * numpy
+
+
+def test_defaults_in_the_help_are_those_of_the_code() -> None:
+    assert accuracy.BUDGET == DEFAULT_BUDGET
+    assert (design.MARGIN, design.TOLERANCE) == (MARGIN, TOLERANCE)
+    assert tuple(JUDGEMENTS) == map_options.JUDGEMENTS
+    limits = CommissioningLimits()
+    assert (limits.torque, limits.travel, limits.speed) == (commission.TORQUE, commission.TRAVEL, commission.SPEED)
+
+
+def interrupted(program: str, *words: str) -> tuple[int, str, float]:
+    """Exit status, standard error and time [s] of a program after Ctrl-C, sent when it writes its first line."""
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        begin = WallClock().now()
+        process.send_signal(signal.SIGINT)
+        _, written = process.communicate(timeout=30)
+        return process.returncode, written, (WallClock().now() - begin) * 1e-9
+
+
+ENTERED = """
+import sys
+from canhaptic.cli import main
+run = main._run
+
+def entered(words, name):
+    print("entered", flush=True)
+    return run(words, name)
+
+main._run = entered
+sys.exit(main.main(sys.argv[1:]))
+"""
+"""A signal that comes as `main` is entered, while what the command needs is imported."""
+
+BUSY = """
+import ctypes, sys
+from canhaptic.cli import main
+
+def busy(arguments):
+    print("busy", flush=True)
+    ctypes.CDLL(None).sleep(20)  # as a compiler does: one call, no instruction of Python in between
+    ctypes.CDLL(None).usleep(20_000_000)
+    while True:
+        pass
+
+import canhaptic.cli.sweep
+canhaptic.cli.sweep.execute = busy
+sys.exit(main.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("command", ["accuracy", "sweep", "run", "inspect"])
+def test_ctrl_c_right_after_the_entry_ends_with_130_and_one_line(command: str) -> None:
+    words = [command, str(CONFIGS / "demo.yaml")]
+    if command == "sweep":
+        words += ["--vary", "environment.stiffness=1:9:9"]
+    status, written, _ = interrupted(ENTERED, *words)
+    assert status == 130
+    assert "Traceback" not in written
+    assert len(written.splitlines()) == 1
+
+
+def test_ctrl_c_inside_a_library_ends_the_command_within_a_second() -> None:
+    status, written, seconds = interrupted(BUSY, "sweep", str(CONFIGS / "demo.yaml"), "--vary", "bus.rate=100,200")
+    assert (status, written) == (130, "canhaptic: interrupted\n")
+    assert seconds < 1.0 or len(os.sched_getaffinity(0)) < 2 or os.getloadavg()[0] > 2.0
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_a_sweep_compiles(tmp_path: Path) -> None:
+    pytest.importorskip("numba")
+    words = [str(CONFIGS / "demo.yaml"), "--vary", "environment.stiffness=1:900:3000", "--engine", "numba"]
+    begin, pause = WallClock(), threading.Event()
+    with subprocess.Popen(
+        [sys.executable, "-m", "canhaptic", "sweep", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+    ) as process:  # fmt: skip
+        pause.wait(4.0)
+        start = begin.now()
+        process.send_signal(signal.SIGINT)
+        _, written = process.communicate(timeout=30)
+        assert process.returncode == 130
+        assert "Traceback" not in written
+        assert (begin.now() - start) * 1e-9 < 1.5
