@@ -43,8 +43,10 @@ def execute(arguments: argparse.Namespace) -> int:
         )
         for bus in scene.buses
     }
+    parameters = {bus.name: bus.parameters for bus in scene.buses}
     findings = {
-        axis.name: check_dictionary(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)
+        axis.parameters.name: check_dictionary(dictionary, axis.parameters, parameters[axis.bus])
+        for dictionary, axis in zip(dictionaries, scene.axes, strict=True)
     }
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
     found = _Found(scene, budgets, findings, hints)

@@ -1,6 +1,6 @@
 """What a scene says about the bus and about each axis: every value in SI, with its unit and range."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
@@ -10,6 +10,7 @@ from canhaptic.host.realtime import RealtimeParameters
 from canhaptic.units import Parameters, quantity
 
 _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x101, 0x57F  # free of NMT, SYNC, EMCY, SDO and heartbeat
+LARGEST_U16: Final = 0xFFFF
 
 NodeId = Annotated[int, quantity("1", ge=1, le=127)]
 PdoNumber = Annotated[int, quantity("1", ge=1, le=PDO_COUNT)]
@@ -85,6 +86,16 @@ class BusParameters(Parameters):
         """Silence [ns] of the master that a drive tolerates: whole milliseconds, three heartbeats at least."""
         longest = max(round(self.heartbeat_timeout * 1e9), 3 * self.heartbeat_cycles * self.sample_time_ns)
         return -(-longest // 1_000_000) * 1_000_000
+
+    @property
+    def heartbeat_ms(self) -> int:
+        """Value of 0x1017 of the drives [ms]: `heartbeat_period` as near as the object allows."""
+        return max(1, min(LARGEST_U16, round(self.heartbeat_period * 1e3)))
+
+    @property
+    def consumer_heartbeat(self) -> int:
+        """Value of 0x1016:01 of the drives: the master's node ID and the silence [ms] that they tolerate."""
+        return self.master_id << 16 | self.master_silence_ns // 1_000_000
 
     @property
     def drive_silence_ns(self) -> int:

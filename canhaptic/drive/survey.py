@@ -25,6 +25,8 @@ RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 """SYNCs per second for which the load of the bus is told [Hz]."""
 MOST_AXES: Final = 16
 """Up to which it is tried how many axes fit the bus."""
+_BUS: Final = BusParameters(rate=1000.0)  # of values that depend on it: the defaults
+_SHOWN_IF_REFUSED: Final = ("0x60c2", "0x6074", "0x6077")
 _INTEGER_NAMES: Final = {
     datatypes.BOOLEAN: "BOOLEAN",
     datatypes.INTEGER8: "INTEGER8",
@@ -119,7 +121,7 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
         axis: From `unconfigured_axis`, perhaps with the keys of a drive profile.
     """
     device = dictionary.device_information
-    findings = {finding.item.split()[0]: finding for finding in check_dictionary(dictionary, axis)}
+    findings = {finding.item.split()[0]: finding for finding in check_dictionary(dictionary, axis, _BUS)}
     try:
         axis_map = choose_map(dictionary, axis)
     except DictionaryError:
@@ -130,9 +132,10 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
         *_identity(dictionary, findings),
         *_torque(dictionary, findings),
         _read_back(dictionary, axis_map),
-        *_limits(dictionary, axis),
+        *_limits(dictionary, axis, findings),
         *_resolution(dictionary),
         *_watchdog(dictionary, findings),
+        *(_as_found(dictionary, "limits", f) for place, f in findings.items() if place[:6] in _SHOWN_IF_REFUSED),
         *_pdos(dictionary, findings),
     )
     return Survey(
@@ -203,7 +206,7 @@ def _row(
 
 def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
     """Returns the row of a finding of `fitness`; what a DCF was saved with speaks where there is no default."""
-    index = int(finding.item.split(" ")[0], 16)
+    index = int(finding.item[:6], 16)
     verdict, text = finding.verdict, finding.text
     saved = stated_value(dictionary, index)
     if verdict is Verdict.UNKNOWN and saved is not None:
@@ -211,6 +214,13 @@ def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding) -> Sur
         verdict = Verdict.FIT if is_right else Verdict.UNKNOWN
         text = f"{saved:#x} when this file was saved, {'as needed' if is_right else 'not fit'}; the drive is asked"
     return SurveyRow(group, finding.item, _describe(dictionary, index), verdict, text)
+
+
+def _as_found(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
+    """Returns the row of a finding whose saved value tells nothing."""
+    return SurveyRow(
+        group, finding.item, _describe(dictionary, int(finding.item[:6], 16)), finding.verdict, finding.text
+    )
 
 
 # --- the groups ---------------------------------------------------------------------------------------------------
@@ -225,21 +235,8 @@ def _identity(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> lis
 
 
 def _torque(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
-    rows = [_judged(dictionary, "torque", findings[place]) for place in ("0x6071", "0x6502")]
-    mode = _variable(dictionary, od.MODES_OF_OPERATION)
-    if mode is None:
-        verdict, text = Verdict.UNKNOWN, "not listed; the drive must take mode 10 all the same"
-    elif mode.max is not None and mode.max < od.CYCLIC_SYNC_TORQUE:
-        verdict, text = Verdict.UNKNOWN, f"at most {mode.max} is allowed, mode 10 is needed; the drive decides"
-    else:
-        verdict, text = Verdict.FIT, "10 (cyclic synchronous torque) is written"
-    rows.append(_row(dictionary, "torque", "modes of operation", od.MODES_OF_OPERATION, verdict, text))
-    if _variable(dictionary, od.MODES_OF_OPERATION_DISPLAY) is None:
-        verdict, text = Verdict.UNKNOWN, "not listed; without an answer there is no start"
-    else:
-        verdict, text = Verdict.FIT, "must confirm mode 10"
-    rows.append(_row(dictionary, "torque", "modes of operation display", od.MODES_OF_OPERATION_DISPLAY, verdict, text))
-    return rows
+    places = ("0x6040", "0x6041", "0x6071", "0x6064", "0x6502", "0x6060", "0x6061")
+    return [_judged(dictionary, "torque", findings[place]) for place in places]
 
 
 def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> SurveyRow:
@@ -258,18 +255,25 @@ def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> Survey
     return SurveyRow("read-back", "torque read back", stated, *texts[axis_map.read_back])
 
 
-def _limits(dictionary: ObjectDictionary, axis: AxisParameters) -> list[SurveyRow]:
+def _limits(dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[str, Finding]) -> list[SurveyRow]:
     limit, rated = _variable(dictionary, od.MAX_TORQUE), _variable(dictionary, od.RATED_TORQUE)
     quirks = quirks_of(axis.quirks)
     if limit is None or not limit.writable or not quirks.writes_max_torque:
         state = "not listed" if limit is None else "read-only" if not limit.writable else "not written (quirks)"
         text = f"{state}; torque_limit is kept by the master alone: set a limit in the drive with the vendor's tool"
         rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.UNKNOWN, text)]
+    elif (refusal := findings["0x6072"]).verdict is Verdict.REFUSED:
+        rows = [_as_found(dictionary, "limits", refusal)]
+    elif limit.min:
+        text = f"at least {limit.min} per mille: torque_limit is at least {limit.min / 1000:g} of the rated torque"
+        rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.UNKNOWN, text)]
     else:
         text = "written from torque_limit and read back"
         rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.FIT, text)]
     value = stated_value(dictionary, od.RATED_TORQUE)
-    if axis.rated_torque is not None:
+    if rated is not None and findings["0x6076"].verdict is Verdict.REFUSED:
+        verdict, text = Verdict.REFUSED, findings["0x6076"].text
+    elif axis.rated_torque is not None:
         verdict, text = Verdict.FIT, f"{axis.rated_torque:g} from the configuration"
     elif rated is None or not quirks.reads_rated_torque:
         verdict, text = Verdict.UNKNOWN, "not listed; rated_torque must be set"
@@ -295,20 +299,15 @@ def _resolution(dictionary: ObjectDictionary) -> list[SurveyRow]:
 
 def _watchdog(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
     rows = [_judged(dictionary, "watchdog", findings["0x1017"])]
-    if _variable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1) is None:
+    if findings["0x1016"].verdict is Verdict.REFUSED and _variable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1):
+        verdict, text = Verdict.REFUSED, findings["0x1016"].text
+    elif _variable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1) is None:
         text = "not listed: the drive cannot notice a killed master; only watchdog: false goes on, at your own risk"
         verdict = Verdict.UNKNOWN
     else:
         verdict, text = Verdict.FIT, "armed at the start: the drive notices a killed master"
     rows.append(_row(dictionary, "watchdog", "consumer heartbeat time", od.CONSUMER_HEARTBEAT_TIME, verdict, text, 1))
-    option = _variable(dictionary, od.ABORT_CONNECTION_OPTION)
-    if option is None or not option.writable:
-        state = "not listed" if option is None else "read-only"
-        text = f"{state}: what a lost master does is set with the vendor's tool; it must end in zero torque"
-        verdict = Verdict.UNKNOWN
-    else:
-        verdict, text = Verdict.FIT, "written: a lost master is a fault (1)"
-    rows.append(_row(dictionary, "watchdog", "abort connection option", od.ABORT_CONNECTION_OPTION, verdict, text))
+    rows.append(_as_found(dictionary, "watchdog", findings["0x6007"]))
     return rows
 
 

@@ -139,7 +139,8 @@ def _check_parts(
             build_plant(axis.simulation, scene.bus.sample_time_ns)
         except ParameterError as error:
             faults.add(_place_in_simulation(axis, sections["simulation"], error.part), str(error))
-    return _check_dictionary(axis, entry, faults)
+    bus = next(bus.parameters for bus in scene.buses if bus.name == axis.bus)
+    return _check_dictionary(axis, bus, entry, faults)
 
 
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
@@ -155,14 +156,14 @@ def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) 
     return simulation.value_at(part if part == "compiled" else "plant")
 
 
-def _check_dictionary(axis: AxisScene, entry: MarkedMapping, faults: Diagnostics) -> AxisMap | None:
+def _check_dictionary(axis: AxisScene, bus: BusParameters, entry: MarkedMapping, faults: Diagnostics) -> AxisMap | None:
     """Notes every reason why the drive's dictionary does not serve; returns the PDO map when it does."""
     try:
         dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
     except DictionaryError as error:
         faults.add(entry.value_at("eds"), str(error))
         return None
-    refusals = [f for f in check_dictionary(dictionary, axis.parameters) if f.verdict is Verdict.REFUSED]
+    refusals = [f for f in check_dictionary(dictionary, axis.parameters, bus) if f.verdict is Verdict.REFUSED]
     for finding in refusals:
         faults.add(entry.value_at("eds"), f"{axis.parameters.eds}: {finding.item}: {finding.text}")
     return None if refusals else choose_map(dictionary, axis.parameters)

@@ -160,6 +160,7 @@ def make_bench(
     objects: dict[str | int, Any] | None = None,
     *,
     absent: bool = False,
+    keeps_objects: bool = False,
     drive_values: dict[str, Any] | None = None,
 ) -> Bench:
     """Builds a rig and its simulated drives, one bus, nothing started.
@@ -169,6 +170,7 @@ def make_bench(
         bus: Overrides of the bus parameters.
         objects: Values of the simulated drives' objects.
         absent: Leaves the drives away.
+        keeps_objects: Gives the simulated drives no values but those of their dictionary and of `objects`.
         drive_values: Further parameters of the simulated drives.
     """
     axes = axes or [axis()]
@@ -183,7 +185,7 @@ def make_bench(
             FreeMass(),
             SimulatedDriveParameters(
                 counts_per_unit=a.counts_per_unit,
-                objects={0x6502: 0x3FF, 0x1000: 0x00020192, **(objects or {})},
+                objects={**({} if keeps_objects else {0x6502: 0x3FF, 0x1000: 0x00020192}), **(objects or {})},
                 **{"rated_torque": RATED_TORQUE, **(drive_values or {})},
             ),
             parameters.sample_time_ns,

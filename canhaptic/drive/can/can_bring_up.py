@@ -5,7 +5,8 @@ from typing import Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import NmtCommand, NmtState
-from canhaptic.drive.can.pdo_setup import write_map
+from canhaptic.drive.axis_parameters import LARGEST_U16
+from canhaptic.drive.can.pdo_setup import rpdo_transmission_type, write_map
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 
@@ -18,8 +19,6 @@ _REMEDIES: Final = {
     "PDO exchange": "the drive sends no TPDO on SYNC; check 0x1005 and the transmission types",
     "bus": "check the interface, cable and termination",
 }
-
-_LARGEST_U16: Final = 0xFFFF
 
 
 class CanBringUp(BringUp):
@@ -36,15 +35,11 @@ class CanBringUp(BringUp):
     def _monitor(self) -> None:
         """Asks for heartbeats."""
         self._drive.nmt_state = None
-        self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, self._heartbeat_period())
-
-    def _heartbeat_period(self) -> int:
-        """Returns the value of 0x1017 [ms]."""
-        return max(1, min(_LARGEST_U16, round(self._drive.bus.heartbeat_period * 1e3)))
+        self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, self._drive.bus.heartbeat_ms)
 
     def _await_pre_operational(self) -> None:
         drive = self._drive
-        timeout = round(drive.axis.step_timeout * 1e9) + self._heartbeat_period() * 1_000_000
+        timeout = round(drive.axis.step_timeout * 1e9) + drive.bus.heartbeat_ms * 1_000_000
         with self.step("heartbeat"):
             confirmed = drive.link.wait_for(lambda: drive.nmt_state == NmtState.PRE_OPERATIONAL, timeout)
         if not confirmed:
@@ -54,22 +49,20 @@ class CanBringUp(BringUp):
         """Writes 0x1016; the consumer counts from the first heartbeat (CiA 301, 7.2.8.3.2.2), which the cycle sends."""
         bus = self._drive.bus
         milliseconds = bus.master_silence_ns // 1_000_000
-        if milliseconds > _LARGEST_U16:
-            raise self.refusal("watchdog", f"{milliseconds} ms", f"at most {_LARGEST_U16} ms (0x1016 is 16 bits)")
-        self._write_confirmed("watchdog", od.CONSUMER_HEARTBEAT_TIME, 1, bus.master_id << 16 | milliseconds)
+        if milliseconds > LARGEST_U16:
+            raise self.refusal("watchdog", f"{milliseconds} ms", f"at most {LARGEST_U16} ms (0x1016 is 16 bits)")
+        self._write_confirmed("watchdog", od.CONSUMER_HEARTBEAT_TIME, 1, bus.consumer_heartbeat)
 
     def _map(self) -> None:
         drive = self._drive
-        rpdo_type = (
-            od.SYNCHRONOUS_EVERY_SYNC if drive.bus.rpdo == "synchronous" else drive.quirks.event_transmission_type
-        )
+        rpdo_type = rpdo_transmission_type(drive.bus, drive.axis)
         with self.step("PDO map"):
             write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
 
     def _rpdo_deadline(self) -> int | None:
         """Returns how long the drive itself tolerates lost RPDOs [ms], where no read-back shows them to the master."""
         milliseconds = self._drive.bus.master_silence_ns // 1_000_000
-        if self._drive.read_back != "none" or not self._drive.axis.watchdog or milliseconds > _LARGEST_U16:
+        if self._drive.read_back != "none" or not self._drive.axis.watchdog or milliseconds > LARGEST_U16:
             return None
         return milliseconds
 

@@ -1,58 +1,81 @@
 """Whether a CANopen dictionary is fit for cyclic torque: the profile, then heartbeat, watchdog and PDOs."""
 
+from collections.abc import Iterator
+
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.axis_parameters import AxisParameters
-from canhaptic.drive.can.pdo_map import choose_map
+from canhaptic.canopen.dictionary import is_writable
+from canhaptic.canopen.objects import DataType
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.can.pdo_map import PdoPlan, choose_map
+from canhaptic.drive.can.pdo_setup import rpdo_transmission_type
 from canhaptic.drive.profile.fitness import Finding, Verdict, profile_findings
+from canhaptic.drive.profile.object_use import ObjectUse, listed, objection
 from canhaptic.errors import DictionaryError
 
 
-def check_dictionary(dictionary: ObjectDictionary, axis: AxisParameters) -> list[Finding]:
-    """Returns what a dictionary says about its fitness for cyclic torque, refusals included."""
+def check_dictionary(
+    dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None
+) -> list[Finding]:
+    """Returns what a dictionary says about its fitness for cyclic torque, refusals included.
+
+    Args:
+        dictionary: Of the drive.
+        axis: Its parameters.
+        bus: Of the axis; None while it is not known, and then no value that depends on it is judged.
+    """
     return [
-        *profile_findings(dictionary, axis),
-        _heartbeat(dictionary),
-        _watchdog(dictionary, axis),
-        _map(dictionary, axis),
+        *profile_findings(dictionary, axis, None if bus is None else bus.sample_time_ns),
+        _heartbeat(dictionary, bus),
+        _watchdog(dictionary, axis, bus),
+        _map(dictionary, axis, bus),
     ]
 
 
-def require_fit(dictionary: ObjectDictionary, axis: AxisParameters) -> None:
+def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None) -> None:
     """Returns when nothing in the dictionary speaks against cyclic torque.
 
     Raises:
         DictionaryError: Something does; lists every reason.
     """
-    refused = [finding for finding in check_dictionary(dictionary, axis) if finding.verdict is Verdict.REFUSED]
+    refused = [finding for finding in check_dictionary(dictionary, axis, bus) if finding.verdict is Verdict.REFUSED]
     if refused:
         lines = "; ".join(f"{finding.item}: {finding.text}" for finding in refused)
         raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for cyclic torque: {lines}")
 
 
-def _heartbeat(dictionary: ObjectDictionary) -> Finding:
-    if od.PRODUCER_HEARTBEAT_TIME not in dictionary:
-        text = "missing; without a heartbeat no NMT state can be confirmed"
-        return Finding("0x1017 producer heartbeat", Verdict.REFUSED, text)
-    return Finding("0x1017 producer heartbeat", Verdict.FIT, "listed")
+def _heartbeat(dictionary: ObjectDictionary, bus: BusParameters | None) -> Finding:
+    item = "0x1017 producer heartbeat"
+    values = () if bus is None else (bus.heartbeat_ms,)
+    use = ObjectUse(od.PRODUCER_HEARTBEAT_TIME, 0, DataType.UNSIGNED16, reads=True, writes=True, values=values)
+    if (text := objection(dictionary, use)) is not None:
+        return Finding(item, Verdict.REFUSED, f"{text}; without a heartbeat no NMT state can be confirmed")
+    return Finding(item, Verdict.FIT, "listed")
 
 
-def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
+def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
     item = "0x1016 consumer heartbeat"
     if not axis.watchdog:
         return Finding(item, Verdict.UNKNOWN, "not armed (watchdog: false); a killed master leaves the torque on")
-    if dictionary.get_variable(od.CONSUMER_HEARTBEAT_TIME, 1) is None:
-        text = "missing; the drive cannot notice a killed master; set watchdog: false to accept that"
-        return Finding(item, Verdict.REFUSED, text)
+    values = () if bus is None else (bus.consumer_heartbeat,)
+    use = ObjectUse(od.CONSUMER_HEARTBEAT_TIME, 1, reads=True, writes=True, values=values)
+    if (text := objection(dictionary, use)) is not None:
+        hint = "the drive cannot notice a killed master; set watchdog: false to accept that"
+        return Finding(item, Verdict.REFUSED, f"{text}; {hint}")
     return Finding(item, Verdict.FIT, "armed at the start")
 
 
-def _map(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
+def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
     try:
         chosen = choose_map(dictionary, axis)
     except DictionaryError as error:
         return Finding("PDO map", Verdict.REFUSED, str(error))
+    rpdo_type = None if bus is None else rpdo_transmission_type(bus, axis)
+    types = [(chosen.rpdo, rpdo_type), *((tpdo, od.SYNCHRONOUS_EVERY_SYNC) for tpdo in chosen.tpdos)]
+    refused = [text for plan, kind in types for text in _plan_objections(dictionary, plan, kind)]
+    if refused:
+        return Finding("PDO map", Verdict.REFUSED, "; ".join(refused))
     parts = [
         f"{pdo.name} {pdo.cob_id:#05x} {'written' if pdo.is_written else 'fixed'} "
         f"[{', '.join(str(entry) for entry in pdo.entries)}]"
@@ -60,3 +83,28 @@ def _map(dictionary: ObjectDictionary, axis: AxisParameters) -> Finding:
     ]
     note = {"demand": "", "actual": "; energy from the measured torque 0x6077", "none": "; energy is believed"}
     return Finding("PDO map", Verdict.FIT, "; ".join(parts) + note[chosen.read_back])
+
+
+def _plan_objections(dictionary: ObjectDictionary, plan: PdoPlan, transmission_type: int | None) -> Iterator[str]:
+    """Yields why a PDO cannot be configured and read back as it is planned."""
+    place, types = plan.communication_index, () if transmission_type is None else (transmission_type,)
+    cob_ids = (plan.cob_id | od.COB_ID_INVALID, plan.cob_id) if plan.cob_id_is_written else ()
+    uses = [ObjectUse(place, 1, reads=True, values=cob_ids)]
+    if is_writable(dictionary, place, 2):
+        uses.append(ObjectUse(place, 2, reads=True, values=types))
+    else:
+        uses.append(ObjectUse(place, 2, reads=True))
+        stated = getattr(listed(dictionary, place, 2), "default", None)
+        if types and isinstance(stated, int) and stated not in types:
+            yield f"{plan.name}: {place:#06x}:02 is read-only and {stated}, but {types[0]} is needed"
+    counts = (0, len(plan.entries)) if plan.is_written else ()
+    uses.append(ObjectUse(plan.mapping_index, 0, reads=True, values=counts))
+    for subindex, entry in enumerate(plan.entries, start=1):
+        values = (entry.entry,) if plan.is_written else ()
+        uses.append(ObjectUse(plan.mapping_index, subindex, DataType.UNSIGNED32, reads=True, values=values))
+    for use in uses:
+        if (text := objection(dictionary, use)) is not None:
+            yield f"{plan.name}: {use.index:#06x}:{use.subindex:02x} is {text}"
+    stated = getattr(listed(dictionary, place, 1), "default", None)
+    if not plan.cob_id_is_written and isinstance(stated, int) and stated & od.COB_ID_INVALID:
+        yield f"{plan.name}: {place:#06x}:01 is read-only and switches the PDO off"

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from canhaptic.canopen.objects import DataType
 from canhaptic.errors import DictionaryError
 
 _UNSIGNED_FORMATS: Final = {8: "B", 16: "H", 32: "I", 64: "Q"}
@@ -24,6 +25,11 @@ class MappedObject:
     def entry(self) -> int:
         """The UNSIGNED32 of the mapping object: index, subindex, length in bits."""
         return self.index << 16 | self.subindex << 8 | self.bits
+
+    @property
+    def data_type(self) -> DataType:
+        """The integer type of this length and sign."""
+        return DataType[f"{'INTEGER' if self.signed else 'UNSIGNED'}{self.bits}"]
 
     def __str__(self) -> str:
         """`0x6064:00/32`."""

@@ -10,18 +10,18 @@ from itertools import combinations
 from typing import Final, Literal
 
 from canopen import ObjectDictionary
-from canopen.objectdictionary import datatypes
+from canopen.objectdictionary import ODVariable, datatypes
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.drive.can.pdo_codec import MappedObject, codec, decode_entry
+from canhaptic.drive.profile.object_use import ObjectUse, mapping_objection, objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack
 from canhaptic.errors import DictionaryError
 
 _MOST_TPDOS: Final = 3  # statusword, position and torque each in a TPDO of its own
-_READABLE_IN_TPDO: Final = ("ro", "rw", "rwr", "const")
 
 CONTROLWORD: Final = MappedObject(od.CONTROLWORD, 0, 16)
 TARGET_TORQUE: Final = MappedObject(od.TARGET_TORQUE, 0, 16, signed=True)
@@ -96,6 +96,8 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
     for needed in (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION):
         if dictionary.get_variable(needed.index, needed.subindex) is None:
             raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; cyclic torque cannot do without")
+        if (text := objection(dictionary, ObjectUse(needed.index, 0, needed.data_type))) is not None:
+            raise DictionaryError(f"{axis.name}: {axis.eds}: {needed} is {text}; correct the dictionary")
     read_back, torque = _read_back(dictionary, axis)
     wanted = [STATUSWORD, POSITION] + ([torque] if torque else [])
     rpdo = _choose_rpdo(dictionary, axis)
@@ -143,9 +145,10 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
 
 def _is_mappable(dictionary: ObjectDictionary, wanted: MappedObject) -> bool:
     """Whether an object may go into a TPDO: stated as mappable, or part of a fixed map."""
-    variable = dictionary.get_variable(wanted.index, wanted.subindex)
-    if variable is not None and variable.pdo_mappable and variable.access_type in _READABLE_IN_TPDO:
+    if mapping_objection(dictionary, "TPDO", wanted.index, wanted.data_type) is None:
         return True
+    if objection(dictionary, ObjectUse(wanted.index, 0, wanted.data_type)) is not None:
+        return False
     return any(wanted.entry == e.entry for c in _candidates(dictionary, "TPDO") for e in c.fixed or ())
 
 
@@ -166,8 +169,8 @@ def _candidates(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> 
         subindices = sorted(members)
         if not subindices:
             continue
-        room = next(n for n in range(len(members) + 1) if n + 1 not in members)  # a gap ends what can be written
-        if is_writable(dictionary, first + number - 1, 0) and is_writable(dictionary, first + number - 1, 1):
+        room = next(n for n in range(len(members) + 1) if not _is_slot(members.get(n + 1)))
+        if room and _is_slot(members.get(0)):
             yield PdoCapability(kind, number, None, room)
             continue
         count = members[0].default if 0 in members else None
@@ -176,6 +179,11 @@ def _candidates(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> 
             entries = tuple(_mapped(dictionary, v) for v in values)
             if _is_decodable(entries):
                 yield PdoCapability(kind, number, entries, room)
+
+
+def _is_slot(variable: ODVariable | None) -> bool:
+    """Whether a subindex of a map can be written and read back."""
+    return variable is not None and variable.readable and variable.writable
 
 
 def _is_decodable(entries: Sequence[MappedObject]) -> bool:
@@ -190,15 +198,16 @@ def _is_decodable(entries: Sequence[MappedObject]) -> bool:
 def _choose_rpdo(dictionary: ObjectDictionary, axis: AxisParameters) -> PdoCapability:
     candidates = [c for c in _candidates(dictionary, "RPDO") if axis.rpdo_number in (None, c.number)]
     needed = {entry.entry for entry in _RPDO_OBJECTS}
+    unmappable = _unmappable(dictionary, "RPDO", _RPDO_OBJECTS)
     for candidate in candidates:
-        if candidate.fixed is None and candidate.room >= len(_RPDO_OBJECTS):
+        if candidate.fixed is None and candidate.room >= len(_RPDO_OBJECTS) and not unmappable:
             return candidate
     for candidate in candidates:
         if {entry.entry for entry in candidate.fixed or ()} == needed:
             return candidate
     raise DictionaryError(
         f"{axis.name}: {axis.eds}: no RPDO{axis.rpdo_number or ''} can carry {CONTROLWORD} and {TARGET_TORQUE}; "
-        "the drive needs a writable mapping (0x1600..) or a fixed one with exactly these two"
+        "the drive needs a writable mapping (0x1600..) or a fixed one with exactly these two" + unmappable
     )
 
 
@@ -206,8 +215,9 @@ def _choose_tpdos(
     dictionary: ObjectDictionary, axis: AxisParameters, wanted: Sequence[MappedObject]
 ) -> list[tuple[PdoCapability, Sequence[MappedObject]]]:
     candidates = [c for c in _candidates(dictionary, "TPDO") if c.number in (axis.tpdo_numbers or (c.number,))]
+    unmappable = _unmappable(dictionary, "TPDO", wanted)
     for candidate in candidates:
-        if candidate.fixed is None and candidate.room >= len(wanted):
+        if candidate.fixed is None and candidate.room >= len(wanted) and not unmappable:
             return [(candidate, wanted)]
     needed = {entry.entry for entry in wanted}
     fixed = [c for c in candidates if c.fixed]
@@ -219,7 +229,14 @@ def _choose_tpdos(
     names = ", ".join(str(entry) for entry in wanted)
     raise DictionaryError(
         f"{axis.name}: {axis.eds}: no writable or fixed TPDO carries {names}; set tpdo_numbers or read_back: none"
+        + unmappable
     )
+
+
+def _unmappable(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"], wanted: Sequence[MappedObject]) -> str:
+    """Returns which of the objects cannot be part of a map that is written, and why; empty where all can."""
+    texts = ((entry, mapping_objection(dictionary, kind, entry.index, entry.data_type)) for entry in wanted)
+    return "".join(f"; {entry} is {text}" for entry, text in texts if text is not None)
 
 
 # --- the COB-IDs --------------------------------------------------------------------------------------------------

@@ -9,9 +9,11 @@ from typing import Final
 
 from canhaptic.canopen.dictionary import is_writable
 from canhaptic.canopen.objects import COB_ID_INVALID, RPDO_COMMUNICATION, SYNCHRONOUS_EVERY_SYNC, TPDO_COMMUNICATION
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.pdo_codec import decode_entry
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, pdo_numbers
 from canhaptic.drive.can.sdo import SdoChannel
+from canhaptic.drive.profile.quirks import quirks_of
 
 _COB_ID, _TRANSMISSION_TYPE, _EVENT_TIMER = 1, 2, 5  # subindices of the communication parameters
 _NO_RTR: Final = 1 << 30  # bit 30 of a TPDO's COB-ID: some drives insist on it
@@ -19,6 +21,11 @@ _IDENTIFIER: Final = 0x7FF
 
 Expect = Callable[[str, int, int], None]
 """Called as expect(object, seen, expected); raises when they differ."""
+
+
+def rpdo_transmission_type(bus: BusParameters, axis: AxisParameters) -> int:
+    """Returns the transmission type of the RPDO of an axis."""
+    return SYNCHRONOUS_EVERY_SYNC if bus.rpdo == "synchronous" else quirks_of(axis.quirks).event_transmission_type
 
 
 def write_map(
@@ -50,10 +57,15 @@ def _disable_others(sdo: SdoChannel, chosen: AxisMap) -> None:
     indices = [RPDO_COMMUNICATION + n - 1 for n in pdo_numbers(sdo.dictionary, "RPDO")]
     indices += [TPDO_COMMUNICATION + n - 1 for n in pdo_numbers(sdo.dictionary, "TPDO")]
     for index in indices:
-        if index not in used and is_writable(sdo.dictionary, index, _COB_ID):
+        if index not in used and is_writable(sdo.dictionary, index, _COB_ID) and _is_readable(sdo, index):
             cob_id = sdo.read(index, _COB_ID)
             if not cob_id & COB_ID_INVALID:
                 sdo.write(index, _COB_ID, cob_id | COB_ID_INVALID)
+
+
+def _is_readable(sdo: SdoChannel, index: int) -> bool:
+    variable = sdo.dictionary.get_variable(index, _COB_ID)
+    return variable is not None and variable.readable
 
 
 def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline: int | None, expect: Expect) -> None:

@@ -55,7 +55,7 @@ class ServoDrive(TorqueAxis):
     sdo: SdoChannel
 
     def __init__(self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters) -> None:
-        require_fit(dictionary, axis)
+        require_fit(dictionary, axis, bus)
         self.link, self.bus = link, bus
         self.map: AxisMap = choose_map(dictionary, axis)
         sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.dictionary import is_writable
 from canhaptic.canopen.objects import Controlword
-from canhaptic.drive.profile.fitness import agreed_rated_torque
+from canhaptic.drive.profile.fitness import agreed_rated_torque, decimal_period
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
@@ -36,7 +36,6 @@ REMEDIES: Final = {
 
 _POWERED: Final = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _POLL_PERIOD: Final = 2_000_000  # [ns] between two of them
-_PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: some drives take milliseconds alone
 
 
 class Confirmation(NamedTuple):
@@ -290,7 +289,7 @@ class BringUp(ABC):
         index = od.INTERPOLATION_PERIOD
         if not (drive.quirks.writes_interpolation_period and is_writable(drive.dictionary, index, 1)):
             return
-        period = _decimal_period(drive.sample_time_ns)
+        period = decimal_period(drive.sample_time_ns)
         if period is not None:
             if is_writable(drive.dictionary, index, 2):
                 self._write_confirmed("interpolation period", index, 2, period[1])
@@ -303,12 +302,3 @@ class BringUp(ABC):
             if not confirmed:
                 seen = self._sdo.read(od.MODES_OF_OPERATION_DISPLAY)
                 raise self.refusal("mode of operation", f"0x6061 = {seen}", f"{od.CYCLIC_SYNC_TORQUE}")
-
-
-def _decimal_period(sample_time_ns: int) -> tuple[int, int] | None:
-    """Returns (value, exponent) of 0x60C2 for a sample time; None if no value of one byte has it exactly."""
-    for exponent in _PERIOD_EXPONENTS:
-        value, rest = divmod(sample_time_ns, 10 ** (9 + exponent))
-        if rest == 0 and 1 <= value <= 255:
-            return value, exponent
-    return None

@@ -8,11 +8,28 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.dictionary import Dictionary
+from canhaptic.canopen.dictionary import Dictionary, is_writable
+from canhaptic.canopen.objects import DataType
+from canhaptic.drive.profile.object_use import ObjectUse, listed, objection, range_objection
 from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
 from canhaptic.errors import DictionaryError
 
+_CORRECT: Final = "correct the dictionary if the drive can"
+_CONTROLWORDS: Final = (int(od.Controlword.DISABLE_VOLTAGE), int(od.Controlword.ENABLE_OPERATION))
+_ALWAYS_USED: Final = (
+    (ObjectUse(od.CONTROLWORD, 0, DataType.UNSIGNED16, writes=True, values=_CONTROLWORDS), "controlword"),
+    (ObjectUse(od.STATUSWORD, 0, DataType.UNSIGNED16, reads=True), "statusword"),
+    (ObjectUse(od.POSITION_ACTUAL, 0, DataType.INTEGER32, reads=True), "position"),
+    (
+        ObjectUse(od.MODES_OF_OPERATION, 0, DataType.INTEGER8, writes=True, values=(od.CYCLIC_SYNC_TORQUE,)),
+        "modes of operation",
+    ),
+    (ObjectUse(od.MODES_OF_OPERATION_DISPLAY, 0, DataType.INTEGER8, reads=True), "modes of operation display"),
+)
+_PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: some drives take milliseconds alone
+_ANY_EXPONENT: Final = -3
 _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
 
 
@@ -32,15 +49,26 @@ class Finding(NamedTuple):
     text: str  # value seen, value expected, what to do
 
 
-def profile_findings(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
-    """Returns what the objects of CiA 402 in a dictionary say about its fitness for cyclic torque."""
-    return [
+def profile_findings(
+    dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None = None
+) -> list[Finding]:
+    """Returns what the objects of CiA 402 in a dictionary say about its fitness for cyclic torque.
+
+    Args:
+        dictionary: Of the drive.
+        axis: Its parameters.
+        sample_time_ns: Of the cycle [ns]; None while it is not known.
+    """
+    findings = [
         _device_type(dictionary),
-        _target_torque(dictionary),
+        _target_torque(dictionary, axis),
+        *(_used(dictionary, use, name) for use, name in _ALWAYS_USED),
         _drive_modes(dictionary),
         _rated_torque(dictionary, axis),
         _max_torque(dictionary, axis),
+        _abort_option(dictionary, axis),
     ]
+    return findings + _read_back(dictionary) + _interpolation(dictionary, axis, sample_time_ns)
 
 
 def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
@@ -78,9 +106,36 @@ def _stated(dictionary: Dictionary, index: int, subindex: int = 0) -> int | None
     return default if isinstance(default, int) else None
 
 
+def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
+    """Returns the finding of an object that every start and cycle uses."""
+    item = f"{use.index:#06x} {name}"
+    if (text := objection(dictionary, use)) is not None:
+        hint = "this drive takes no cyclic torque" if text == "missing" else _CORRECT
+        return Finding(item, Verdict.REFUSED, f"{text}; {hint}")
+    return Finding(item, Verdict.FIT, "listed")
+
+
+def _target_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
+    limit = 0 if axis.rated_torque is None else _max_torque_value(axis, axis.rated_torque)
+    values = (0, limit, -limit)
+    use = ObjectUse(od.TARGET_TORQUE, 0, DataType.INTEGER16, reads=True, writes=True, values=values)
+    return _used(dictionary, use, "target torque")
+
+
+def _read_back(dictionary: Dictionary) -> list[Finding]:
+    """Returns the refusals of torques that could be read back, but have another type than CiA 402 says."""
+    uses = ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual"))
+    findings = [
+        _used(dictionary, ObjectUse(index, 0, DataType.INTEGER16), name) for index, name in uses if index in dictionary
+    ]
+    return [finding for finding in findings if finding.verdict is Verdict.REFUSED]
+
+
 def _device_type(dictionary: Dictionary) -> Finding:
     stated = _stated(dictionary, od.DEVICE_TYPE)
     item = "0x1000 device type"
+    if (text := objection(dictionary, ObjectUse(od.DEVICE_TYPE, 0, DataType.UNSIGNED32, reads=True))) is not None:
+        return Finding(item, Verdict.REFUSED, f"{text}; {_CORRECT}")
     if stated is None:
         return Finding(item, Verdict.UNKNOWN, "not stated; read from the drive")
     if stated & 0xFFFF != od.CIA402_PROFILE:
@@ -88,15 +143,12 @@ def _device_type(dictionary: Dictionary) -> Finding:
     return Finding(item, Verdict.FIT, f"{stated:#010x}, a CiA 402 drive")
 
 
-def _target_torque(dictionary: Dictionary) -> Finding:
-    if od.TARGET_TORQUE not in dictionary:
-        return Finding("0x6071 target torque", Verdict.REFUSED, "missing; this drive takes no cyclic torque")
-    return Finding("0x6071 target torque", Verdict.FIT, "listed")
-
-
 def _drive_modes(dictionary: Dictionary) -> Finding:
     stated = _stated(dictionary, od.SUPPORTED_DRIVE_MODES)
     item = "0x6502 supported drive modes"
+    use = ObjectUse(od.SUPPORTED_DRIVE_MODES, 0, DataType.UNSIGNED32, reads=True)
+    if od.SUPPORTED_DRIVE_MODES in dictionary and (text := objection(dictionary, use)) is not None:
+        return Finding(item, Verdict.REFUSED, f"{text}; {_CORRECT}")
     if stated is None:
         return Finding(item, Verdict.UNKNOWN, "not stated; read from the drive, and 0x6061 must confirm mode 10")
     if not stated & od.CYCLIC_SYNC_TORQUE_BIT:
@@ -108,17 +160,18 @@ def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
     item = "0x6076 rated torque"
     stated = _stated(dictionary, od.RATED_TORQUE)
     is_read = quirks_of(axis.quirks).reads_rated_torque
-    if axis.rated_torque is not None and not is_read:
-        return Finding(item, Verdict.UNKNOWN, f"{axis.rated_torque:g} from the configuration alone (quirks)")
     if not is_read:
+        if axis.rated_torque is not None:
+            return Finding(item, Verdict.UNKNOWN, f"{axis.rated_torque:g} from the configuration alone (quirks)")
         return Finding(item, Verdict.REFUSED, "not read (quirks), and the configuration has no rated_torque; set it")
+    if od.RATED_TORQUE in dictionary and (text := _rated_torque_objection(dictionary, axis)) is not None:
+        return Finding(item, Verdict.REFUSED, f"{text}; {_CORRECT}, or quirks: [rated_torque_absent]")
     if axis.rated_torque is not None:
         return Finding(item, Verdict.FIT, f"{axis.rated_torque:g} from the configuration, compared with the drive")
     if od.RATED_TORQUE not in dictionary:
         return Finding(item, Verdict.REFUSED, "missing, and the configuration has no rated_torque; set it")
-    if not stated:
-        return Finding(item, Verdict.UNKNOWN, "not stated; read from the drive, or set rated_torque")
-    return Finding(item, Verdict.UNKNOWN, f"{stated} mN*m by default; the live value counts")
+    seen = f"{stated} mN*m by default; the live value counts" if stated else "not stated; read from the drive, or set"
+    return Finding(item, Verdict.UNKNOWN, seen if stated else f"{seen} rated_torque")
 
 
 def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
@@ -132,4 +185,68 @@ def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
         return Finding(item, Verdict.UNKNOWN, f"not written (quirks); the master alone keeps {axis.torque_limit:g}")
     if not variable.writable:
         return Finding(item, Verdict.UNKNOWN, f"read-only; the limit of {axis.torque_limit:g} is kept by the master")
+    values = () if axis.rated_torque is None else (_max_torque_value(axis, axis.rated_torque),)
+    use = ObjectUse(od.MAX_TORQUE, reads=True, writes=True, values=values)
+    if (text := objection(dictionary, use)) is not None:
+        return Finding(
+            item,
+            Verdict.REFUSED,
+            f"{text} for torque_limit {axis.torque_limit:g}; {_CORRECT}, "
+            "choose another torque_limit, or quirks: [max_torque_absent]",
+        )
     return Finding(item, Verdict.FIT, f"written from torque_limit {axis.torque_limit:g}")
+
+
+def _max_torque_value(axis: TorqueAxisParameters, rated_torque: float) -> int:
+    return torque_limit_per_mille(axis.torque_limit, axis_scaling(axis, rated_torque).rated_torque)
+
+
+def _rated_torque_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str | None:
+    """Returns why 0x6076 cannot be read, or cannot hold what the configuration says; limits are those of writing."""
+    variable = listed(dictionary, od.RATED_TORQUE)
+    text = objection(dictionary, ObjectUse(od.RATED_TORQUE, reads=True))
+    if text is not None or variable is None or axis.rated_torque is None:
+        return text
+    resolution = quirks_of(axis.quirks).rated_torque_resolution
+    return range_objection(variable, round(axis.rated_torque / axis.transmission / resolution))
+
+
+def _abort_option(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
+    item = "0x6007 abort connection option"
+    variable = listed(dictionary, od.ABORT_CONNECTION_OPTION)
+    if variable is None or not variable.writable:
+        state = "not listed" if variable is None else "read-only"
+        text = f"{state}: what a lost master does is set with the vendor's tool; it must end in zero torque"
+        return Finding(item, Verdict.UNKNOWN, text)
+    option = quirks_of(axis.quirks).abort_connection_option
+    use = ObjectUse(od.ABORT_CONNECTION_OPTION, reads=True, writes=True, values=(option,))
+    if axis.watchdog and (refusal := objection(dictionary, use)) is not None:
+        return Finding(item, Verdict.REFUSED, f"{refusal}; {_CORRECT}, or see the quirks abort_...")
+    return Finding(item, Verdict.FIT, f"written: a lost master is a fault ({option})" if option == 1 else "written")
+
+
+def _interpolation(dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None) -> list[Finding]:
+    """Returns the refusals of 0x60C2, which is optional."""
+    place = od.INTERPOLATION_PERIOD
+    if not quirks_of(axis.quirks).writes_interpolation_period or not is_writable(dictionary, place, 1):
+        return []
+    period = None if sample_time_ns is None else decimal_period(sample_time_ns)
+    value, exponent = ((), (_ANY_EXPONENT,)) if period is None else ((period[0],), (period[1],))
+    uses = [ObjectUse(place, 1, reads=True, values=value)]
+    if is_writable(dictionary, place, 2):
+        uses.append(ObjectUse(place, 2, reads=True, values=exponent))
+    found = [(use, text) for use in uses if (text := objection(dictionary, use)) is not None]
+    hint = f"{_CORRECT}, or quirks: [no_interpolation_period]"
+    return [
+        Finding(f"{place:#06x}:{use.subindex:02x} interpolation period", Verdict.REFUSED, f"{text}; {hint}")
+        for use, text in found
+    ]
+
+
+def decimal_period(sample_time_ns: int) -> tuple[int, int] | None:
+    """Returns (value, exponent) of 0x60C2 for a sample time; None if no value of one byte has it exactly."""
+    for exponent in _PERIOD_EXPONENTS:
+        value, rest = divmod(sample_time_ns, 10 ** (9 + exponent))
+        if rest == 0 and 1 <= value <= 255:
+            return value, exponent
+    return None

@@ -152,7 +152,9 @@ class Pdo:
     # --- what may be written ----------------------------------------------------------------------------------------
 
     def _exists(self) -> bool:
-        return self._cob_id.value is not None and not self._cob_id.number & COB_ID_INVALID
+        """Whether bit 31 must be set before the PDO is changed; one whose COB-ID is read-only is changed as it is."""
+        is_valid = self._cob_id.value is not None and not self._cob_id.number & COB_ID_INVALID
+        return is_valid and self._cob_id.writable
 
     def _check_cob_id(self, value: int) -> SdoAbort | None:
         is_valid = not value & COB_ID_INVALID

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from canhaptic.canopen.objects import MAX_TORQUE, RATED_TORQUE, TARGET_TORQUE, DataType
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 
 
 class TorqueStage:
@@ -24,7 +24,12 @@ class TorqueStage:
         self._rated = store.find(RATED_TORQUE)
         self._parameters = parameters
         if parameters.rated_torque is not None and self._rated is not None:
-            self._rated.initial = self._rated.value = _counts(parameters) if parameters.rated_torque_stated else 0
+            counts = _counts(parameters) if parameters.rated_torque_stated else 0
+            if counts > _largest(self._rated):
+                raise ParameterError(
+                    f"rated_torque: 0x6076 of the dictionary cannot hold {counts}; correct its data type"
+                )
+            self._rated.initial = self._rated.value = counts
         if store.find(TARGET_TORQUE) is not None and self._rated_torque() <= 0.0:
             seen = "no such object" if self._rated is None else f"value {self._rated.value!r}"
             raise ParameterError(
@@ -59,6 +64,11 @@ class TorqueStage:
         if target > self._high:
             return self._high
         return target if target >= self._low else self._low
+
+
+def _largest(entry: Entry) -> float:
+    """Returns the largest value of the type of an object, whatever its limits are for writing."""
+    return Entry(entry.index, entry.subindex, entry.data_type).high if entry.size else -1
 
 
 def _counts(parameters: SimulatedDriveParameters) -> int:

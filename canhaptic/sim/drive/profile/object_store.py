@@ -149,10 +149,20 @@ class ObjectStore:
         self.reset()
 
     def entry(self, index: int, data_type: int, subindex: int = 0) -> Entry:
-        """Returns an object of the dictionary; one that only the drive itself sees when the dictionary lacks it."""
+        """Returns an object of the dictionary; one that only the drive itself sees when the dictionary lacks it.
+
+        Raises:
+            ParameterError: The dictionary has it with another type than the drive.
+        """
         place = (index, subindex)
         if place in self._entries:
-            return self._entries[place]
+            entry = self._entries[place]
+            if entry.data_type != data_type:
+                raise ParameterError(
+                    f"object 0x{index:04X}.{subindex}: got data type 0x{entry.data_type:04X} in the dictionary, "
+                    f"expected 0x{data_type:04X} as the drive has it; correct the dictionary"
+                )
+            return entry
         return self._hidden.setdefault(place, Entry(index, subindex, data_type, access="ro"))
 
     def find(self, index: int, subindex: int = 0) -> Entry | None:
