@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from canhaptic.errors import CanHapticError, InputError, SceneError
+from canhaptic.host.output_file import replacing
 
 
 def write_json(value: Any) -> None:
@@ -38,7 +39,8 @@ def write_file(path: Path, text: str) -> None:
         InputError: The file cannot be written.
     """
     try:
-        path.write_text(text, encoding="utf-8")
+        with replacing(path) as file:
+            file.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); name another file") from error
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.logs.bus_sink import FRAME_RING, aside_files
+from canhaptic.logs.bus_sink import FRAME_RING
 from canhaptic.logs.log_file import CONVERTIBLE
 from canhaptic.logs.ring import Record, Recorder
 from canhaptic.logs.writer_process import WriterProcess
@@ -50,8 +50,6 @@ class BusLogWriter:
         channels = [channel] if isinstance(channel, str) else list(channel)
         _check_channels(channels)
         _check_files(self.path, file_size, files, last, convert)
-        for old in aside_files(self.path) if file_size else []:
-            old.unlink()
         job = {
             "kind": "bus",
             "pace": pace,

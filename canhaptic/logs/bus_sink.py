@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from canhaptic.host.output_file import replacing
+from canhaptic.logs.growing_file import open_regular, require_same_file
 from canhaptic.logs.ring import RingShape, SharedArea
 
 FRAME_RING: Final = RingShape("=qIBBBx8s", 65_536)  # timestamp [ns], identifier, length, is_rx, bus, data
@@ -55,19 +57,22 @@ class BusSink:
         self._next = self._frames.tail
         if restart and self._path.exists():
             self._recover()
-        else:
-            self._begin()
+            return
+        for old in aside_files(self._path) if self._file_size else []:
+            old.unlink()
+        self._begin()
 
     def _begin(self) -> None:
         self._area.mark = self._next
-        self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        self._descriptor = open_regular(self._path, os.O_WRONLY | os.O_CREAT)
+        os.truncate(self._descriptor, 0)
         self._size = 0
 
     def _recover(self) -> None:
         text = self._path.read_bytes()
         self._size = text.rfind(b"\n") + 1
         self._next = max(self._next, self._area.mark + text.count(b"\n"))
-        self._descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND)
+        self._descriptor = open_regular(self._path, os.O_WRONLY | os.O_APPEND)
         os.truncate(self._descriptor, self._size)
 
     def drain(self, heads: list[int], final: bool) -> None:
@@ -81,6 +86,10 @@ class BusSink:
                 self._put_aside()
         if final:
             os.fsync(self._descriptor)
+
+    def check(self) -> None:
+        """Returns while the file is as it was written; raises LogWriteError."""
+        require_same_file(self._path, self._descriptor, self._size)
 
     def _write(self, text: bytes) -> None:
         while text:
@@ -99,11 +108,13 @@ class BusSink:
     def finish(self, status: str) -> None:
         """Closes the file and converts it if asked to; the status of the run has no place in these formats."""
         del status
+        self.check()
         os.close(self._descriptor)
         if self._convert_to is not None:
             from canhaptic.logs.bus_reader import convert
 
-            convert(self._path, self._convert_to)
+            with replacing(self._convert_to) as converted:
+                convert(self._path, converted)
             self._path.unlink()
 
 

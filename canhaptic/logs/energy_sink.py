@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema
+from canhaptic.logs.growing_file import open_regular, require_same_file
 from canhaptic.logs.hdf5 import Dataset, Hdf5File
-from canhaptic.logs.packing import repack, trim
+from canhaptic.logs.packing import repack, trim, unfinished
 from canhaptic.logs.ring import SharedArea
 
 
@@ -42,8 +43,8 @@ class EnergySink:
             return
         self._next_row = self._lost = self._rows.tail
         self._next_event = self._events.tail
-        temporary = self._path.with_name(self._path.name + ".new")
-        self._file = Hdf5File(temporary, "w live")
+        temporary = unfinished(self._path)
+        self._file = Hdf5File(temporary, "x live")
         self._create_columns()
         os.replace(temporary, self._path)
         self._start()
@@ -73,14 +74,15 @@ class EnergySink:
             self._file[column.path] if column.path else None for column in self._columns
         ]
         self._event_datasets = [self._file[f"events/{name}"] for name in ("sync_index", *EVENT_TEXT_SIZES)]
-        self._descriptor = os.open(self._path, os.O_RDONLY)
+        self._descriptor = open_regular(self._path, os.O_RDONLY)
+        self._size = os.fstat(self._descriptor).st_size
 
     def _recover(self) -> bool:
         """Copies what the killed writer left into a clean file and goes on there; False when nothing can be read."""
-        temporary = self._path.with_name(self._path.name + ".new")
+        temporary = unfinished(self._path)
         try:
             with Hdf5File(self._path, "live") as old:
-                self._file = Hdf5File(temporary, "w live")
+                self._file = Hdf5File(temporary, "x live")
                 old.copy_to(self._file)
         except (OSError, RuntimeError, KeyError):
             if self._path.exists():
@@ -123,11 +125,17 @@ class EnergySink:
 
     def _flush(self) -> None:
         self._file.flush()
+        self._size = os.fstat(self._descriptor).st_size
         if self._schema.synchronise:
             os.fsync(self._descriptor)
 
+    def check(self) -> None:
+        """Returns while the file is as it was written; raises LogWriteError."""
+        require_same_file(self._path, self._descriptor, self._size)
+
     def finish(self, status: str) -> None:
         """Closes the file and packs it."""
+        self.check()
         self._file.close()
         os.close(self._descriptor)
         repack(self._path, self._path, {"status": status})

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
+from canhaptic.host.output_file import replacing
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 
 _BLOCK: Final = 65_536  # rows held in memory at a time
@@ -25,7 +26,8 @@ def export(log: EnergyLog, path: str | Path) -> None:
     if path.suffix not in writers:
         raise InputError(f"{path}: cannot export to {path.suffix!r}, expected one of: {', '.join(writers)}")
     try:
-        writers[path.suffix](log, path)
+        with replacing(path) as file:
+            writers[path.suffix](log, file)
     except ImportError as error:
         raise InputError(
             f"{path}: {error.name} is not installed; install it with: pip install 'canhaptic[export]'"

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from canhaptic.host.output_file import replacing
 from canhaptic.logs.bus_sink import FRAME_RING, format_frames
 from canhaptic.logs.ring import SharedArea
 
@@ -18,6 +19,8 @@ _SIZE: Final = struct.calcsize(FRAME_RING.record)
 
 class FaultSink:
     """Keeps the last frames in the memory of the writer process: they survive the controller, not the writer.
+
+    A later bad end replaces the file of an earlier one; a good end leaves it.
 
     Args:
         path: The file to write after a bad end.
@@ -34,11 +37,16 @@ class FaultSink:
         self._blocks: deque[bytes] = deque()
 
     def open(self, restart: bool) -> None:
-        """Proves that the file can be made, long before it must be."""
+        """Proves that the file can be made, long before it must be; that of an earlier fault stays as it is."""
         del restart
         self._next = self._frames.tail
-        os.close(os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666))
-        self._path.unlink()
+        probe = self._path.with_name(f".{self._path.name}.new")
+        probe.unlink(missing_ok=True)
+        os.close(os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        probe.unlink()
+
+    def check(self) -> None:
+        """Nothing is written before the end."""
 
     def drain(self, heads: list[int], final: bool) -> None:
         """Takes all frames up to `heads[0]` and lets go of those that have grown old."""
@@ -62,7 +70,8 @@ class FaultSink:
         frames = b"".join(self._blocks)
         starts = range(0, len(frames), _SIZE)
         first = next(start for start in starts if _TIMESTAMP.unpack_from(frames, start)[0] >= oldest)
-        self._path.write_bytes(format_frames(frames[first:], self._channels))
+        with replacing(self._path) as file:
+            file.write_bytes(format_frames(frames[first:], self._channels))
 
 
 def _last_time(block: bytes) -> int:

@@ -73,8 +73,8 @@ class Hdf5File:
 
     Args:
         path: The file.
-        mode: "live" read, also while another process writes it or after that was killed; "w" make anew;
-            "w live" make anew, to be read by others while it is written.
+        mode: "live" read, also while another process writes it or after that was killed; "x" make a file that is not
+            there; "x live" the same, to be read by others while it is written.
 
     Nothing newer than the format of HDF5 1.10 (2016) is written, so that MATLAB and old readers can open it.
     """
@@ -83,9 +83,9 @@ class Hdf5File:
         if mode == "live":
             self._file = h5py.File(path, "r", swmr=True)
         else:
-            oldest = "v110" if mode == "w live" else "earliest"
+            oldest = "v110" if mode == "x live" else "earliest"
             # Without a cache for chunks: each is written once, whole; a megabyte of them per column would be kept.
-            self._file = h5py.File(path, "w", libver=(oldest, "v110"), locking=False, rdcc_nbytes=0)
+            self._file = h5py.File(path, "x", libver=(oldest, "v110"), locking=False, rdcc_nbytes=0)
 
     def __enter__(self) -> "Hdf5File":
         return self

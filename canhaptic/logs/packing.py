@@ -29,6 +29,13 @@ def trim(file: Hdf5File) -> tuple[int, int]:
     return rows, events
 
 
+def unfinished(path: Path) -> Path:
+    """Returns the name under which a log is begun, in the folder where it is to be; what a kill left there goes."""
+    temporary = path.with_name(f".{path.name}.new")
+    temporary.unlink(missing_ok=True)
+    return temporary
+
+
 def repack(source: Path, target: Path, attributes: dict[str, Any], lengths: tuple[int, int] | None = None) -> None:
     """Writes a compact copy of a log with large chunks; `target` may be `source`.
 
@@ -38,8 +45,8 @@ def repack(source: Path, target: Path, attributes: dict[str, Any], lengths: tupl
         attributes: Attributes of the root to change.
         lengths: Rows and events to keep; all that are whole by default.
     """
-    temporary = target.with_name(target.name + ".new")
-    with Hdf5File(source, "live") as old, Hdf5File(temporary, "w") as new:
+    temporary = unfinished(target)
+    with Hdf5File(source, "live") as old, Hdf5File(temporary, "x") as new:
         for name, value in {**old.attributes, **attributes}.items():
             new.set_attribute(name, value)
         rows, events = whole_lengths(old) if lengths is None else lengths

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.errors import InputError
+from canhaptic.host.output_file import require_writable_place
 from canhaptic.logs.column_check import found_columns
 from canhaptic.logs.energy_reader import open_file
 from canhaptic.logs.hdf5 import Dataset
@@ -29,6 +30,7 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
     source, target = Path(source), Path(target)
     if target.exists() and source.samefile(target):
         raise InputError(f"{target}: the repaired copy needs another name than the log itself")
+    require_writable_place(target)
     file, description = open_file(source)
     with file:
         rows, events = found_columns(source, file, description.ports)

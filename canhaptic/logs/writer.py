@@ -1,4 +1,4 @@
-"""The writer process: `python -m canhaptic.logs.writer DESCRIPTOR`, its job as JSON on standard input.
+"""The writer process (`writer_process` starts it): a descriptor as argument, its job as JSON on standard input.
 
 It takes records out of the shared ring and puts them into a file, in ordinary priority, away from the control thread.
 It ends when the producer says so, or when the producer is gone: then everything still in the ring is written first.
@@ -11,6 +11,9 @@ import threading
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from canhaptic.errors import CanHapticError, LogWriteError
+from canhaptic.host.output_file import why_not_written
+from canhaptic.logs.log_lock import LogLock
 from canhaptic.logs.ring import AreaState, RingShape, SharedArea
 
 FAILED: Final = 74
@@ -28,6 +31,9 @@ class _Sink(Protocol):
 
     def drain(self, heads: list[int], final: bool) -> None:
         """Writes records up to `heads`; may keep an incomplete block for later unless `final`."""
+
+    def check(self) -> None:
+        """Returns while the file is as it was written; raises LogWriteError."""
 
     def finish(self, status: str) -> None:
         """Completes and closes the file."""
@@ -65,6 +71,7 @@ def _serve(area: SharedArea, sink: _Sink, parent: int) -> None:
         gone = os.getppid() != parent
         ending = gone or area.state == AreaState.CLOSING
         heads = [ring.head for ring in area.rings]
+        sink.check()
         sink.drain(seen, final=False)
         if ending and seen == heads:
             break
@@ -87,18 +94,42 @@ def _become_ordinary(patient: bool) -> None:
         os.nice(_NICENESS)
 
 
+def _open(job: dict[str, Any], sink: _Sink) -> LogLock:
+    """Locks and opens the log.
+
+    Raises:
+        LogWriteError: Another run writes it, it is no regular file, or it cannot be made.
+    """
+    path = Path(job["path"])
+    for place in (path, Path(job.get("convert_to") or path)):
+        if reason := why_not_written(place):
+            raise LogWriteError(reason)
+    try:
+        lock = LogLock(path)
+        sink.open(job["restart"])
+    except LogWriteError:
+        raise
+    except OSError as error:
+        raise LogWriteError(f"{path}: {error}; choose a folder that exists and may be written") from error
+    return lock
+
+
 def main() -> None:
     """Reads the job, says `ready` once the file is open, and serves."""
     job = json.load(sys.stdin)
     _become_ordinary(patient=job["pace"] == "real")
     area, sink = make_sink(job, int(sys.argv[1]))
+    lock: LogLock | None = None
     try:
-        sink.open(job["restart"])
+        lock = _open(job, sink)
         sys.stdout.write("ready\n")
         sys.stdout.flush()
         _serve(area, sink, job["parent"])
-    except (OSError, ValueError, RuntimeError) as error:  # h5py raises all three for one full disk
-        area.set_text("failure", f"{job['path']}: {error}")
+        lock.release()
+    except (CanHapticError, OSError, ValueError, RuntimeError) as error:  # h5py raises the last three for one full disk
+        area.set_text("failure", str(error) if isinstance(error, CanHapticError) else f"{job['path']}: {error}")
+        if lock is not None:
+            lock.release()
         os._exit(FAILED)  # the library would try to write again while closing, and can hang on a full disk
 
 

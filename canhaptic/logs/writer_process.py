@@ -2,19 +2,35 @@
 
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from canhaptic.errors import LogWriteError
 from canhaptic.logs.ring import AreaState, Record, Ring, RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer import FAILED
 
 _RESTARTS: Final = 5  # a writer that is killed more often than this has a reason
+_PATIENCE: Final = 30.0  # [s] that opening a file may take
+_LAST_WAIT: Final = 1.0  # [s] for the end of a process that was killed
+_PACKAGES: Final = Path(__file__).resolve().parents[2]
+_PROGRAM: Final = """
+import sys
+sys.path.insert(0, sys.argv[2])
+import canhaptic
+del sys.path[0]
+sys.path += sys.argv[3:]
+from canhaptic.logs.writer import main
+main()
+"""
+"""Takes canhaptic from where this process has it, and all else from the installation first: an isolated interpreter
+neither looks into the working folder nor at PYTHONPATH."""
 _WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
 
 
@@ -100,11 +116,10 @@ class WriterProcess:
 
     def _spawn(self, restart: bool) -> "subprocess.Popen[str]":
         process = subprocess.Popen(
-            [sys.executable, "-m", "canhaptic.logs.writer", str(self._descriptor)],
+            [sys.executable, "-I", "-c", _PROGRAM, str(self._descriptor), str(_PACKAGES), *_trusted_folders()],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL if restart else subprocess.PIPE,
             pass_fds=(self._descriptor,),
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,  # Ctrl-C in the terminal is for the controller, which then closes the log
             text=True,
         )
@@ -117,13 +132,26 @@ class WriterProcess:
         output = self._process.stdout
         if output is None:
             return
-        answer = output.readline()
+        reason = self._wait_for_answer(output)
         output.close()
-        if not answer:
-            code = self._process.wait()
-            reason = self._area.text("failure") or f"the writer process ended with status {code} before it was ready"
+        if reason:
             self._let_go()
-            raise LogWriteError(f"cannot write the log: {reason}; choose a folder that exists and may be written")
+            raise LogWriteError(f"cannot write the log: {reason}")
+
+    def _wait_for_answer(self, output: IO[str]) -> str:
+        """Returns why the writer did not become ready; empty when it is."""
+        if not select.select([output], [], [], _PATIENCE)[0]:
+            self._process.kill()
+            with suppress(subprocess.TimeoutExpired):  # a process that waits for a dead mount cannot end
+                self._process.wait(_LAST_WAIT)
+            return (
+                f"{self._job['path']}: the file could not be opened within {_PATIENCE:g} s; look for a mount that does "
+                "not answer, or name a file on a local disk"
+            )
+        if output.readline():
+            return ""
+        code = self._process.wait()
+        return self._area.text("failure") or f"the writer process ended with status {code} before it was ready"
 
     def _supervise(self) -> None:
         while True:
@@ -144,6 +172,12 @@ class WriterProcess:
         self.failure = f"log stopped: {reason}"
         if self._on_failure is not None:
             self._on_failure(self.failure)
+
+
+def _trusted_folders() -> list[str]:
+    """Returns where this process imports from, without the working folder: whoever may write there is not trusted."""
+    working = Path.cwd().resolve()
+    return [folder for folder in sys.path if os.path.isabs(folder) and Path(folder).resolve() != working]
 
 
 def _allocate(size: int, path: str | Path) -> int:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from canhaptic.errors import InputError
+from canhaptic.host.output_file import replacing
 
 
 def require_bokeh() -> None:
@@ -29,6 +30,7 @@ def write_page(content: Any, title: str, path: Path) -> None:
 
     text = file_html(content, INLINE, title=title)
     try:
-        path.write_text(text, encoding="utf-8")
+        with replacing(path) as page:
+            page.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: the page cannot be written ({error.strerror})") from error

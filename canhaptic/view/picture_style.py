@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
+from canhaptic.host.output_file import replacing
 
 STYLE: Final[Any] = {
     "font.size": 9.0,
@@ -45,7 +46,10 @@ def save_picture(figure: Any, path: str | Path) -> None:
         InputError: The file cannot be written.
     """
     try:
-        figure.savefig(path)
+        with replacing(Path(path)) as picture:
+            figure.savefig(picture)
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: the picture cannot be written ({error})") from error
 

@@ -1,0 +1,64 @@
+"""Files that a command writes: regular ones alone, no symbolic link followed, each replaced whole or not at all."""
+
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from canhaptic.errors import InputError
+
+_NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+_KINDS: Final = (
+    (stat.S_ISLNK, "a symbolic link"),
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def why_not_written(path: Path) -> str:
+    """Returns why nothing is written onto a path; empty where there is a regular file or nothing."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        return f"{path}: {error.strerror}; choose a folder that exists and may be written"
+    if stat.S_ISREG(mode):
+        return ""
+    kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no regular file")
+    return f"{path}: is {kind}, expected a regular file or none; name another file"
+
+
+def require_writable_place(path: Path) -> None:
+    """Returns where a path is free or a regular file.
+
+    Raises:
+        InputError: It is something else.
+    """
+    if reason := why_not_written(path):
+        raise InputError(reason)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yields a new, empty file in the folder of `path`; it takes the place of `path` if the block ends well.
+
+    Raises:
+        InputError: At `path` is something that must not be replaced.
+        OSError: The new file cannot be made.
+    """
+    require_writable_place(path)
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")
+    os.close(os.open(temporary, _NEW, 0o666))
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise

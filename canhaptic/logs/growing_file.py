@@ -1,0 +1,48 @@
+"""A log that grows: opened as a regular file, and watched, since somebody may delete or truncate it meanwhile."""
+
+import os
+import stat
+from pathlib import Path
+from typing import Final
+
+from canhaptic.errors import LogWriteError
+
+_REMEDY: Final = "the rows from then on are lost; keep other programs away from a log while it is written"
+
+
+def open_regular(path: Path, flags: int) -> int:
+    """Returns a descriptor of a regular file; neither a symbolic link nor a pipe is opened.
+
+    Raises:
+        LogWriteError: It is something else.
+        OSError: It cannot be opened.
+    """
+    descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise LogWriteError(f"{path}: is no regular file; name another file")
+    return descriptor
+
+
+def require_same_file(path: Path, descriptor: int, size: int) -> None:
+    """Returns while a log is still the file that was opened, and as long as it was written.
+
+    Args:
+        path: The log.
+        descriptor: Of the file that was opened.
+        size: Bytes that were written to it.
+
+    Raises:
+        LogWriteError: It was deleted, replaced or truncated.
+    """
+    opened = os.fstat(descriptor)
+    try:
+        is_same = os.path.samestat(opened, os.stat(path, follow_symlinks=False))
+    except FileNotFoundError:
+        is_same = False
+    if not is_same:
+        raise LogWriteError(f"{path}: was deleted or replaced while it was written; {_REMEDY}")
+    if opened.st_size < size:
+        raise LogWriteError(
+            f"{path}: was truncated to {opened.st_size} of {size} bytes while it was written; {_REMEDY}"
+        )

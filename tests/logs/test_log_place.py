@@ -1,0 +1,244 @@
+"""Where a log may be: one run at a time, on a regular file that stays where it is, from a trusted import path."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from canhaptic.cli.main import main
+from canhaptic.errors import InputError, LogWriteError
+from canhaptic.host.output_file import replacing
+from canhaptic.logs import writer_process
+from canhaptic.logs.bus_log import BusLogWriter
+from canhaptic.logs.bus_reader import read_bus_log
+from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.energy_reader import EnergyLog
+from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append
+from tests.logs.patience import wait_for
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DEMO = str(REPOSITORY / "configs" / "demo.yaml")
+Log = BusLogWriter | EnergyLogWriter
+
+
+def bus_log(path: Path, on_failure: Callable[[str], None] | None = None) -> BusLogWriter:
+    return BusLogWriter(path, "can0", on_failure=on_failure)
+
+
+def energy_log(path: Path, on_failure: Callable[[str], None] | None = None) -> EnergyLogWriter:
+    return EnergyLogWriter(path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, on_failure=on_failure)
+
+
+def write(log: Log, begin: int, count: int) -> None:
+    for k in range(begin, begin + count):
+        if isinstance(log, BusLogWriter):
+            log(k * 1_000_000, 0x181, b"\1\2", True)
+        else:
+            append(log, k)
+
+
+BOTH = pytest.mark.parametrize("make", [bus_log, energy_log])
+
+
+# --- one run at a time ------------------------------------------------------------------------------------------------
+
+
+@BOTH
+def test_a_second_run_into_one_log_is_refused(tmp_path: Path, make: Callable[[Path], Log]) -> None:
+    path = tmp_path / "run.log"
+    first = make(path)
+    write(first, 0, 100)
+    with pytest.raises(LogWriteError, match=r"run\.log: another run writes this log; name another file"):
+        make(path)
+    first.close()
+    assert path.stat().st_size > 0
+    make(path).close()
+    assert [file.name for file in tmp_path.iterdir()] == ["run.log"]
+
+
+def test_two_logs_of_one_run_on_one_file_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(tmp_path / "run.h5")
+    assert main(["run", DEMO, "--duration", "0.1", "--log", path, "--bus-log", path]) == 2
+    assert "another run writes this log" in capsys.readouterr().err
+
+
+# --- a file that goes away --------------------------------------------------------------------------------------------
+
+
+def replaced(path: Path) -> None:
+    path.rename(path.with_suffix(".old"))
+    path.write_text("mine")
+
+
+HARM: dict[str, list[Callable[[Path], object]]] = {
+    "deleted or replaced": [Path.unlink, replaced],
+    "truncated": [lambda path: os.truncate(path, 5)],
+}
+
+
+@BOTH
+@pytest.mark.parametrize(("word", "harm"), [(word, harm) for word, harms in HARM.items() for harm in harms])
+def test_a_log_that_is_harmed_while_it_is_written_is_noticed_at_once(
+    tmp_path: Path, make: Callable[..., Log], word: str, harm: Callable[[Path], None]
+) -> None:
+    path = tmp_path / "run.log"
+    told: list[str] = []
+    log = make(path, on_failure=told.append)
+    write(log, 0, 2000)
+    sizes = [0]
+
+    def is_settled() -> bool:
+        sizes.append(path.stat().st_size)
+        return len(sizes) > 20 and min(sizes[-20:]) == sizes[-1] > 1000
+
+    wait_for(is_settled)
+    harm(path)
+    wait_for(lambda: bool(told), seconds=2.0)
+    assert f"run.log: was {word}" in told[0]
+    with pytest.raises(LogWriteError, match=f"was {word}"):
+        log.close()
+
+
+@pytest.mark.parametrize("option", ["--log", "--bus-log"])
+def test_a_run_whose_log_is_deleted_stops_and_says_so(
+    tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.log"
+
+    def delete() -> None:
+        wait_for(path.exists)
+        path.unlink()
+
+    thread = threading.Thread(target=delete)
+    thread.start()
+    assert main(["run", DEMO, "--duration", "20", "--pace", "real", option, str(path), "--json"]) == 2
+    thread.join()
+    captured = capsys.readouterr()
+    assert captured.err.count("was deleted or replaced") == 1
+    assert json.loads(captured.out)["result"]["cycles"] < 5000
+
+
+def test_a_good_run_keeps_the_recording_of_the_fault_before(tmp_path: Path) -> None:
+    path = tmp_path / "last.log"
+    words = ["run", DEMO, "--duration", "0.3", "--set", f"log={{bus: {path}, last: 0.2 s}}"]
+    assert main([*words, "--set", "axes.0.speed_limit=1e-6"]) == 3
+    recorded = path.read_bytes()
+    assert list(read_bus_log(path))
+    assert main(words) == 0
+    assert path.read_bytes() == recorded
+
+
+# --- what is no regular file ------------------------------------------------------------------------------------------
+
+
+def odd_places(folder: Path) -> dict[str, Path]:
+    (folder / "mine.txt").write_text("mine")
+    (folder / "link").symlink_to(folder / "mine.txt")
+    (folder / "dangling").symlink_to(folder / "nowhere")
+    (folder / "folder").mkdir()
+    os.mkfifo(folder / "pipe")
+    names = {"link": "a symbolic link", "dangling": "a symbolic link", "folder": "a folder", "pipe": "a pipe"}
+    return {**{kind + name: folder / name for name, kind in names.items()}, "a device": Path("/dev/null")}
+
+
+@BOTH
+def test_logs_go_onto_regular_files_alone_and_never_wait_for_one(tmp_path: Path, make: Callable[[Path], Log]) -> None:
+    for kind, path in odd_places(tmp_path).items():
+        with pytest.raises(LogWriteError, match=f"{path.name}: is {kind.removesuffix(path.name)}, expected a regular"):
+            make(path)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    assert not (tmp_path / "nowhere").exists()
+    assert Path("/dev/null").is_char_device()
+
+
+def test_pictures_pages_tables_and_scenes_go_onto_regular_files_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.h5"
+    assert main(["run", DEMO, "--duration", "0.1", "--log", str(log)]) == 0
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    for suffix, words in {
+        ".png": ["inspect", str(log), "--png"],
+        ".html": ["inspect", str(log), "--html"],
+        ".csv": ["inspect", str(log), "--csv"],
+        ".yaml": ["commission", DEMO, "--yes", "--duration", "0.1", "--out"],
+    }.items():
+        link = tmp_path / f"link{suffix}"
+        link.symlink_to(mine)
+        assert main([*words, str(link)]) == 2, words
+        assert f"link{suffix}: is a symbolic link" in capsys.readouterr().err
+        assert mine.read_text() == "mine"
+        assert link.is_symlink()
+
+
+def test_a_link_in_the_place_of_the_temporary_file_is_not_followed(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    for name in (".run.h5.new", "run.h5.new"):
+        (tmp_path / name).symlink_to(mine)
+    log = energy_log(tmp_path / "run.h5")
+    write(log, 0, 100)
+    log.close()
+    assert mine.read_text() == "mine"
+    with EnergyLog.open(tmp_path / "run.h5") as read:
+        assert read.rows == 100
+
+
+def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    path.write_text("old")
+    with pytest.raises(UnicodeEncodeError), replacing(path) as file:
+        file.write_text("half\ud800", encoding="utf-8")
+    assert path.read_text() == "old"
+    with replacing(path) as file:
+        file.write_text("new")
+        assert file.parent == path.parent
+    assert path.read_text() == "new"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
+    with pytest.raises(InputError, match="is a folder"), replacing(tmp_path):
+        pass
+
+
+def test_a_file_that_cannot_be_opened_in_time_does_not_hang_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mount that does not answer, as the writer process meets it: it never becomes ready."""
+    monkeypatch.setattr(writer_process, "_PATIENCE", 0.3)
+    monkeypatch.setattr(writer_process, "_PROGRAM", "import time; time.sleep(60)")
+    with pytest.raises(LogWriteError, match=r"run\.log: the file could not be opened within 0\.3 s; look for a mount"):
+        bus_log(tmp_path / "run.log")
+
+
+# --- what the writer imports ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["h5py", "json", "canhaptic"])
+def test_the_writer_imports_nothing_from_the_working_folder(tmp_path: Path, name: str) -> None:
+    """The controller is started so that it does not look there either."""
+    (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'executed')!r}, 'w')\nraise SystemExit(7)\n")
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "canhaptic",
+        "run",
+        DEMO,
+        "--duration",
+        "0.1",
+        "--log",
+        "run.h5",
+        "--bus-log",
+        "run.log",
+    ]
+    trusted = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    done = subprocess.run(command, cwd=tmp_path, env=trusted, capture_output=True, text=True, check=False)
+    assert not (tmp_path / "executed").exists(), done.stderr
+    assert done.returncode == 0, done.stderr
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        assert log.rows == 100
