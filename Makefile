@@ -43,15 +43,16 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
 
-# make bench            every question;  make bench Q=cycle   one
+# make bench            every question;  make bench Q=cycle   one; results go to bench_output/, or to OUT=FOLDER
+# make bench RECORD=1   replaces the results in docs/results that the pages are made from
 # The question `simulation` has peers; one that cannot be installed is a row "peer absent".
 bench: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 	$(if $(filter-out simulation,$(Q)),,-$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench,fast]")
-	$(BIN)/python tools/bench/run.py $(Q)
+	$(BIN)/python tools/bench/run.py $(Q) $(if $(RECORD),--record,$(if $(OUT),--out $(OUT)))
 
 # The documentation as a site in site/, strict; NO_MKDOCS_2_WARNING silences the theme's notice of its successor.
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info demo_output site
+	rm -rf $(VENV) build dist *.egg-info demo_output bench_output site

@@ -5,14 +5,13 @@ lock-step the rate does not pace anything. Without logs: they are another proces
 """
 
 from functools import partial
-from pathlib import Path
 from time import perf_counter
 
 from canhaptic.scene.build import build
 from tools.bench.demo import demo_of
-from tools.bench.report import Row, in_turn, publish
+from tools.bench.report import Row, in_turn, picture_place, publish
 
-PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "axes.png"
+PICTURE = "axes.png"
 AXES = (1, 2, 3, 6, 12)
 RATE = 250  # [Hz]
 CYCLES = 2_000
@@ -46,8 +45,7 @@ def draw(costs: dict[int, float]) -> None:
     plot.plot(axes, [1e6 * (costs[1] + (n - 1) * added) for n in axes], "--", label="as the second axis")
     plot.set(xlabel="axes on one bus", ylabel="time of one cycle [us]", xlim=(0, max(axes) + 1), ylim=(0, None))
     plot.legend()
-    PICTURE.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(PICTURE, dpi=120, metadata={"Software": None})
+    figure.savefig(picture_place(PICTURE), dpi=120, metadata={"Software": None})
 
 
 def main() -> None:

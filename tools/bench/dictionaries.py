@@ -21,7 +21,7 @@ from canhaptic.errors import CanHapticError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.starter import starter_scene
-from tools.bench.report import RESULTS, write_result
+from tools.bench.report import out_folder, write_result
 
 ROOT = Path(__file__).resolve().parents[2]
 OBJECTS = (0x1016, 0x6007, 0x6071, 0x6072, 0x6074, 0x6075, 0x6076, 0x6077, 0x608F, 0x6091, 0x60C2, 0x6502)
@@ -117,7 +117,7 @@ def main() -> int:
         print(f"no vendor dictionaries in {vendors} (set CANHAPTIC_VENDOR_EDS); the result file is left as it is")
         return 0
     rows = [asdict(verdict) for verdict in verdicts]
-    write_result(RESULTS / "dictionaries.json", ["canhaptic", "canopen"], {"rows": rows})
+    write_result(out_folder() / "dictionaries.json", ["canhaptic", "canopen"], {"rows": rows})
     return 0 if all(verdict.run in ("passed", "not run") for verdict in verdicts) else 1
 
 

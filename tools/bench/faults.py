@@ -30,7 +30,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import NEVER
 from tools.bench.demo import CONFIG, IN_CONTACT, PERIOD, AccountWatch, drive_of
-from tools.bench.report import RESULTS, write_result
+from tools.bench.report import out_folder, write_result
 
 BEGIN, CYCLES = 500, 1_500
 LIMIT = 20.0  # [N]
@@ -215,7 +215,7 @@ def outcome(name: str, effects: str | None, trigger: Callable[[Experiment], None
 
 
 def publish_outcomes(outcomes: list[Outcome]) -> None:
-    """Prints the table and writes docs/results/faults.json."""
+    """Prints the table and writes faults.json."""
     table = Table(title="faults")
     for heading in (
         "fault",
@@ -245,7 +245,7 @@ def publish_outcomes(outcomes: list[Outcome]) -> None:
         )
     Console(width=160).print(table)
     rows = [asdict(one) for one in outcomes]
-    write_result(RESULTS / "faults.json", ["canhaptic", "python-can"], {"rows": rows})
+    write_result(out_folder() / "faults.json", ["canhaptic", "python-can"], {"rows": rows})
 
 
 def main() -> None:

@@ -18,6 +18,22 @@ Name = TypeVar("Name")
 Found = TypeVar("Found")
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
+IMAGES = RESULTS.with_name("images")
+OUT_VARIABLE = "CANHAPTIC_BENCH_OUT"
+"""Names the folder of a benchmark's files; `tools/bench/run.py` sets it."""
+DEFAULT_OUT = RESULTS.parents[1] / "bench_output"
+
+
+def out_folder() -> Path:
+    """Returns the folder for the results of this run: `docs/results` only where recording was asked for."""
+    return Path(os.environ.get(OUT_VARIABLE) or DEFAULT_OUT)
+
+
+def picture_place(name: str) -> Path:
+    """Returns where a picture of this run goes: into `docs/images` where results are recorded."""
+    folder = IMAGES if out_folder() == RESULTS else out_folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / name
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +103,7 @@ def _seconds(candidate: Callable[[], object]) -> float:
 
 
 def publish(question: str, rows: Sequence[Row], packages: Sequence[str]) -> None:
-    """Prints the table and writes docs/results/<question>.json."""
+    """Prints the table and writes <question>.json into the folder for results."""
     table = Table(title=question)
     for heading in ("figure", "value", "unit", "peer", "peer value", "ratio", "target", "met"):
         table.add_column(heading)
@@ -102,7 +118,9 @@ def publish(question: str, rows: Sequence[Row], packages: Sequence[str]) -> None
         if row.note:
             console.print(f"{row.row}, {row.peer}: {row.note}")
     console.print("  ".join(f"{key}: {value}" for key, value in {**machine(), **versions(packages)}.items()))
-    write_result(RESULTS / f"{question}.json", packages, {"rows": [asdict(row) for row in rows]})
+    path = out_folder() / f"{question}.json"
+    write_result(path, packages, {"rows": [asdict(row) for row in rows]})
+    console.print(f"written: {path}", soft_wrap=True)
 
 
 def write_result(path: Path, packages: Sequence[str], found: Mapping[str, Any]) -> None:

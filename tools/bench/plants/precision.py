@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -21,8 +20,9 @@ from tools.bench.plants.scenes import (
     semi_implicit_euler,
     stiff,
 )
+from tools.bench.report import picture_place
 
-PICTURE = Path(__file__).resolve().parents[3] / "docs" / "images" / "work_precision.png"
+PICTURE = "work_precision.png"
 REPEATS = 3
 STYLES = {
     "canhaptic": ("#0b6e4f", "o"),
@@ -132,6 +132,5 @@ def draw(found: Sequence[Point]) -> None:
     axes[0].text(900, 1.0, "real time", rotation=90, ha="right", va="top", fontsize=8)
     handles, labels = axes[2].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
-    PICTURE.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(PICTURE, dpi=130)
+    figure.savefig(picture_place(PICTURE), dpi=130)
     plt.close(figure)

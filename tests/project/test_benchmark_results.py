@@ -1,0 +1,61 @@
+"""A benchmark writes where the user says; what the pages are made from changes only where recording is asked for."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools.bench import report
+
+ROOT = Path(__file__).parents[2]
+RUN = ROOT / "tools" / "bench" / "run.py"
+
+
+def recorded() -> dict[Path, tuple[int, bytes]]:
+    folders = (ROOT / "docs" / "results", ROOT / "docs" / "images")
+    return {path: (path.stat().st_mtime_ns, path.read_bytes()) for folder in folders for path in folder.glob("*.*")}
+
+
+def test_a_benchmark_leaves_the_recorded_results_alone(tmp_path: Path) -> None:
+    before = recorded()
+    words = [sys.executable, str(RUN), "dictionaries", "--out", "mine"]
+    environment = {**os.environ, "CANHAPTIC_VENDOR_EDS": str(tmp_path)}  # none beside the package's own
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "mine" / "dictionaries.json").read_text())["rows"]
+    assert recorded() == before
+
+
+@pytest.mark.parametrize(
+    ("folder", "result", "picture"),
+    [
+        (None, ROOT / "bench_output", ROOT / "bench_output"),
+        ("/tmp/elsewhere", Path("/tmp/elsewhere"), Path("/tmp/elsewhere")),
+        (str(report.RESULTS), ROOT / "docs" / "results", ROOT / "docs" / "images"),
+    ],
+)
+def test_results_and_pictures_of_one_run_go_to_one_place(
+    folder: str | None, result: Path, picture: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "mkdir", lambda *_, **__: None)
+    monkeypatch.delenv(report.OUT_VARIABLE, raising=False)
+    if folder is not None:
+        monkeypatch.setenv(report.OUT_VARIABLE, folder)
+    assert report.out_folder() == result
+    assert report.picture_place("axes.png") == picture / "axes.png"
+
+
+def test_make_records_only_where_it_is_told_to() -> None:
+    def command(*words: str) -> str:
+        made = subprocess.run(
+            ["make", "--dry-run", "bench", *words], cwd=ROOT, capture_output=True, text=True, check=True,
+            env={**os.environ, "MAKEFLAGS": ""},
+        )  # fmt: skip
+        return next(line for line in made.stdout.splitlines() if "bench/run.py" in line)
+
+    assert "--record" not in command("Q=cycle")
+    assert command("Q=cycle", "RECORD=1").endswith("cycle --record")
+    assert command("Q=cycle", "OUT=here").endswith("cycle --out here")
