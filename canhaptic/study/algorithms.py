@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
+from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.study.scenes import loop_case
@@ -52,9 +53,9 @@ def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
 
 def _with_known_plant(axis: AxisScene) -> _AbleAxis:
     """Returns an axis whose algorithm is told the simulated plant where the scene says nothing."""
-    assert axis.simulation is not None
+    plant = simulation_of(axis).plant
     told = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
-    values = {key: getattr(axis.simulation.plant, PLANT_OF[key]) for key in told}
+    values = {key: getattr(plant, PLANT_OF[key]) for key in told}
     return _AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), told)
 
 

@@ -49,12 +49,13 @@ def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]
         InputError: The drives are not simulated in this process.
         RigError: A drive, the link or the limiter ended the run.
     """
+    refused = f"{scene.source}: --can needs bus.interface: virtual and a `simulation`; leave --can out"
     if not scene.simulated:
-        raise InputError(f"{scene.source}: --can needs bus.interface: virtual and a `simulation`; leave --can out")
+        raise InputError(refused)
     with build(scene, "free") as experiment:
-        far_side = experiment.far_side
-        assert far_side is not None
-        drives = far_side.drives
+        if experiment.far_side is None:
+            raise InputError(refused)
+        drives = experiment.far_side.drives
         cycle = Cycle(experiment.rig, build_axis_controllers(scene), _Tap(take), lambda: [d.truth() for d in drives])
         run(cycle, cycles)
     return [ledger.summary() for ledger in cycle.ledgers]

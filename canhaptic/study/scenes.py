@@ -6,6 +6,7 @@ from typing import Final, cast
 from canhaptic.control.environments.environment import Environment
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
+from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.effects import Effect
@@ -55,18 +56,14 @@ def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None
     Raises:
         InputError: The axis is not simulated.
     """
-    simulation = axis.simulation
-    if simulation is None:
-        raise InputError(f"{axis.parameters.name}: is not simulated, expected a plant and a user; add `simulation`")
+    simulation = simulation_of(axis)
     effects = [cast(Effect, effect.parameters) for effect in simulation.effects]
     return simulation.plant, simulation.user, effects, simulation.seed
 
 
 def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
     """Returns an axis as a loop without a bus, with the quantisation, delay and torque limit of its scene."""
-    simulation, sample_time_ns = axis.simulation, scene.bus.sample_time_ns
-    if simulation is None:
-        raise InputError(f"{axis.parameters.name}: is not simulated, expected a plant and a user; add `simulation`")
+    simulation, sample_time_ns = simulation_of(axis), scene.bus.sample_time_ns
     rated = axis.parameters.rated_torque
     return LoopCase(
         environment=environment_of(axis),

@@ -93,20 +93,19 @@ class AccuracyStudy:
         exact = continuous_loop(self.axis, self.scene.bus.sample_time_ns // FINEST, self.holds * FINEST, self._stop)
         self._advance("references", 1.0)
         self._each(plant.measure(), len(plant.candidates), "ladder")
-        self._each(plant.measure_effects(self._accuracy()), len(self.axis_effects), "")
+        self._each(plant.measure_effects(self._accuracy(plant)), len(self.axis_effects), "")
         every = variants(self.axis, self.scene)
         for number, variant in enumerate(every):
             self._loops.append(loop_row(variant, exact, self.holds * self.scene.bus.sample_time_ns, self._check))
             self._loop_rows.append(self._loop_row(self._loops[-1]))
             self._advance("loops", (number + 1) / len(every))
         if self._budget > 0.0:
-            self._time()
+            self._time(plant)
 
     @property
     def axis_effects(self) -> list[str]:
         """Names of the effects of the axis, each once."""
-        assert self.axis.simulation is not None
-        return list(dict.fromkeys(effect.name for effect in self.axis.simulation.effects))
+        return list(dict.fromkeys(effect.name for effect in simulation_of(self.axis).effects))
 
     def _each(self, steps: Iterator[str], count: int, part: str) -> None:
         for number, _name in enumerate(steps):
@@ -125,16 +124,13 @@ class AccuracyStudy:
         if self._progress is not None:
             self._progress(self._done)
 
-    def _accuracy(self) -> AccuracyParameters:
+    def _accuracy(self, plant: PlantSide) -> AccuracyParameters:
         """Returns the accuracy that effects are priced at: the advised one, else the most exact."""
-        assert self._plant is not None
-        found = advice(self._plant.rows, [], self.tolerance)
+        found = advice(plant.rows, [], self.tolerance)
         row = found["chosen"] or found["most_exact"]
         return AccuracyParameters(**row["accuracy"]) if row else AccuracyParameters()
 
-    def _time(self) -> None:
-        plant = self._plant
-        assert plant is not None
+    def _time(self, plant: PlantSide) -> None:
         stable = [c for c, row in zip(plant.candidates, plant.rows, strict=True) if row["status"] == "ok"]
         jobs: dict[str, Callable[[], object]] = {_WORKLOAD: workload}
         jobs |= {f"without {name}": candidate.spend for name, candidate in plant.without.items()}

@@ -131,7 +131,6 @@ class _Chunk:
 
     def _run_group(self, rows: _Rows, batched: Sequence[str]) -> None:
         built = scene_of(self._recipe, self._row(int(rows[0])))
-        assert built.scene is not None
         self._of_plant = built.remark if built.told else self._of_plant
         not_linear = self._closed_form(built, rows, batched) if RADIUS in self._recipe.metrics else ""
         if self._recipe.metrics == (RADIUS,):
@@ -156,8 +155,7 @@ class _Chunk:
 
     def _in_arrays(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
         """Runs the rows as one batch per axis; returns "" or the reason why that cannot be."""
-        assert built.scene is not None
-        recipe, cycles = self._recipe, cycles_in(self._recipe, built.scene)
+        recipe, cycles = self._recipe, cycles_in(self._recipe, built.permitted())
         metrics = [metric for metric in recipe.metrics if metric != RADIUS]
         found: dict[str, Array] = {}
         for index, name in enumerate(recipe.axes):
@@ -229,8 +227,8 @@ class _Chunk:
 
 def _alone(built: Built, index: int) -> Scene:
     """Returns the scene of one axis alone: axes share nothing but the bus."""
-    assert built.scene is not None
-    return replace(built.scene, axes=(built.scene.axes[index],))
+    scene = built.permitted()
+    return replace(scene, axes=(scene.axes[index],))
 
 
 def _joined(*remarks: str) -> str:

@@ -72,6 +72,16 @@ class Built(NamedTuple):
     remark: str  # why it is refused, or what an algorithm had to be told
     told: tuple[str, ...] = ()  # loop properties taken from the plant
 
+    def permitted(self) -> Scene:
+        """Returns the scene.
+
+        Raises:
+            InputError: There is none.
+        """
+        if self.scene is None:
+            raise InputError(self.remark)
+        return self.scene
+
 
 def make_recipe(
     scene: Scene,

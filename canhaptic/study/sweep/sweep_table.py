@@ -176,7 +176,8 @@ class SweepTable:
         Raises:
             LogWriteError: The disk refuses; what was finished before stays.
         """
-        assert self._writer is not None
+        if self._writer is None:
+            raise LogWriteError(f"{self.path}: is open for reading only; open it with writable=True")
         start = self.span(chunk)[0]
         rows: dict[str, NDArray[Any]] = {_path_of(name): values for name, values in result.figures.items()}
         rows |= {"status": result.status, "engine": result.engine, "remark": result.remark}

@@ -309,23 +309,25 @@ class FiveBarMotion:
             left, right = left + excess * change[0], right + excess * change[1]
         if self._stop is None:
             return left, right
-        push = self._stop_gradient(before.pose, middle.pose, after.pose, change)
+        push = self._stop_gradient(self._stop.stiffness, before.pose, middle.pose, after.pose, change)
         return left + push[0], right + push[1]
 
     # --- the elbow stop -----------------------------------------------------------------------------------------------
 
     def _depth(self, span: float) -> float:
-        """Returns how far the elbows are beyond their stop, positive where too far apart [m]."""
-        assert self._stop is not None
+        """Returns how far the elbows are beyond their stop, positive where too far apart; 0 without one [m]."""
+        if self._stop is None:
+            return 0.0
         return max(0.0, span - self._stop.most) - max(0.0, self._stop.least - span)
 
     def _potential(self, pose: LinkagePose) -> float:
         return 0.5 * self._stop.stiffness * self._depth(pose.span) ** 2 if self._stop is not None else 0.0
 
-    def _stop_gradient(self, before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair) -> Pair:
+    def _stop_gradient(
+        self, stiffness: float, before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair
+    ) -> Pair:
         """Returns the discrete gradient of the potential; corrected always, for its slope has a kink."""
-        assert self._stop is not None
-        pull = self._stop.stiffness * self._depth(middle.span)
+        pull = stiffness * self._depth(middle.span)
         by_left, by_right = self._linkage.span_rates(middle)
         left, right = pull * by_left, pull * by_right
         square = change[0] * change[0] + change[1] * change[1]
