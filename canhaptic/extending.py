@@ -19,8 +19,8 @@ from canhaptic.control.multi_axis import NETWORKS
 from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController, NetworkEnvironment
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import Controller
-from canhaptic.control.passivity.hold_account import HoldAccount
-from canhaptic.control.passivity.sampled_model import SampledModel
+from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.kernels import Kernel
 from canhaptic.sim.plant.assembly import NonlinearForce, PlantModel
 from canhaptic.sim.plant.effects import EFFECTS, Effect
 from canhaptic.units import Parameters, quantity
@@ -37,7 +37,7 @@ __all__ = [
     "Environment",
     "GroupBalance",
     "GroupController",
-    "HoldAccount",
+    "Kernel",
     "Kinematics",
     "Limit",
     "NetworkEnvironment",
@@ -45,7 +45,7 @@ __all__ = [
     "Parameters",
     "PlantModel",
     "Pose",
-    "SampledModel",
+    "SteppedController",
     "UserFunction",
     "quantity",
 ]

@@ -4,20 +4,21 @@ The printed rules live here only. Energies are those of the simulated plant unle
 """
 
 from decimal import Decimal, localcontext
-from math import copysign, sqrt
+from math import copysign, isfinite, sqrt
 from typing import Any, Final
 from unittest.mock import patch
 
 import numpy as np
 
-from canhaptic.control.balance import Branch, EnergyBalance
+from canhaptic.control.balance import Branch
+from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller, internal_dissipation, stored_model
+from canhaptic.control.passivity import build_controller, internal_dissipation
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold, HoldAccount
-from canhaptic.control.passivity.internal_dissipation import InternalDissipation
+from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldSettings, open_hold
 from canhaptic.control.passivity.root import solve_balance
-from canhaptic.control.passivity.storage import Account
+from canhaptic.control.passivity.storage import Storage
+from canhaptic.control.passivity.stored_model import StoredModelSettings
 from canhaptic.control.recovery import largest_stable_damping, least_oscillating_damping
 from canhaptic.study.loop import render
 from tools.bench.standard_cases import (
@@ -42,38 +43,12 @@ class _PositiveState(SpringDamperWall):
         return abs(super().state_of_energy(energy, like))
 
 
-class _NewestEffort(HoldAccount):
+def _with_newest_effort(
+    settings: HoldSettings, axis: Axis, memory: AxisMemory, position: float, torque_applied: float
+) -> Hold:
     """Eq. 15 with the damper effort of the newest command, whatever the delay between command and hold."""
-
-    newest = 0.0
-
-    def open(self, position: float, torque_applied: float) -> Hold | None:
-        hold = super().open(position, torque_applied)
-        return None if hold is None else hold._replace(damper=self.newest)
-
-    def send(
-        self,
-        hold: Hold,
-        account: Account,
-        efforts: tuple[float, float, float],
-        rendered: float,
-        state: float,
-        h_s: float,
-    ) -> EnergyBalance:
-        self.newest = efforts[1]
-        return super().send(hold, account, efforts, rendered, state, h_s)
-
-
-class _SignedDissipation(InternalDissipation):
-    """Eq. 15 as printed: H_R may be negative."""
-
-    given = 0.0  # sum of the negative H_R [J]
-
-    def _solve(self, displacement: float, damper: float, h_m: float) -> float | None:
-        change = super()._solve(displacement, damper, h_m)
-        if change is not None and damper * change < 0.0:
-            type(self).given += damper * change
-        return change
+    newest = memory.commands.dampers[axis.oldest - 1]
+    return open_hold(settings, axis, memory, position, torque_applied)._replace(damper=newest)
 
 
 def sign_of_18() -> dict[str, float]:
@@ -97,17 +72,25 @@ def digits_of_16() -> dict[str, float]:
         context.prec = 60
         b, h = Decimal(effort), Decimal(energy)
         exact = 2 * h / (b - (b * b + 2 * Decimal(k) * h).sqrt())
-        errors = [abs(float((Decimal(root or 0.0) - exact) / exact)) for root in (built, printed)]
+        errors = [abs(float((Decimal(root) - exact) / exact)) for root in (built, printed)]
     return {"as_built": errors[0], "as_printed": errors[1]}
 
 
 def negative_dissipation() -> dict[str, float]:
     """Trap 3: sum of the negative H_R that eq. 15 would book where the motion reverses [J], 3 s of 8 Hz tremor."""
-    wall = SpringDamperWall(stiffness=1000.0, damping=50.0)
-    _SignedDissipation.given = 0.0
-    with patch.object(internal_dissipation, "InternalDissipation", _SignedDissipation):
+    wall, given, solve = SpringDamperWall(stiffness=1000.0, damping=50.0), [0.0], internal_dissipation.solve
+
+    def signed(
+        environment: Environment, settings: StoredModelSettings, storage: Storage, moved: float, damper: float,
+        h_m: float,
+    ) -> float:  # fmt: skip
+        change = solve(environment, settings, storage, moved, damper, h_m)
+        given[0] += min(0.0, damper * change) if isfinite(change) else 0.0
+        return change
+
+    with patch.object(internal_dissipation, "solve", signed):
         render(standard_case(wall, _PAPER, 1000.0, LEANING, effects=TREMBLING), 3000)
-    return {"as_printed": -_SignedDissipation.given}
+    return {"as_printed": -given[0]}
 
 
 def deep_start() -> dict[str, float]:
@@ -167,7 +150,7 @@ def pairing() -> dict[str, float]:
         return run.variation / standard_reference(FIGURES_7_9, user_f(0.15), 1000.0, 4000).variation
 
     built = variation()
-    with patch.object(stored_model, "HoldAccount", _NewestEffort):
+    with patch.object(internal_dissipation, "open_hold", _with_newest_effort):
         return {"as_built": built, "as_printed": variation()}
 
 

@@ -7,6 +7,7 @@ Identity of every step, whatever the algorithm (to 1e-12 of the largest term); f
     paid = min(leak, max(0, h_dis_before + gen + deficit - h_pas))
 """
 
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, Literal, NamedTuple
 
@@ -172,6 +173,24 @@ class LedgerSummary(NamedTuple):
             "branches": dict(self.branches),
             "damping_rendered": {"least": self.damping_least, "most": self.damping_most},
         }
+
+
+@dataclass(slots=True)
+class RunningSum:
+    """A compensated sum as a kernel keeps it; see `CompensatedSum`."""
+
+    total: float = 0.0
+    error: float = 0.0
+
+
+def add(running: RunningSum, term: float) -> float:
+    """Adds a term and returns the value of the sum."""
+    before = running.total
+    total = before + term
+    part = total - before
+    running.error += (before - (total - part)) + (term - part)
+    running.total = total
+    return total + running.error
 
 
 class CompensatedSum:

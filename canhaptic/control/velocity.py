@@ -3,12 +3,20 @@
 A difference over one sample turns one count into count / T, at 10 kHz and 0.1 mm 1 m/s. First-order adaptive windowing
 (Janabi-Sharifi, Hayward and Chen 2000) takes the slope over the longest window whose end-to-end line stays within one
 count of every sample in it: long and quiet at rest, short and quick in motion.
+
+The oldest sample of the window is its anchor. The slopes of lines from it that pass every sample since within the
+tolerance form an interval; a new sample whose line lies in it narrows it and lengthens the window by one. Otherwise
+a new window is searched backwards from the newest sample, over at most half of the old one: a search over n samples
+is paid by the n samples that lengthened the window before. The published search goes over the whole window every
+time and can keep up to twice the length after a change of speed; that is the price.
 """
 
+from dataclasses import dataclass
 from math import inf
 from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer, list_of_zeros
 from canhaptic.units import Parameters, quantity
 
 
@@ -20,49 +28,114 @@ class DamperVelocity(Parameters):
     velocity_window: Annotated[float, quantity("s", gt=0.0, le=1.0)] = 0.02
     """Longest window of `windowed`."""
 
-    def estimator(self, sample_time: float, encoder_count: float) -> "AdaptiveWindow | None":
-        """Returns a fresh estimator, or None for `last`.
+    def window_tolerance(self, encoder_count: float) -> float:
+        """Returns the tolerance of the window [m or rad]; 0 for `last`.
 
         Raises:
             ParameterError: `windowed` without an encoder count.
         """
         if self.velocity == "last":
-            return None
+            return 0.0
         if encoder_count <= 0.0:
             raise ParameterError(
                 f"velocity 'windowed': got encoder_count {encoder_count!r}, expected > 0; its window is as long as one "
                 "count allows: give passivity.encoder_count, or use velocity: last"
             )
-        return AdaptiveWindow(sample_time, encoder_count, max(2, round(self.velocity_window / sample_time)))
+        return encoder_count
+
+    def longest_window(self, sample_time: float) -> int:
+        """Returns the longest window of `windowed`, in samples of a sample time [s]."""
+        return max(2, round(self.velocity_window / sample_time))
+
+
+@dataclass(slots=True)
+class Window:
+    """The samples through which the line of the newest velocity passes; the samples themselves are in a ring."""
+
+    newest: int = 0  # place of the newest sample in the ring
+    length: int = 0  # samples from the anchor to the newest
+    anchor: float = 0.0  # oldest sample of the window [m or rad]
+    least: float = -inf  # slopes of the lines that pass every sample within the tolerance, per sample
+    most: float = inf
+    velocity: float = 0.0  # [m/s or rad/s]
+    scanned: int = 0  # samples looked at since the start, to prove the cost
+
+
+def restart(window: Window, ring: Buffer, position: float) -> None:
+    """Begins anew at a position [m or rad], at rest."""
+    for place in range(len(ring)):
+        ring[place] = position
+    window.newest = window.length = window.scanned = 0
+    window.anchor, window.velocity = position, 0.0
+    window.least, window.most = -inf, inf
+
+
+def update(window: Window, ring: Buffer, tolerance: float, sample_time: float, position: float) -> None:
+    """Takes the position one sample later.
+
+    Args:
+        window: Changed.
+        ring: Its samples, one more than the longest window [m or rad]; changed.
+        tolerance: Largest distance of a sample from the line [m or rad]: one encoder count.
+        sample_time: [s].
+        position: The new sample [m or rad].
+    """
+    newest, size = window.newest + 1, len(ring)
+    if newest == size:
+        newest = 0
+    window.newest = newest
+    ring[newest] = position
+    window.scanned += 1
+    length = window.length + 1
+    slope = (position - window.anchor) / length
+    if length < size and window.least <= slope <= window.most:
+        window.length = length
+        narrow(window, position, tolerance, length)
+    else:
+        search(window, ring, tolerance, (length if length < size else size - 1) // 2)
+        slope = (position - window.anchor) / window.length
+    window.velocity = slope / sample_time
+
+
+def narrow(window: Window, position: float, tolerance: float, distance: int) -> None:
+    """Admits only slopes that pass a sample `distance` after the anchor within the tolerance."""
+    least = (position - tolerance - window.anchor) / distance
+    most = (position + tolerance - window.anchor) / distance
+    if least > window.least:
+        window.least = least
+    if most < window.most:
+        window.most = most
+
+
+def search(window: Window, ring: Buffer, tolerance: float, furthest: int) -> None:
+    """Takes the longest window of at most `furthest` samples, or of one, that fits."""
+    newest = window.newest  # an index below 0 wraps, as the ring does
+    position, least, most, length = ring[newest], -inf, inf, 0
+    for distance in range(1, max(1, furthest) + 1):
+        ahead = position - ring[newest - distance]
+        if not least <= ahead / distance <= most:
+            break
+        length = distance
+        low, high = (ahead - tolerance) / distance, (ahead + tolerance) / distance
+        if low > least:
+            least = low
+        if high < most:
+            most = high
+    window.length, window.anchor = length, ring[newest - length]
+    window.least, window.most = -inf, inf
+    for distance in range(1, length + 1):
+        narrow(window, ring[newest - length + distance], tolerance, distance)
+    window.scanned += 2 * length
 
 
 class AdaptiveWindow:
-    """Velocity of the newest sample, in constant amortised time.
-
-    The oldest sample of the window is its anchor. The slopes of lines from it that pass every sample since within the
-    tolerance form an interval; a new sample whose line lies in it narrows it and lengthens the window by one. Otherwise
-    a new window is searched backwards from the newest sample, over at most half of the old one: a search over n samples
-    is paid by the n samples that lengthened the window before. The published search goes over the whole window every
-    time and can keep up to twice the length after a change of speed; that is the price.
+    """Velocity of the newest sample of one axis; keeps the window and its samples.
 
     Attributes:
-        velocity: [m/s or rad/s].
-        scanned: Samples looked at since the start, to prove the cost.
+        window: As the kernels have it.
     """
 
-    __slots__ = (
-        "_anchor",
-        "_least",
-        "_length",
-        "_most",
-        "_newest",
-        "_ring",
-        "_sample_time",
-        "_size",
-        "_tolerance",
-        "scanned",
-        "velocity",
-    )
+    __slots__ = ("_ring", "_sample_time", "_tolerance", "window")
 
     def __init__(self, sample_time: float, tolerance: float, longest: int) -> None:
         """Makes an estimator at rest.
@@ -72,67 +145,23 @@ class AdaptiveWindow:
             tolerance: Largest distance of a sample from the line [m or rad]: one encoder count.
             longest: Window, in samples.
         """
-        self._sample_time = sample_time
-        self._tolerance = tolerance
-        self._size = longest + 1
-        self.restart(0.0)
+        self._sample_time, self._tolerance = sample_time, tolerance
+        self.window, self._ring = Window(), list_of_zeros(longest + 1)
 
     def restart(self, position: float) -> None:
         """Begins anew at a position [m or rad], at rest."""
-        self._ring = [position] * self._size
-        self._newest = 0
-        self._length = 0
-        self._anchor = position
-        self._least, self._most = -inf, inf
-        self.velocity = 0.0
-        self.scanned = 0
+        restart(self.window, self._ring, position)
 
     def update(self, position: float) -> float:
         """Takes the position [m or rad] one sample later and returns the velocity [m/s or rad/s]."""
-        newest, size = self._newest + 1, self._size
-        if newest == size:
-            newest = 0
-        self._newest = newest
-        self._ring[newest] = position
-        self.scanned += 1
-        length = self._length + 1
-        slope = (position - self._anchor) / length
-        if length < size and self._least <= slope <= self._most:
-            self._length = length
-            self._narrow(position, length)
-        else:
-            slope = self._search(position, (length if length < size else size - 1) // 2 or 1)
-        self.velocity = velocity = slope / self._sample_time
-        return velocity
+        update(self.window, self._ring, self._tolerance, self._sample_time, position)
+        return self.window.velocity
 
-    def _narrow(self, position: float, distance: int) -> None:
-        """Admits only slopes that pass a sample `distance` after the anchor within the tolerance."""
-        anchor, tolerance = self._anchor, self._tolerance
-        least = (position - tolerance - anchor) / distance
-        most = (position + tolerance - anchor) / distance
-        if least > self._least:
-            self._least = least
-        if most < self._most:
-            self._most = most
+    @property
+    def velocity(self) -> float:
+        """Of the newest sample [m/s or rad/s]."""
+        return self.window.velocity
 
-    def _search(self, position: float, furthest: int) -> float:
-        """Takes the longest window of at most `furthest` samples that fits; returns its slope per sample."""
-        ring, newest, tolerance = self._ring, self._newest, self._tolerance  # an index below 0 wraps, as the ring does
-        least, most, length = -inf, inf, 0
-        for distance in range(1, furthest + 1):
-            ahead = position - ring[newest - distance]
-            if not least <= ahead / distance <= most:
-                break
-            length = distance
-            low, high = (ahead - tolerance) / distance, (ahead + tolerance) / distance
-            if low > least:
-                least = low
-            if high < most:
-                most = high
-        anchor_at = newest - length
-        self._length, self._anchor = length, ring[anchor_at]
-        self._least, self._most = -inf, inf
-        for distance in range(1, length + 1):
-            self._narrow(ring[anchor_at + distance], distance)
-        self.scanned += distance + length
-        return (position - self._anchor) / length
+    @velocity.setter
+    def velocity(self, velocity: float) -> None:
+        self.window.velocity = velocity

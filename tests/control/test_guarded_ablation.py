@@ -9,11 +9,11 @@ from dataclasses import replace
 import pytest
 
 from canhaptic.control.certificates import torque_bound
-from canhaptic.control.certificates.torque_bound import TorqueBound
+from canhaptic.control.passivity import guarded as kernel
 from tests.control.guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
 
 whole_step = torque_bound.next_displacement  # type: ignore[attr-defined]
-by_hand_force = TorqueBound.by_hand_force
+by_hand_force = torque_bound.by_hand_force
 
 
 def without_previous_torque(patch):
@@ -27,18 +27,18 @@ def without_damping_term(patch):
 def without_mirror(patch):
     """Only the torque out of the wall is bounded; the sticky one of a damper is not."""
 
-    def one_sided(bound, sign, energy, under_way):
-        return by_hand_force(bound, sign, energy, under_way) if sign > 0.0 else 1e9
+    def one_sided(declared, bound, memory, sign, *rest):
+        return by_hand_force(declared, bound, memory, sign, *rest) if sign > 0.0 else 1e9
 
-    patch.setattr(TorqueBound, "by_hand_force", one_sided)
+    patch.setattr(torque_bound, "by_hand_force", one_sided)
 
 
 def without_cap_on_dissipation(patch):
-    patch.setattr(TorqueBound, "free", lambda _self, _energy, _under_way: 1e9)
+    patch.setattr(kernel, "free_energy", lambda *_: 1e9)
 
 
 def without_reserve_for_torques_under_way(patch):
-    patch.setattr(TorqueBound, "free", lambda _self, energy, _under_way: max(0.0, energy))
+    patch.setattr(kernel, "free_energy", lambda _declared, _bound, _memory, energy: max(0.0, energy))
 
 
 def intact(_patch):

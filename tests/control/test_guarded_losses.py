@@ -4,7 +4,8 @@ import random
 
 import pytest
 
-from canhaptic.control.certificates.torque_bound import Declared, TorqueBound
+from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE
+from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, end_gap
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
@@ -83,9 +84,10 @@ def test_a_reversal_in_a_lost_sample_is_booked_where_damping_alone_is_known(dela
 
 def test_what_a_lost_sample_hides_of_every_hand_is_the_closed_form() -> None:
     """The worst motion of two holds of opposite displacement, D = (f1 - f2) T / 4b, gives out (f1 - f2)^2 T / 8b."""
-    bound = TorqueBound(Declared(T, None, DAMPING, None, 0.0, 0), delay=1)
+    declared = Declared(T, 1, 0, False, NO_RESPONSE, DAMPING, 0.0, 0.0)
     first, second = 3.0, 1.0
     moved = (first - second) * T / (4.0 * DAMPING)
     short = (first - second) * moved - 2.0 * DAMPING / T * moved * moved
     assert short == pytest.approx((first - second) ** 2 * T / (8.0 * DAMPING))
-    assert short <= bound.ended_gap(0.0, (first, second)) <= 2.0 * short * (1.0 + 1e-12)
+    doubt = end_gap(declared, TorqueBound(), 0.0, second, 2, max(first, second), abs(first - second))
+    assert short <= doubt <= 2.0 * short * (1.0 + 1e-12)

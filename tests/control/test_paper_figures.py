@@ -5,9 +5,8 @@ import pytest
 
 from canhaptic.control.balance import Ledger, residual
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
+from canhaptic.control.passivity import build_controller, internal_dissipation
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import HoldAccount
 from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
 from canhaptic.control.passivity.original import OriginalParameters
 from tests.control.reference_loop import continuous, sampled, user_f, variation
@@ -75,14 +74,14 @@ def test_with_one_sample_of_delay_the_force_varies_less_than_three_times(referen
 
 def test_booking_the_newest_damper_effort_instead_would_ring_with_one_sample_of_delay(reference, monkeypatch):
     """Trap 11: the printed H_R, with the velocity of the newest command, at 1 kHz."""
-    opened = HoldAccount.open
+    opened = internal_dissipation.open_hold  # type: ignore[attr-defined]
 
-    def newest(self, position, torque_applied):
-        hold = opened(self, position, torque_applied)
-        return hold if hold is None else hold._replace(damper=self._in_flight._queue[-1][1])
+    def newest(settings, axis, memory, position, torque_applied):
+        effort = memory.commands.dampers[axis.oldest - 1]
+        return opened(settings, axis, memory, position, torque_applied)._replace(damper=effort)
 
     paired = render(FIGURE_7, "internal_dissipation", 1000, delay=1)
-    monkeypatch.setattr(HoldAccount, "open", newest)
+    monkeypatch.setattr(internal_dissipation, "open_hold", newest)
     printed = render(FIGURE_7, "internal_dissipation", 1000, delay=1)
     assert variation_ratio(paired, reference, FIGURE_7) < 3.0
     assert variation_ratio(printed, reference, FIGURE_7) > 30.0

@@ -33,7 +33,7 @@ def test_the_line_of_every_window_passes_all_its_samples_within_one_count(steps)
     window.restart(positions[0])
     for newest in range(1, len(positions)):
         slope = window.update(positions[newest]) * SAMPLE_TIME
-        length = window._length
+        length = window.window.length
         assert 1 <= length <= 16
         for back in range(length + 1):
             line = positions[newest] - slope * back
@@ -45,14 +45,14 @@ def test_the_line_of_every_window_passes_all_its_samples_within_one_count(steps)
 def test_a_step_costs_a_bounded_number_of_samples_on_average(steps):
     positions = [float(x) for x in np.cumsum([0, *steps])]
     window, velocities = run(positions, longest=64)
-    assert window.scanned <= 4 * len(velocities)
+    assert window.window.scanned <= 4 * len(velocities)
 
 
 def test_the_average_cost_stays_bounded_over_a_long_noisy_run():
     generator = np.random.default_rng(5)
     positions = np.cumsum(generator.integers(-2, 3, 20_000)).astype(float)
     window, velocities = run(positions.tolist(), tolerance=8.0, longest=200)
-    assert window.scanned <= 4 * len(velocities)
+    assert window.window.scanned <= 4 * len(velocities)
 
 
 def test_a_ramp_seen_through_counts_gives_its_speed():
@@ -71,7 +71,7 @@ def test_at_rest_the_window_stays_within_its_longest():
     lengths = []
     for _ in range(100):
         window.update(0.0)
-        lengths.append(window._length)
+        lengths.append(window.window.length)
     assert max(lengths) == 16
     assert min(lengths[16:]) >= 8
 

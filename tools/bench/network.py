@@ -1,6 +1,6 @@
 """How fast and how true is a network on several axes? `python -m tools.bench.network`.
 
-The step of a group in pure Python and compiled whole, with what building it compiled costs; and the example in two
+The step of a group, its equation in Python and compiled; and the example in two
 dimensions - a hand on a hardening spring and a damper with a virtual mass of 0.3 kg on a viscous floor, four states -
 against the continuous solution of scipy and beside the same network sampled by explicit Euler. Energies are those of
 the plant.
@@ -50,12 +50,10 @@ class Followed(NamedTuple):
     least: float  # least sum(h_i) [J]
 
 
-def controller_of(
-    environment: Any, kinematics: Any, rate: float, delay: int, compiled: bool = False
-) -> GroupController:
+def controller_of(environment: Any, kinematics: Any, rate: float, delay: int) -> GroupController:
     """Returns a guarded group of two axes with a hand-force certificate."""
     loop = LoopProperties(sample_time=1.0 / rate, delay=delay, moving_mass=MASS, device_damping_bound=2.0 * FRICTION)
-    parameters = GuardedGroupParameters(hand_force=HAND_FORCE, compiled=compiled)
+    parameters = GuardedGroupParameters(hand_force=HAND_FORCE)
     return build_group_controller(environment, kinematics, "guarded", parameters, [loop, loop])
 
 
@@ -189,24 +187,15 @@ def around(k: int) -> list[float]:
 def cost_rows() -> list[Row]:
     """Returns the cost of a step."""
     ball = Sphere(stiffness=1500.0, damping=3.0, centre=FIVE_BAR.forward((2.2, 0.9)), radius=0.05)
-    cases: list[tuple[str, Any, Any, bool, Callable[[int], list[float]], float]] = [
-        ("step, 4 states, two axes, delay 1", EXAMPLE, Identity(axes=2), False, circle(0.01), 200.0),
-        ("step, 4 states, compiled", EXAMPLE, Identity(axes=2), True, circle(0.01), 20.0),
-        ("step, two axes in a box, no mass", BOX, Identity(axes=2), False, circle(0.01), 100.0),
-        ("step, two axes in a box, compiled", BOX, Identity(axes=2), True, circle(0.01), 20.0),
-        ("step, five-bar at a sphere, no mass", ball, FIVE_BAR, False, around, 100.0),
-        ("step, five-bar at a sphere, compiled", ball, FIVE_BAR, True, around, 20.0),
+    cases: list[tuple[str, Any, Any, Callable[[int], list[float]], float]] = [
+        ("step, 4 states, two axes, delay 1", EXAMPLE, Identity(axes=2), circle(0.01), 200.0),
+        ("step, two axes in a box, no mass", BOX, Identity(axes=2), circle(0.01), 100.0),
+        ("step, five-bar at a sphere, no mass", ball, FIVE_BAR, around, 100.0),
     ]
     rows = []
-    for name, environment, kinematics, compiled, path, limit in cases:
-        start = perf_counter()
-        controller = controller_of(environment, kinematics, 1000.0, 1, compiled)
-        built = perf_counter() - start
-        median, fast = step_time(controller, path)
-        note = f"built in {built:.1f} s: compiled or loaded from the cache" if compiled else ""
-        rows.append(
-            Row(name, median, "us", "10 % fastest", fast, target=f"<= {limit:g}", met=median <= limit, note=note)
-        )
+    for name, environment, kinematics, path, limit in cases:
+        median, fast = step_time(controller_of(environment, kinematics, 1000.0, 1), path)
+        rows.append(Row(name, median, "us", "10 % fastest", fast, target=f"<= {limit:g}", met=median <= limit))
     plain, fast = equation_time(False), equation_time(True)
     rows.append(
         Row("equation of 4 states, compiled", fast, "us", "pure Python", plain, plain / fast, "<= 20", fast <= 20.0)

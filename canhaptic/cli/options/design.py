@@ -19,5 +19,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance", metavar="PART", type=float, default=TOLERANCE, help="between asked and rendered; default 0.05"
     )
-    parser.add_argument("--engine", choices=("auto", "numpy", "numba"), default="auto", help="of the trials")
+    parser.add_argument("--engine", choices=("auto", "numba", "python"), default="auto", help="of the trials")
     add_json(parser)

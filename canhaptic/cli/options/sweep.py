@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="fewer are faster; by default all that need no continuous run beside each scene; a wrong name lists all",
     )
     parser.add_argument(
-        "--engine", choices=("auto", "numpy", "numba"), default="auto", help="of scenes that fit a batch"
+        "--engine", choices=("auto", "numba", "python"), default="auto", help="of scenes that fit a batch"
     )
     parser.add_argument("--beyond-bus", action="store_true", help="judge rates that the bus could not carry, too")
     where = parser.add_mutually_exclusive_group()

@@ -29,6 +29,7 @@ E_d = E + (b/T) sum(D^2) >= 0 for every user.
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +40,10 @@ class DisplacementResponse:
     before: float  # [m/N] per torque in the hold before
     during: float  # [m/N] per torque in the hold itself
     hand: float  # [m] by the hand pushing out with its declared force in both holds
+
+
+NO_RESPONSE: Final = DisplacementResponse(1.0, 0.0, 0.0, 0.0)
+"""Where the hand-force certificate is not declared."""
 
 
 def displacement_response(
@@ -100,7 +105,7 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
         gain: Displacement per torque [m/N or rad/(N*m)], > 0.
     """
     square = base * base + 4.0 * gain * budget
-    root: float = square**0.5 if square > 0.0 else 0.0
+    root = math.sqrt(square) if square > 0.0 else 0.0
     if base <= 0.0:
         return (root - base) / (2.0 * gain)
     return 2.0 * budget / (root + base) if budget > 0.0 else 0.0  # the form without cancellation
@@ -119,8 +124,7 @@ def device_damping_bound(
         holds: Holds for which the torque may act before another one arrives.
     """
     square = 4.0 * damping * budget / sample_time - squares_under_way
-    bound: float = (square / holds) ** 0.5 if square > 0.0 else 0.0
-    return bound
+    return math.sqrt(square / holds) if square > 0.0 else 0.0
 
 
 def hand_speed_bound(budget: float, speed: float, sample_time: float, holds: int = 1) -> float:

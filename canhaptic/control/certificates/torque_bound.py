@@ -1,7 +1,8 @@
 """The certified bound of one axis: what is known of it and of the hand, applied to the torques under way."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf, isnan, nan
+from typing import NamedTuple
 
 from canhaptic.control.certificates.scalar_bounds import (
     WINDOW,
@@ -11,282 +12,337 @@ from canhaptic.control.certificates.scalar_bounds import (
     hand_speed_bound,
     next_displacement,
 )
+from canhaptic.kernels import Buffer, MakeBuffer
 
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """What a configuration declares of the axis and of the hand. None: that certificate is not used."""
+    """What a configuration declares of the axis and of the hand."""
 
-    sample_time: float
-    response: DisplacementResponse | None  # of the hand-force certificate
-    damping: float | None  # certain damping of the device [N*s/m or N*m*s/rad]
-    speed: float | None  # largest speed of the hand [m/s or rad/s]
-    encoder_count: float  # [m or rad]
+    sample_time: float  # [s]
+    delay: int  # whole holds between computation and action
     losses: int  # consecutive cycles without a new torque that the certificates survive
+    by_hand_force: bool  # whether that certificate is declared
+    response: DisplacementResponse  # for it
+    damping: float  # certain damping of the device [N*s/m or N*m*s/rad]; 0: not declared
+    hand_speed: float  # largest speed of the hand [m/s or rad/s]; 0: not declared
+    encoder_count: float  # [m or rad]; 0: ideal
 
 
+@dataclass(slots=True)
 class TorqueBound:
-    """Remembers the hold that ended and answers how much energy is committed and how large the next torque may be.
+    """The hold that ended, and the energy that is not known for certain."""
 
-    Attributes:
-        dissipated: By the device for certain, and not forgotten [J].
-        unsure: How much less than booked may have come in so far [J]: encoder counts and lost samples.
-    """
+    displacement: float = 0.0  # [m or rad]
+    torque: float = 0.0  # [N or N*m]
+    blur: float = 0.0  # by which the displacement is unsure beyond a count [m or rad]
+    changes: float = 0.0  # energy that the encoder leaves unsure, up to the last change of torque [J]
+    unsure: float = 0.0  # how much less than booked may have come in so far [J]: encoder counts and lost samples
+    dissipated: float = 0.0  # by the device for certain, and not forgotten [J]
+    kept: int = 0  # holds in the history
+    newest: int = 0  # their newest place
+    first: int = 0  # place of the torque that acts next in `BoundMemory.under_way`
+    upward: float = nan  # `outward` along +, of a coarse encoder; NaN until it is asked for [m or rad]
+    downward: float = nan  # the same along -
 
-    __slots__ = (
-        "_blur",
-        "_count",
-        "_declared",
-        "_delay",
-        "_displacement",
-        "_history",
-        "_kept",
-        "_known_outward",
-        "_mixes",
-        "_newest",
-        "_response",
-        "_simple",
-        "_torque",
-        "_unsure",
-        "dissipated",
-        "unsure",
-    )
 
-    def __init__(self, declared: Declared, delay: int) -> None:
-        self._declared = declared
-        self._response, self._count = declared.response, declared.encoder_count
-        self._delay = delay
-        self._simple = not (delay or declared.losses)
-        self._mixes = delay > 1 and declared.losses > 0  # some of those under way may act, and others not
-        self.reset()
+class BoundMemory(NamedTuple):
+    """Where the bound keeps sequences; changed in place."""
 
-    def reset(self) -> None:
-        """Forgets the last hold and the energy dissipated by the device."""
-        self._displacement = self._torque = self._blur = self._unsure = 0.0
-        self.dissipated = self.unsure = 0.0
-        self._history = [(0.0, 0.0)] * WINDOW  # ring of displacement and torque of the last holds
-        self._newest = self._kept = 0
-        self._known_outward: dict[float, float] = {}  # by sign; of a coarse encoder, where finding it is work
+    displacements: Buffer  # of the last holds, a ring of `WINDOW` [m or rad]
+    torques: Buffer  # held in them [N or N*m]
+    under_way: Buffer  # torques sent, the ring of `Commands` [N or N*m]
+    held_on: Buffer  # torques that may act instead where frames are lost, shape (losses + delay,) [N or N*m]
 
-    def ended_hold(self, displacement: float, torque: float) -> None:
-        """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
-        declared, count = self._declared, self._count
-        if declared.damping is not None:
-            certain = abs(displacement) - count
-            if certain > 0.0:
-                self.dissipated += declared.damping / declared.sample_time * certain * certain
-        if count:
-            half = 0.5 * count
-            self._unsure = unsure = self._unsure + half * abs(torque - self._torque)
-            self.unsure = unsure + half * abs(torque)
-            newest = self._newest + 1
-            if newest == WINDOW:
-                newest = 0
-            self._newest = newest
-            self._history[newest] = displacement, torque
-            if self._kept < WINDOW:
-                self._kept += 1
-            self._known_outward.clear()
-        self._blur = 0.0
-        self._displacement, self._torque = displacement, torque
 
-    def ended_gap(self, displacement: float, torques: tuple[float, ...]) -> float:
-        """Takes several holds of which only the whole displacement is known, with the torques sent for them.
+def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer) -> BoundMemory:
+    """Returns the buffers of a bound on the torque under way."""
+    window = WINDOW if declared.encoder_count > 0.0 else 0
+    held_on = declared.losses + declared.delay if declared.losses else 0
+    return BoundMemory(make_buffer(window), make_buffer(window), under_way, make_buffer(held_on))
 
-        Returns how much less than torque applied times displacement may have come in [J]. In all but the last hold,
-        whose torque was read back, any torque sent may have acted, and the one before them where commands may be lost.
-        The energy is wrong by at most the difference of the torques times the excursion in the hold. The displacement
-        alone does not bound it, as a reversal has next to none: the reach of the hand in the others does, or its speed,
-        or what the device dissipates in an excursion.
-        """
-        declared, holds = self._declared, len(torques)
-        last, candidates = torques[-1], (self._torque, *torques) if declared.losses else torques
-        largest = max([abs(torque) for torque in candidates])
-        apart = max([abs(torque - last) for torque in candidates])
-        count = self._count
-        self._kept = 0
-        self._known_outward.clear()
-        if declared.response is not None:
-            response = declared.response
-            step = (response.before + response.during) * largest + response.hand
-            start = abs(self._displacement) + self._blur + count
-            excursion = abs(displacement) + count + holds * (start + holds * step)
-            self._blur = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
-            doubt = (holds - 1) * apart * excursion
-        elif declared.speed is not None:
-            doubt = (holds - 1) * apart * declared.speed * declared.sample_time
-        else:
-            doubt = self._doubt_of_every_hand(displacement, holds, apart)
-        self._unsure += holds * count * largest
-        self.unsure = self._unsure + 0.5 * count * abs(last)
-        self._displacement, self._torque = displacement / holds, last
-        return doubt
 
-    def _doubt_of_every_hand(self, displacement: float, holds: int, apart: float) -> float:
-        """Returns the energy in doubt [J] where damping alone is known, and books what is dissipated for certain.
-
-        Args:
-            displacement: In all the holds [m or rad].
-            holds: How many.
-            apart: Largest difference of a torque that may have acted from the last one [N or N*m]; see `lost_samples`.
-        """
-        declared, count = self._declared, self._count
-        assert declared.damping is not None
-        stiffness = declared.damping / declared.sample_time
+def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float) -> None:
+    """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
+    count = declared.encoder_count
+    if declared.damping > 0.0:
         certain = abs(displacement) - count
         if certain > 0.0:
-            self.dissipated += stiffness * certain * certain / holds
-        return (holds - 1) * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
+            bound.dissipated += declared.damping / declared.sample_time * certain * certain
+    if count > 0.0:
+        half = 0.5 * count
+        bound.changes = changes = bound.changes + half * abs(torque - bound.torque)
+        bound.unsure = changes + half * abs(torque)
+        newest = bound.newest + 1
+        if newest == WINDOW:
+            newest = 0
+        bound.newest = newest
+        memory.displacements[newest] = displacement
+        memory.torques[newest] = torque
+        if bound.kept < WINDOW:
+            bound.kept += 1
+        bound.upward = bound.downward = nan
+    bound.blur = 0.0
+    bound.displacement, bound.torque = displacement, torque
 
-    def keep(self, energy: float, enough: float) -> None:
-        """Forgets what the device dissipated beyond `enough` [J] together with `energy`.
 
-        Without it a contact could live, and buzz, on what the device dissipated long ago.
-        """
-        if energy + self.dissipated > enough:
-            self.dissipated = max(0.0, enough - energy)
+def end_gap(
+    declared: Declared,
+    bound: TorqueBound,
+    displacement: float,
+    torque: float,
+    holds: int,
+    largest: float,
+    apart: float,
+) -> float:
+    """Takes several holds of which only the whole displacement is known; returns the energy in doubt [J].
 
-    def free(self, energy: float, under_way: Sequence[float]) -> float:
-        """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
-        if self._simple:
-            return energy + self.dissipated
-        declared = self._declared
-        sequences, free = self._sequences(under_way), 0.0
-        if self._mixes and self._response is not None:
-            holds = declared.losses + self._delay
-            free = energy - self._given(1.0, under_way, holds)[0] - self._given(-1.0, under_way, holds)[0]
-        elif self._response is not None:
-            free = energy - max([self._worst_out(1.0, s) + self._worst_out(-1.0, s) for s in sequences])
-        if declared.speed is not None:
-            path = declared.speed * declared.sample_time
-            free = max(free, energy - path * max(sum(abs(f) for f in s) for s in sequences))
-        if declared.damping:
-            share = declared.sample_time / (4.0 * declared.damping)
-            free = max(free, energy + self.dissipated - share * max(sum(f * f for f in s) for s in sequences))
-        return free if free > 0.0 else 0.0
+    In all but the last hold, whose torque was read back, any torque sent may have acted, and the one before them where
+    commands may be lost. The energy is wrong by at most the difference of the torques times the excursion in the hold.
+    The displacement alone does not bound it, as a reversal has next to none: the reach of the hand in the others does,
+    or its speed, or what the device dissipates in an excursion.
 
-    def _sequences(self, under_way: Sequence[float]) -> list[Sequence[float]]:
-        """Returns the torques that may act before the next one [N or N*m], in each order that counts."""
-        losses = self._declared.losses
-        if not losses:
-            return [under_way]
-        if self._mixes:
-            return [self._sizes(under_way, losses + self._delay)]
-        sequences: list[Sequence[float]] = [(self._torque,) * (losses + self._delay)]
-        if under_way:
-            sequences.append((*under_way, *(under_way[-1],) * losses))
-        return sequences
+    Args:
+        declared: Of axis and hand.
+        bound: Changed.
+        displacement: In all of them [m or rad].
+        torque: Held in the last of them [N or N*m].
+        holds: How many.
+        largest: Size of the torques sent for them [N or N*m].
+        apart: Largest difference of one of those from the last [N or N*m].
+    """
+    count, missed = declared.encoder_count, holds - 1
+    if declared.losses:
+        largest, apart = max(largest, abs(bound.torque)), max(apart, abs(bound.torque - torque))
+    bound.kept = 0
+    bound.upward = bound.downward = nan
+    if declared.by_hand_force:
+        response = declared.response
+        step = (response.before + response.during) * largest + response.hand
+        start = abs(bound.displacement) + bound.blur + count
+        excursion = abs(displacement) + count + holds * (start + holds * step)
+        bound.blur = 0.5 * missed * step + (1.0 - response.retained) * holds * excursion
+        doubt = missed * apart * excursion
+    elif declared.hand_speed > 0.0:
+        doubt = missed * apart * declared.hand_speed * declared.sample_time
+    else:  # damping alone; see `lost_samples`
+        stiffness, certain = declared.damping / declared.sample_time, abs(displacement) - count
+        if certain > 0.0:
+            bound.dissipated += stiffness * certain * certain / holds
+        doubt = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
+    bound.changes += holds * count * largest
+    bound.unsure = bound.changes + 0.5 * count * abs(torque)
+    bound.displacement, bound.torque = displacement / holds, torque
+    return doubt
 
-    def _outward(self, sign: float) -> float:
-        """Returns the largest displacement of the hold that ended, counted along `sign` [m or rad].
 
-        The displacement is known to one count. A mean over j holds is known to count / j, and the hand and the torques
-        can have raised the last one above the mean only so far; the smallest of these bounds counts.
-        """
-        if not self._count or self._response is None or self._kept < 2:
-            return sign * self._displacement + self._count + self._blur
-        known = self._known_outward.get(sign)
-        if known is None:
-            known = self._known_outward[sign] = self._by_windows(sign, self._response)
-        return known
+def keep(bound: TorqueBound, energy: float, enough: float) -> None:
+    """Forgets what the device dissipated beyond `enough` [J] together with `energy`.
 
-    def _by_windows(self, sign: float, response: DisplacementResponse) -> float:
-        """Returns the smallest of the bounds by the mean over the last 1, 2, 3, ... holds [m or rad]."""
-        count, before, during, hand = self._count, response.before, response.during, response.hand
-        lost, enough = 1.0 - response.retained, 2.0 * count
-        later = sign * self._torque if sign * self._torque > 0.0 else 0.0
-        total = least = sign * self._displacement + count
-        raised = raises = 0.0
-        history, start = self._history, self._newest + 1
-        for holds in range(2, self._kept + 1):  # the newest is taken; an index below 0 wraps, as a ring does
-            displacement, torque = history[start - holds]
-            along, push = sign * displacement, sign * torque
-            if push < 0.0:
-                push = 0.0
-            raised += before * push + during * later + hand
-            if along < count:
-                raised += lost * (count - along)
-            raises += raised
-            total += along
-            mean = (total + raises) / holds
-            if mean < least:
-                least = mean
-            if raised * holds > enough:
-                break
-            later = push
-        return least
+    Without it a contact could live, and buzz, on what the device dissipated long ago.
+    """
+    if energy + bound.dissipated > enough:
+        bound.dissipated = max(0.0, enough - energy)
 
-    def _worst_out(self, sign: float, torques: Sequence[float]) -> float:
-        """Returns the most energy [J] that the torques along `sign` may give out, >= 0."""
-        response = self._response
-        if response is None:
-            return 0.0
-        for torque in torques:
-            if sign * torque > 0.0:
-                break
+
+def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
+    """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
+    delay, losses = declared.delay, declared.losses
+    if delay == 0 and losses == 0:
+        return energy + bound.dissipated
+    if losses == 0:
+        hand, path, squares = needed(declared, bound, memory, memory.under_way, bound.first, delay)
+        free = energy - hand if declared.by_hand_force else 0.0
+    elif delay > 1:  # some of the torques under way may act, and others not
+        take_sizes(declared, bound, memory, losses + delay)
+        _, path, squares = needed(declared, bound, memory, memory.held_on, 0, losses + delay)
+        free = 0.0
+        if declared.by_hand_force:
+            free = energy - given_by_any(declared, bound, memory, 1.0, losses + delay)[0]
+            free -= given_by_any(declared, bound, memory, -1.0, losses + delay)[0]
+    else:
+        take_constant(memory, bound.torque)
+        hand, path, squares = needed(declared, bound, memory, memory.held_on, 0, losses + delay)
+        if delay:
+            take_constant(memory, memory.under_way[bound.first])
+            other, further, more = needed(declared, bound, memory, memory.held_on, 0, losses + delay)
+            hand, path, squares = max(hand, other), max(path, further), max(squares, more)
+        free = energy - hand if declared.by_hand_force else 0.0
+    if declared.hand_speed > 0.0:
+        free = max(free, energy - declared.hand_speed * declared.sample_time * path)
+    if declared.damping > 0.0:
+        share = declared.sample_time / (4.0 * declared.damping)
+        free = max(free, energy + bound.dissipated - share * squares)
+    return free if free > 0.0 else 0.0
+
+
+def take_constant(memory: BoundMemory, torque: float) -> None:
+    """Writes that one torque [N or N*m] is held on."""
+    for place in range(len(memory.held_on)):
+        memory.held_on[place] = torque
+
+
+def take_sizes(declared: Declared, bound: TorqueBound, memory: BoundMemory, holds: int) -> None:
+    """Writes the largest size of a torque that may act in each of the next holds [N or N*m]."""
+    for hold in range(holds):
+        along = may_act(declared, bound, memory, 1.0, hold + 1)
+        memory.held_on[hold] = max(along, may_act(declared, bound, memory, -1.0, hold + 1))
+
+
+def needed(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, torques: Buffer, first: int, count: int
+) -> tuple[float, float, float]:
+    """Returns what a sequence of torques may give out to a hand within its force [J], sum(|f|), and sum(f^2).
+
+    Args:
+        declared: Of axis and hand.
+        bound: Of the axis.
+        memory: Of the bound.
+        torques: [N or N*m].
+        first: Place of the one that acts first; below 0 it wraps.
+        count: How many act.
+    """
+    sizes = squares = hand = 0.0
+    for place in range(first, first + count):
+        torque = torques[place]
+        sizes += abs(torque)
+        squares += torque * torque
+    if declared.by_hand_force and sizes > 0.0:
+        hand = worst_out(declared, bound, memory, 1.0, torques, first, count)
+        hand += worst_out(declared, bound, memory, -1.0, torques, first, count)
+    return hand, sizes, squares
+
+
+def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
+    """Returns the largest displacement of the hold that ended, counted along `sign` [m or rad].
+
+    The displacement is known to one count. A mean over j holds is known to count / j, and the hand and the torques
+    can have raised the last one above the mean only so far; the smallest of these bounds counts.
+    """
+    if declared.encoder_count == 0.0 or bound.kept < 2:
+        return sign * bound.displacement + declared.encoder_count + bound.blur
+    known = bound.upward if sign > 0.0 else bound.downward
+    if isnan(known):
+        known = outward_by_windows(declared, bound, memory, sign)
+        if sign > 0.0:
+            bound.upward = known
         else:
-            return 0.0
-        displacement, before = self._outward(sign), sign * self._torque
-        worst = given = 0.0
-        for torque in torques:
-            along = sign * torque
-            displacement = next_displacement(displacement, before, along, response)
-            if along > 0.0:
-                given += along * displacement
-                if given > worst:
-                    worst = given
-            before = along
-        return worst
+            bound.downward = known
+    return known
 
-    def _may_act(self, sign: float, under_way: Sequence[float], holds: int) -> list[float]:
-        """Returns the largest torque along `sign` that may act in each of the next holds [N or N*m], >= 0.
 
-        Any torque sent may stay for the declared losses.
-        """
-        sent = [max(0.0, sign * torque) for torque in (self._torque, *under_way)]
-        losses, newest = self._declared.losses, len(under_way)
-        return [
-            max([sent[place] for place in range(max(0, hold - losses), min(hold, newest) + 1)])
-            for hold in range(1, holds + 1)
-        ]
+def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
+    """Returns the smallest of the bounds by the mean over the last 1, 2, 3, ... holds [m or rad]."""
+    response, count = declared.response, declared.encoder_count
+    lost, enough = 1.0 - response.retained, 2.0 * count
+    later = sign * bound.torque if sign * bound.torque > 0.0 else 0.0
+    total = least = sign * bound.displacement + count
+    raised = raises = 0.0
+    start = bound.newest + 1
+    for holds in range(2, bound.kept + 1):  # the newest is taken; an index below 0 wraps, as a ring does
+        along, push = sign * memory.displacements[start - holds], sign * memory.torques[start - holds]
+        if push < 0.0:
+            push = 0.0
+        raised += response.before * push + response.during * later + response.hand
+        if along < count:
+            raised += lost * (count - along)
+        raises += raised
+        total += along
+        mean = (total + raises) / holds
+        if mean < least:
+            least = mean
+        if raised * holds > enough:
+            break
+        later = push
+    return least
 
-    def _sizes(self, under_way: Sequence[float], holds: int) -> tuple[float, ...]:
-        """Returns the largest size of a torque that may act in each of the next holds [N or N*m]."""
-        along, against = self._may_act(1.0, under_way, holds), self._may_act(-1.0, under_way, holds)
-        return tuple([max(along[hold], against[hold]) for hold in range(holds)])
 
-    def _given(self, sign: float, under_way: Sequence[float], holds: int) -> tuple[float, float]:
-        """Returns what any mix of torques along `sign` may give out [J], and the base of one after them [m or rad].
+def worst_out(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, torques: Buffer, first: int, count: int
+) -> float:
+    """Returns the most energy [J] that a sequence of torques may give out along `sign`, >= 0; see `needed`."""
+    acts = False
+    for place in range(first, first + count):
+        if sign * torques[place] > 0.0:
+            acts = True
+    if not acts:
+        return 0.0
+    displacement, before = outward(declared, bound, memory, sign), sign * bound.torque
+    worst = given = 0.0
+    for place in range(first, first + count):
+        along = sign * torques[place]
+        displacement = next_displacement(displacement, before, along, declared.response)
+        if along > 0.0:
+            given += along * displacement
+            if given > worst:
+                worst = given
+        before = along
+    return worst
 
-        What one of them would take in is not counted: another may act in its place.
-        """
-        response = self._response
-        assert response is not None
-        displacement, before, given = self._outward(sign), sign * self._torque, 0.0
-        for along in self._may_act(sign, under_way, holds):
-            displacement = next_displacement(displacement, before, along, response)
-            if displacement > 0.0:
-                given += along * displacement
-            before = along
-        return given, next_displacement(displacement, before, 0.0, response)
 
-    def _by_hand_force_of_any(self, sign: float, energy: float, under_way: Sequence[float]) -> float:
-        """Returns `by_hand_force` where any mix of the torques under way may act."""
-        response = self._response
-        assert response is not None
-        given, base = self._given(sign, under_way, self._delay)
-        energy -= given + self._given(-sign, under_way, self._delay)[0]
-        return min(hand_force_bound(energy, base, response.during), self._if_held_on(energy, base))
+def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
+    """Returns the largest torque along `sign` that may act in one of the next holds [N or N*m], >= 0.
 
-    def by_hand_force(self, sign: float, energy: float, under_way: Sequence[float]) -> float:
-        """Returns the largest torque along `sign` [N or N*m] for a hand within its declared force."""
-        response = self._response
-        if response is None:
-            return 0.0
-        displacement, before = self._outward(sign), sign * self._torque
+    Any torque sent may stay for the declared losses.
+    """
+    most = 0.0
+    for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
+        torque = sign * (memory.under_way[bound.first + place - 1] if place else bound.torque)
+        if torque > most:
+            most = torque
+    return most
+
+
+def given_by_any(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, holds: int
+) -> tuple[float, float]:
+    """Returns what any mix of torques along `sign` may give out [J], and the base of one after them [m or rad].
+
+    What one of them would take in is not counted: another may act in its place.
+    """
+    displacement, before, given = outward(declared, bound, memory, sign), sign * bound.torque, 0.0
+    for hold in range(1, holds + 1):
+        along = may_act(declared, bound, memory, sign, hold)
+        displacement = next_displacement(displacement, before, along, declared.response)
+        if displacement > 0.0:
+            given += along * displacement
+        before = along
+    return given, next_displacement(displacement, before, 0.0, declared.response)
+
+
+def by_hand_force_of_any(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
+) -> float:
+    """Returns `by_hand_force` where any mix of the torques under way may act."""
+    given, base = given_by_any(declared, bound, memory, sign, declared.delay)
+    energy -= given + given_by_any(declared, bound, memory, -sign, declared.delay)[0]
+    largest = hand_force_bound(energy, base, declared.response.during)
+    return min(largest, by_hand_force_if_held_on(declared, energy, base))
+
+
+def by_hand_force(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, torques: Buffer, first: int
+) -> float:
+    """Returns the largest torque along `sign` [N or N*m] for a hand within its declared force.
+
+    Args:
+        declared: Of axis and hand.
+        bound: Of the axis.
+        memory: Of the bound.
+        sign: 1 or -1.
+        energy: That may be taken out [J].
+        torques: Of which `delay` act before it [N or N*m].
+        first: Place of the one that acts first.
+    """
+    response, before = declared.response, sign * bound.torque
+    if declared.encoder_count > 0.0:
+        displacement = outward(declared, bound, memory, sign)
+    else:
+        displacement = sign * bound.displacement + bound.blur
+    if declared.delay:
         opposed = False
-        for torque in under_way:
-            along = sign * torque
+        for place in range(first, first + declared.delay):
+            along = sign * torques[place]
             displacement = next_displacement(displacement, before, along, response)
             if along >= 0.0:
                 energy -= along * displacement
@@ -294,48 +350,56 @@ class TorqueBound:
                 opposed = True
             before = along
         if opposed:
-            energy -= self._worst_out(-sign, under_way)
-        base = next_displacement(displacement, before, 0.0, response)
-        bound = hand_force_bound(energy, base, response.during)
-        if self._declared.losses:
-            bound = min(bound, self._if_held_on(energy, base))
-        return bound
+            energy -= worst_out(declared, bound, memory, -sign, torques, first, declared.delay)
+    base = next_displacement(displacement, before, 0.0, response)
+    largest = hand_force_bound(energy, base, response.during)
+    if declared.losses:
+        largest = min(largest, by_hand_force_if_held_on(declared, energy, base))
+    return largest
 
-    def _if_held_on(self, energy: float, base: float) -> float:
-        response = self._declared.response
-        bound = float("inf")
-        assert response is not None
-        for holds in range(2, self._declared.losses + 2):
-            pairs = 0.5 * holds * (holds - 1)
-            start = holds * base + pairs * (response.hand + (1.0 - response.retained) * max(0.0, -base))
-            gain = holds * response.during + pairs * (response.before + response.during)
-            bound = min(bound, hand_force_bound(energy, start, gain))
-        return bound
 
-    def largest(self, sign: float, energy: float, under_way: Sequence[float]) -> tuple[float, float, float]:
-        """Returns the bound of each certificate along `sign` [N or N*m]: hand force, device damping, hand speed.
+def by_hand_force_if_held_on(declared: Declared, energy: float, base: float) -> float:
+    """Returns the largest torque that may act in as many holds more as frames may be lost [N or N*m]."""
+    response, largest = declared.response, inf
+    friction = (1.0 - response.retained) * max(0.0, -base)
+    for holds in range(2, declared.losses + 2):
+        pairs = 0.5 * holds * (holds - 1)
+        start = holds * base + pairs * (response.hand + friction)
+        gain = holds * response.during + pairs * (response.before + response.during)
+        largest = min(largest, hand_force_bound(energy, start, gain))
+    return largest
 
-        0 where a certificate is not declared. `energy` [J] is what may be taken out.
-        """
-        declared = self._declared
-        by_force = by_damping = by_speed = 0.0
-        losses, held = declared.losses, self._torque
-        if self._mixes and self._response is not None:
-            by_force = self._by_hand_force_of_any(sign, energy, under_way)
-        elif self._response is not None:
-            by_force = self.by_hand_force(sign, energy, under_way)
-            if losses and under_way:
-                by_force = min(by_force, self.by_hand_force(sign, energy, (held,) * self._delay))
-        if losses:
-            under_way = self._sizes(under_way, self._delay)
-        if declared.damping:
-            squares = 0.0
-            for torque in under_way:
-                squares += torque * torque
-            by_damping = device_damping_bound(
-                energy + self.dissipated, declared.damping, declared.sample_time, squares, losses + 1
-            )
-        if declared.speed is not None:
-            rest = energy - declared.speed * declared.sample_time * sum(abs(torque) for torque in under_way)
-            by_speed = hand_speed_bound(rest, declared.speed, declared.sample_time, losses + 1)
-        return by_force, by_damping, by_speed
+
+def largest_torques(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
+) -> tuple[float, float, float]:
+    """Returns the bound of each certificate along `sign` [N or N*m]: hand force, device damping, hand speed.
+
+    0 where a certificate is not declared. `energy` [J] is what may be taken out.
+    """
+    losses, delay, torques, first = declared.losses, declared.delay, memory.under_way, bound.first
+    force = damping = speed = 0.0
+    if declared.by_hand_force:
+        if losses and delay > 1:
+            force = by_hand_force_of_any(declared, bound, memory, sign, energy)
+        else:
+            force = by_hand_force(declared, bound, memory, sign, energy, torques, first)
+            if losses and delay:
+                take_constant(memory, bound.torque)
+                force = min(force, by_hand_force(declared, bound, memory, sign, energy, memory.held_on, 0))
+    if losses:
+        take_sizes(declared, bound, memory, delay)
+        torques, first = memory.held_on, 0
+    if declared.damping > 0.0:
+        squares = 0.0
+        for place in range(first, first + delay):
+            squares += torques[place] * torques[place]
+        energy_left = energy + bound.dissipated
+        damping = device_damping_bound(energy_left, declared.damping, declared.sample_time, squares, losses + 1)
+    if declared.hand_speed > 0.0:
+        sizes = 0.0
+        for place in range(first, first + delay):
+            sizes += abs(torques[place])
+        rest = energy - declared.hand_speed * declared.sample_time * sizes
+        speed = hand_speed_bound(rest, declared.hand_speed, declared.sample_time, losses + 1)
+    return force, damping, speed

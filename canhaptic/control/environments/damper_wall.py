@@ -19,9 +19,14 @@ class DamperWall(Parameters):
     linear_stiffness: ClassVar[float] = 0.0
     relaxes: ClassVar[bool] = False
 
+    @property
+    def is_below(self) -> bool:
+        """Whether it is solid below its position."""
+        return self.side == "below"
+
     def contact(self, position: float) -> int:
         """Returns 1 beyond the surface, 0 outside."""
-        return int(is_beyond(position, self.position, self.side))
+        return int(is_beyond(position, self.position, self.is_below))
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
         """Returns the depth q - q_w [m or rad]."""

@@ -28,9 +28,14 @@ class HardeningWall(Parameters):
         """Stiffness k [N/m or N*m/rad] without hardening, else None."""
         return self.stiffness if self.hardening == 0.0 else None
 
+    @property
+    def is_below(self) -> bool:
+        """Whether it is solid below its position."""
+        return self.side == "below"
+
     def contact(self, position: float) -> int:
         """Returns 1 inside the wall, 0 outside."""
-        return int(is_beyond(position, self.position, self.side))
+        return int(is_beyond(position, self.position, self.is_below))
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
         """Returns the penetration q - q_w [m or rad]."""

@@ -1,33 +1,76 @@
-"""An environment as a controller asks it, several times at every SYNC: its methods on an object that is nothing else.
+"""An environment as a kernel asks it: its methods on an object that is nothing else.
 
 A model of pydantic answers every look at an attribute through a hook of Python's, at ten times the price of a plain
 object, and its methods look at several. The functions here are those of the model's class, not copies of them.
+Properties are asked once: an environment never changes.
 """
 
+from collections import namedtuple
+from collections.abc import Callable, Mapping
 from functools import cache
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from canhaptic.units import Parameters
 
 _Environment = TypeVar("_Environment")
 
 
+class _Form(NamedTuple):
+    """What the classes of a model add to `Parameters`."""
+
+    plain: Any  # class with the methods and the values of the class
+    derived: Mapping[str, Callable[[Any], Any]]  # properties
+
+
 def plain(environment: _Environment) -> _Environment:
     """Returns an object with the same methods and numbers; one that is no parameter model is returned as it is."""
     kind: Any = type(environment)
-    kind = _plain_type(kind)
-    if kind is None or getattr(environment, "__pydantic_private__", None):
+    if _form_of(kind) is None or getattr(environment, "__pydantic_private__", None):
         return environment
-    twin: Any = kind()
-    for name, value in vars(environment).items():
+    return plain_with(kind, vars(environment))  # type: ignore[no-any-return]
+
+
+def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
+    """Returns a plain object of a model's class with given fields, which nothing checks."""
+    form = _form_of(kind)
+    assert form is not None
+    twin = form.plain()
+    for name, value in fields.items():
         setattr(twin, name, value)
-    return twin  # type: ignore[no-any-return]
+    for name, derive in form.derived.items():
+        setattr(twin, name, derive(twin))
+    return twin
+
+
+def numbers_of(twin: Any) -> dict[str, float]:
+    """Returns every number of a plain object by name, those of its class among them; NaN for None."""
+    values = {
+        **{name: value for base in type(twin).__mro__[-2::-1] for name, value in vars(base).items()},
+        **vars(twin),
+    }
+    return {
+        name: float("nan") if value is None else float(value)
+        for name, value in values.items()
+        if (value is None or isinstance(value, int | float)) and not name.startswith("_")
+    }
+
+
+def tuple_type(twin: Any) -> Any:
+    """Returns the NamedTuple of the numbers of a plain object, with its methods; what numba compiles."""
+    kind: Any = type(twin)
+    return _tuple_type(kind, tuple(numbers_of(twin)))
 
 
 @cache
-def _plain_type(kind: type) -> Any:
-    """Returns a class with what the classes of a model add to `Parameters`; None where that would not be the same."""
+def _tuple_type(kind: Any, fields: tuple[str, ...]) -> Any:
+    methods = {name: value for name, value in vars(kind).items() if isinstance(value, FunctionType)}
+    return type(kind.__name__, (namedtuple(kind.__name__, fields),), {**methods, "__slots__": ()})
+
+
+@cache
+def _form_of(kind: Any) -> _Form | None:
+    """Returns the plain form of a model's class; None where it would not be the same."""
     if not issubclass(kind, Parameters):
         return None
     members: dict[str, Any] = {}
@@ -37,7 +80,10 @@ def _plain_type(kind: type) -> Any:
             if any(_names_its_class(value) for value in own.values()):
                 return None  # `super()` works in the class alone that it was written in
             members |= own
-    return type(kind.__name__, (), {**members, "__doc__": kind.__doc__, "__module__": kind.__module__})
+    derived = {name: value.fget for name, value in members.items() if isinstance(value, property) and value.fget}
+    kept = {name: value for name, value in members.items() if not isinstance(value, property)}
+    attributes = {**kept, "__doc__": kind.__doc__, "__module__": kind.__module__}
+    return _Form(type(kind.__name__, (), attributes), derived)
 
 
 def _is_own(name: str, value: object) -> bool:

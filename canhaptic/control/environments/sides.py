@@ -6,9 +6,9 @@ Side = Literal["below", "above"]
 """Where a wall is solid: below its position (q < q_w, eq. 12) or above it."""
 
 
-def is_beyond(position: float, surface: float, side: Side) -> bool:
+def is_beyond(position: float, surface: float, is_below: bool) -> bool:
     """Returns True where a position is inside a wall with its surface at `surface` [m or rad] (eq. 12)."""
-    return position < surface if side == "below" else position > surface
+    return position < surface if is_below else position > surface
 
 
 def kept_on_side(state: float, true: float) -> float:

@@ -17,9 +17,14 @@ class SpringDamperWall(LinearSpring):
 
     relaxes: ClassVar[bool] = False
 
+    @property
+    def is_below(self) -> bool:
+        """Whether it is solid below its position."""
+        return self.side == "below"
+
     def contact(self, position: float) -> int:
         """Returns 1 inside the wall, 0 outside (eq. 12)."""  # not by `sides`: most scenes ask this at every SYNC
-        if self.side == "below":
+        if self.is_below:
             return 1 if position < self.position else 0
         return 1 if position > self.position else 0
 

@@ -1,8 +1,7 @@
 """Port-Hamiltonian networks on several motor axes: the tables that name them, and the controller of a group of axes."""
 
 from collections.abc import Sequence
-from typing import Any, Final
-from weakref import WeakKeyDictionary
+from typing import Final
 
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
@@ -35,9 +34,6 @@ GROUP_ALGORITHMS: Final[dict[str, str]] = {
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type`, as those of `passivity.ALGORITHMS`."""
 
-_WHOLE: Final = ("guarded",)
-"""Whose whole step is compiled by `compiled: true`; of the others the equation of the network is."""
-
 
 def build_group_controller(
     environment: NetworkEnvironment,
@@ -67,40 +63,5 @@ def build_group_controller(
             f"group algorithm {algorithm_name!r}: got parameters {type(parameters).__name__}, "
             f"expected {algorithm.parameters_type.__name__}"
         )
-    if algorithm_name in _WHOLE and getattr(parameters, "compiled", False):
-        return _compiled(algorithm, environment, kinematics, parameters, tuple(loops))
     controller: GroupController = algorithm(environment, kinematics, parameters, tuple(loops))
     return controller
-
-
-def _compiled(
-    algorithm: Any, environment: NetworkEnvironment, kinematics: Kinematics, parameters: Parameters,
-    loops: tuple[LoopProperties, ...],
-) -> GroupController:  # fmt: skip
-    """Returns a controller whose whole step is compiled; only its equation, where the rest has no compiled form.
-
-    Raises:
-        ParameterError: numba is not installed, or the network has energies given as functions.
-    """
-    try:
-        from canhaptic.control.multi_axis.compiled_group import CompiledGroup
-        from canhaptic.control.multi_axis.unfolding.values import CannotUnfoldError
-    except ImportError as error:
-        raise ParameterError(
-            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
-        ) from error
-    interpreted = parameters.model_copy(update={"compiled": False})
-    try:
-        return CompiledGroup(lambda mechanism: algorithm(environment, mechanism, interpreted, loops), kinematics)
-    except CannotUnfoldError as error:
-        controller: GroupController = algorithm(environment, kinematics, parameters, loops)
-        _REASONS[controller] = f"{error}; only the equation of the network is compiled"
-        return controller
-
-
-_REASONS: Final[WeakKeyDictionary[GroupController, str]] = WeakKeyDictionary()
-
-
-def _why_interpreted(controller: GroupController) -> str:
-    """Returns why the step of a controller asked to be `compiled` is not; empty where it is, or was not asked to be."""
-    return _REASONS.get(controller, "")

@@ -81,9 +81,9 @@ class EnergyAlongScale:
         change = solve_balance(
             stiffness / (length * length), self.taken(0.0, loss).slope / length, energy, length
         )  # fmt: skip
-        share = None if change is None else change / length
-        if share is None:
+        if math.isnan(change):
             return StepScaling(0.0, False, 1)
+        share = change / length
         if abs(share) > limit and energy > 0.0:
             return StepScaling(limit if share > 0.0 else -limit, True, 1)
         return StepScaling(share, True, 1)

@@ -46,7 +46,7 @@ class GuardedGroupParameters(Parameters):
     """Consecutive cycles in which any axis may be without a new torque, or hold a part of it (`apart`); each costs
     stiffness. 0: all axes always apply together what was sent."""
     compiled: bool = False
-    """Whether the whole step runs compiled by numba (the extra `fast`): seconds at the first start of such a scene."""
+    """Whether the network's equation runs compiled by numba (the extra `fast`); pays with masses, some seconds once."""
 
 
 class GuardedGroup:

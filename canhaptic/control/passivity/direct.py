@@ -1,13 +1,26 @@
 """`direct`: the sampled environment without protection, as most haptic loops run it. Shows what sampling creates."""
 
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import HoldAccount
-from canhaptic.control.passivity.sampled_model import SampledModel
+from canhaptic.control.passivity.hold_account import (
+    Account,
+    Axis,
+    AxisMemory,
+    HoldSettings,
+    axis_memory,
+    begin,
+    close_hold,
+    hold_settings,
+    open_hold,
+)
+from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
+from canhaptic.kernels import Kernel, MakeBuffer, new
 from canhaptic.units import Parameters
 
 
@@ -15,41 +28,48 @@ class DirectParameters(DamperVelocity):
     """Nothing to choose but the velocity of the damper."""
 
 
-class Direct:
-    """torque = -effort(x) - d v with x and v straight from the position."""
+@dataclass(slots=True)
+class State:
+    """What is remembered between two SYNCs."""
+
+    axis: Axis = field(default_factory=Axis)
+    model: SampledModel = field(default_factory=SampledModel)
+
+
+def settings_of(environment: Environment, parameters: DirectParameters, loop: LoopProperties) -> HoldSettings:
+    """Returns what is fixed for a run."""
+    return hold_settings(parameters, loop, Certificate.NONE)
+
+
+def memory_of(settings: HoldSettings, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis."""
+    return axis_memory(settings.delay, settings.longest_window, make_buffer)
+
+
+def step(
+    environment: Environment,
+    settings: HoldSettings,
+    state: State,
+    memory: AxisMemory,
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Torque = -effort(x) - d v with x and v straight from the position; see `Controller.step`."""
+    axis, model = state.axis, state.model
+    if not axis.started:
+        begin(axis, memory, position)
+        begin_model(environment, model, position)
+        return AT_REST
+    hold = open_hold(settings, axis, memory, position, torque_applied)
+    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
+    gen, leak = settle(environment, model, 1.0, hold.h_i, h_r)
+    account = new(Account, (branch, h_r, gen, 0.0, leak))
+    rendered = environment.damping if contact else 0.0
+    return close_hold(settings, axis, memory, hold, account, (spring, damper, 0.0), rendered, model.state, model.h_s)
+
+
+class Direct(SteppedController):
+    """torque = -effort(x) - d v."""
 
     parameters_type: ClassVar[type[Parameters]] = DirectParameters
-
-    def __init__(self, environment: Environment, parameters: DirectParameters, loop: LoopProperties) -> None:
-        self._model = SampledModel(environment)
-        self._damping = environment.damping
-        self._books = HoldAccount(
-            delay=loop.delay,
-            sample_time=loop.sample_time,
-            largest=loop.torque_limit,
-            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
-            certificate=Certificate.NONE.value,
-        )
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets everything: no torque in flight, no last position."""
-        self._model.reset()
-        self._books.reset()
-
-    def hold(self) -> EnergyBalance:
-        """Repeats the last command for want of a position; see `Controller.hold`."""
-        return self._books.repeat()
-
-    def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Accounts for the hold that ended; see `Controller.step`."""
-        hold = self._books.open(position, torque_applied)
-        model = self._model
-        if hold is None:
-            model.begin(position)
-            return AT_REST
-        branch, h_r, contact, spring, damper = model.advance(position, hold)
-        gen, leak = model.settle(1.0, hold.h_i, h_r)
-        account = branch, h_r, gen, 0.0, leak
-        rendered = self._damping if contact else 0.0
-        return self._books.send(hold, account, (spring, damper, 0.0), rendered, model.state, model.h_s)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)

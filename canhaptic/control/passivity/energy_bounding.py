@@ -6,16 +6,29 @@ already under way may cost up to f^2 T / 4b first, so with delay its square is t
 certificate; what it renders is limited to a stiffness of about 2 b / T.
 """
 
-import math
+from dataclasses import dataclass, field
+from math import sqrt
 from typing import ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, CompensatedSum, EnergyBalance
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, RunningSum, add
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import HoldAccount
-from canhaptic.control.passivity.sampled_model import SampledModel
+from canhaptic.control.passivity.hold_account import (
+    Account,
+    Axis,
+    AxisMemory,
+    HoldSettings,
+    axis_memory,
+    begin,
+    close_hold,
+    hold_settings,
+    open_hold,
+)
+from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer, Kernel, MakeBuffer, new
 from canhaptic.units import Parameters
 
 
@@ -23,61 +36,88 @@ class EnergyBoundingParameters(DamperVelocity):
     """Nothing to choose but the velocity of the damper: the device damping is a property of the loop."""
 
 
-class EnergyBounding:
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is fixed for a run."""
+
+    device_damping: float  # certain [N*s/m or N*m*s/rad]
+    hold: HoldSettings
+
+
+@dataclass(slots=True)
+class State:
+    """What is remembered between two SYNCs."""
+
+    axis: Axis = field(default_factory=Axis)
+    model: SampledModel = field(default_factory=SampledModel)
+    energy: RunningSum = field(default_factory=RunningSum)  # E_n [J]
+
+
+def settings_of(environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties) -> Settings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: No certain damping is known.
+    """
+    if not loop.device_damping:
+        raise ParameterError(
+            f"energy_bounding: got device_damping {loop.device_damping!r}, expected > 0; it renders nothing "
+            "without certain damping: measure it and give passivity.device_damping, or choose another algorithm"
+        )
+    return Settings(loop.device_damping, hold_settings(parameters, loop, Certificate.DEVICE_DAMPING))
+
+
+def memory_of(settings: Settings, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis."""
+    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
+
+
+def step(
+    environment: Environment,
+    settings: Settings,
+    state: State,
+    memory: AxisMemory,
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Accounts for the hold that ended; see `Controller.step`."""
+    axis, model = state.axis, state.model
+    if not axis.started:
+        begin(axis, memory, position)
+        begin_model(environment, model, position)
+        return AT_REST
+    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
+    certain = settings.device_damping * (hold.displacement * hold.displacement) / hold.elapsed
+    energy = add(state.energy, hold.h_i + certain)
+    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
+    share = bounded_share(settings, memory.commands.torques, axis.oldest, energy, abs(spring + damper))
+    gen, leak = settle(environment, model, share, hold.h_i, h_r)
+    efforts = spring * share, damper * share, 0.0
+    account = new(Account, (branch, h_r, gen, 0.0, leak))
+    rendered = environment.damping * share if contact else 0.0
+    return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+
+
+def bounded_share(settings: Settings, torques: Buffer, oldest: int, energy: float, wanted: float) -> float:
+    """Returns the part of a wanted torque that is within the bound, 0..1.
+
+    Args:
+        settings: Of the run.
+        torques: In flight, a ring [N or N*m].
+        oldest: Place of the one whose hold ended; the others act before the wanted one.
+        energy: E_n [J].
+        wanted: Size of the torque [N or N*m].
+    """
+    square = 4.0 * settings.device_damping / settings.hold.sample_time * energy
+    for place in range(oldest + 1 - len(torques), oldest):
+        square -= torques[place] * torques[place]
+    if wanted * wanted <= square:
+        return 1.0
+    return sqrt(square) / wanted if square > 0.0 else 0.0
+
+
+class EnergyBounding(SteppedController):
     """The sampled environment, its torque bounded by certain device damping."""
 
     parameters_type: ClassVar[type[Parameters]] = EnergyBoundingParameters
-
-    def __init__(self, environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties) -> None:
-        if not loop.device_damping:
-            raise ParameterError(
-                f"energy_bounding: got device_damping {loop.device_damping!r}, expected > 0; it renders nothing "
-                "without certain damping: measure it and give passivity.device_damping, or choose another algorithm"
-            )
-        self._damping = environment.damping
-        self._device_damping = loop.device_damping
-        self._sample_time = loop.sample_time
-        self._model = SampledModel(environment)
-        self._books = HoldAccount(
-            delay=loop.delay,
-            sample_time=loop.sample_time,
-            largest=loop.torque_limit,
-            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
-            certificate=Certificate.DEVICE_DAMPING.value,
-        )
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets everything: no energy, no torque in flight, no last position."""
-        self._model.reset()
-        self._books.reset()
-        self._energy = CompensatedSum()
-
-    def hold(self) -> EnergyBalance:
-        """Repeats the last command for want of a position; see `Controller.hold`."""
-        return self._books.repeat()
-
-    def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Accounts for the hold that ended; see `Controller.step`."""
-        hold = self._books.open(position, torque_applied)
-        model = self._model
-        if hold is None:
-            model.begin(position)
-            self._energy = CompensatedSum()
-            return AT_REST
-        energy = self._energy.add(hold.h_i + self._device_damping * hold.displacement**2 / hold.elapsed)
-        branch, h_r, contact, spring, damper = model.advance(position, hold)
-        share = self._share(energy, abs(spring + damper))
-        gen, leak = model.settle(share, hold.h_i, h_r)
-        efforts = spring * share, damper * share, 0.0
-        rendered = self._damping * share if contact else 0.0
-        return self._books.send(hold, (branch, h_r, gen, 0.0, leak), efforts, rendered, model.state, model.h_s)
-
-    def _share(self, energy: float, wanted: float) -> float:
-        """Returns the part of a wanted torque [N or N*m] that is within the bound, 0..1."""
-        square = 4.0 * self._device_damping / self._sample_time * energy
-        for torque in self._books.torques_in_flight:
-            square -= torque * torque
-        if wanted * wanted <= square:
-            return 1.0
-        return math.sqrt(square) / wanted if square > 0.0 else 0.0
+    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)

@@ -19,30 +19,40 @@ along the torque, and is not the same as "never active". Where stiffness or damp
 gets softer, and the balance says so: `certificate` is not EXACT, `damping_rendered` is below the one asked.
 """
 
-import math
-from collections import deque
-from typing import Annotated, ClassVar, Final
+from dataclasses import dataclass, field
+from math import copysign, inf, sqrt
+from typing import Annotated, ClassVar, Final, NamedTuple
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance, interaction_energy
-from canhaptic.control.certificates.scalar_bounds import displacement_response
-from canhaptic.control.certificates.torque_bound import Declared, TorqueBound
+from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response
+from canhaptic.control.certificates.torque_bound import (
+    BoundMemory,
+    Declared,
+    TorqueBound,
+    bound_memory,
+    end_gap,
+    end_hold,
+    free_energy,
+    keep,
+    largest_torques,
+)
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.in_flight import CommandsInFlight
+from canhaptic.control.passivity.hold_account import Axis, AxisMemory, axis_memory, begin
+from canhaptic.control.passivity.in_flight import as_far_as_limit, efforts_inside, repeat, send
 from canhaptic.control.passivity.settlement import settle
+from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
-from canhaptic.control.velocity import AdaptiveWindow
-from canhaptic.errors import ControlError, ParameterError
+from canhaptic.control.velocity import restart, update
+from canhaptic.errors import ParameterError
+from canhaptic.kernels import Kernel, MakeBuffer, new
 from canhaptic.units import Parameters, quantity
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
 _STICKY, _DEPLETED = Branch.STICKY.value, Branch.DEPLETED.value
-_EXIT, _HELD = Branch.EXIT.value, Branch.HELD.value
+_EXIT = Branch.EXIT.value
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
-
-_tuple = tuple.__new__
-"""Makes a balance at half the cost of calling its class."""
 
 _CALM: Final = 0.7
 """Stiffness of the energy-permitted spring over the one whose lead alone uses up the damping cap.
@@ -77,260 +87,349 @@ class GuardedParameters(Parameters):
     """Consecutive cycles without a new torque at the drive that the certificates survive; each costs stiffness."""
 
 
-class Guarded:
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is fixed for a run."""
+
+    sample_time: float  # [s]
+    credit: float  # [J]
+    alpha: float  # [s/m^2 or s/rad^2]
+    torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
+    quantum: float  # of the torque command; 0: ideal [N or N*m]
+    lead: float  # prediction [holds]
+    cap: float  # of the damping [N*s/m or N*m*s/rad]
+    damping: float  # rendered where nothing is short [N*s/m or N*m*s/rad]
+    lead_room: float  # damping that the lead may take beyond the cap [N*s/m or N*m*s/rad]
+    calm_stiffness: float  # of the energy-permitted spring, by the rate; 0 without a hand force [N/m or N*m/rad]
+    damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
+    path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
+    longest_window: int  # of the velocity, in samples; 0 with an ideal encoder
+    declared: Declared
+
+
+@dataclass(slots=True)
+class State:
+    """What is remembered between two SYNCs."""
+
+    zone: int = 0  # of contact
+    true: float = 0.0  # displacement of the storage in the continuous environment [m or rad]
+    h_s: float = 0.0  # [J]
+    kept_back: float = 0.0  # dissipated or leaked, and not paid [J]
+    axis: Axis = field(default_factory=Axis)
+    bound: TorqueBound = field(default_factory=TorqueBound)
+
+
+class Memory(NamedTuple):
+    """Buffers of one axis."""
+
+    axis: AxisMemory
+    bound: BoundMemory
+
+
+def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> Settings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: Nothing is known that a torque could be certified by.
+    """
+    sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
+    response, speed = NO_RESPONSE, parameters.hand_speed or 0.0
+    by_hand_force = parameters.hand_force is not None and mass is not None
+    if parameters.hand_force is not None and mass is not None:
+        response = displacement_response(
+            sample_time, mass, parameters.hand_force, damping, loop.device_damping_bound or 0.0
+        )
+    elif not damping and not speed:
+        raise ParameterError(
+            "guarded: got neither moving_mass with hand_force, nor device_damping, nor hand_speed, expected one of "
+            "them; without any no torque can be certified: declare what is known or choose another algorithm"
+        )
+    cap = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time))
+    return Settings(
+        sample_time=sample_time,
+        credit=parameters.credit,
+        alpha=parameters.alpha,
+        torque_limit=inf if loop.torque_limit is None else loop.torque_limit,
+        quantum=loop.torque_quantum,
+        lead=parameters.lead + loop.delay,
+        cap=cap,
+        damping=min(environment.damping, cap),
+        lead_room=(_LEAD_ROOM - 1.0) * cap,
+        calm_stiffness=_CALM * cap / (sample_time * (0.5 + loop.delay)) if by_hand_force else 0.0,
+        damped_stiffness=2.0 * damping / (sample_time * (1 + loop.delay)),
+        path=speed * sample_time * (1 + loop.delay),
+        longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
+        declared=Declared(
+            sample_time, loop.delay, parameters.lost_frames, by_hand_force, response, damping, speed, loop.encoder_count
+        ),
+    )
+
+
+def memory_of(settings: Settings, make_buffer: MakeBuffer) -> Memory:
+    """Returns the buffers of one axis."""
+    axis = axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
+    return Memory(axis, bound_memory(settings.declared, axis.commands.torques, make_buffer))
+
+
+def step(
+    environment: Environment, settings: Settings, state: State, memory: Memory, position: float, torque_applied: float
+) -> EnergyBalance:
+    """Accounts for the hold that ended; see `Controller.step`."""
+    zone, zone_before, axis = environment.contact(position), state.zone, state.axis
+    state.zone = zone
+    if not axis.started:
+        begin(axis, memory.axis, position)
+        return AT_REST
+    holds = axis.missed + 1
+    displacement, damper, modulated, unsure = end(settings, state, memory, position, torque_applied)
+    same = zone == zone_before
+    last = state.true if same else 0.0
+    true = environment.true_state(position, displacement, last) if zone else 0.0
+    ceiling = environment.stored_energy(true) if zone else 0.0
+    h_i = interaction_energy(torque_applied, displacement) - unsure
+    h_pas = modulated * displacement
+    h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
+    torque = damper = modulated = rendered = 0.0
+    certificate = _UNBOUNDED
+    if zone:
+        if environment.relaxes:
+            true, ceiling, lost = relax(environment, settings, state, true, ceiling)
+            h_r += lost
+        spring = environment.effort(true)
+        travel, inside = true - last, displacement
+        if holds > 1 or settings.longest_window or not same:
+            travel, inside = motion_of(environment, settings, axis, displacement, holds, true, last, same)
+        torque, damper, modulated, rendered, certificate = render(
+            environment, settings, state, memory, true, travel, inside, spring, ceiling
+        )
+        branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
+    else:
+        if state.bound.dissipated > 0.0:
+            fade(state)
+        branch = _EXIT if zone_before or h_i != 0.0 or leak != 0.0 else _FREE
+    axis.oldest = send(memory.axis.commands, axis.oldest, torque, damper, modulated)
+    state.true, h_s = true, state.h_s
+    stored = true if h_s == ceiling else environment.state_of_energy(h_s, true)
+    return new(EnergyBalance, (
+        torque, h_i, h_pas, h_i - h_pas, h_r, h_s, axis.h_dis, 0.0, deficit, leak, paid,
+        _DEPLETED if deficit > 0.0 else branch, rendered, certificate, stored,
+    ))  # fmt: skip
+
+
+def end(
+    settings: Settings, state: State, memory: Memory, position: float, torque_applied: float
+) -> tuple[float, float, float, float]:
+    """Ends a hold; returns (displacement, damper effort, modulated effort, energy unsure)."""
+    declared, bound, axis, commands = settings.declared, state.bound, state.axis, memory.axis.commands
+    displacement, count, oldest = position - axis.position, declared.encoder_count, axis.oldest
+    axis.position = position
+    if axis.missed:
+        return displacement, 0.0, 0.0, end_several(settings, state, memory, displacement, torque_applied)
+    bound.first = oldest - declared.delay
+    end_hold(declared, bound, memory.bound, displacement, torque_applied)
+    if count > 0.0:
+        update(axis.window, memory.axis.samples, count, settings.sample_time, position)
+    if commands.torques[oldest] == torque_applied:
+        return displacement, commands.dampers[oldest], commands.modulated[oldest], 0.0
+    damper, modulated = efforts_inside(commands, oldest, torque_applied)
+    return displacement, damper, modulated, 0.0
+
+
+def end_several(settings: Settings, state: State, memory: Memory, displacement: float, torque_applied: float) -> float:
+    """Ends several holds whose samples were lost but for the last; returns the energy unsure [J]."""
+    axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
+    largest, apart = abs(torque_applied), 0.0
+    for _ in range(axis.missed):
+        sent = as_far_as_limit(commands.torques[axis.oldest], settings.torque_limit)
+        largest, apart = max(largest, abs(sent)), max(apart, abs(sent - torque_applied))
+        axis.oldest = repeat(commands, axis.oldest)
+    axis.missed = 0
+    state.bound.first = axis.oldest - settings.declared.delay
+    if settings.longest_window:
+        restart(axis.window, memory.axis.samples, axis.position)
+        axis.window.velocity = displacement / (holds * settings.sample_time)
+    return end_gap(settings.declared, state.bound, displacement, torque_applied, holds, largest, apart)
+
+
+def book(
+    settings: Settings, state: State, memory: Memory, h_i: float, h_pas: float, damped: float, ceiling: float
+) -> tuple[float, float, float, float]:
+    """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
+
+    Args:
+        settings: Of the run.
+        state: Changed.
+        memory: Of the axis.
+        h_i: Interaction energy of the hold [J].
+        h_pas: Part of it taken by the modulated damper [J].
+        damped: Damper effort inside the applied torque times the displacement [J].
+        ceiling: What the environment stores at its true state [J]; more is not kept.
+    """
+    axis = state.axis
+    h_s, surplus = state.h_s + h_i - h_pas, axis.h_dis - h_pas
+    slack = 0.0
+    if damped > 0.0 or h_s > ceiling:
+        slack = free_energy(settings.declared, state.bound, memory.bound, h_s - surplus + settings.credit)
+        if slack > h_s:
+            slack = h_s
+    elif h_s >= 0.0:  # nothing is dissipated, leaked or lacking: nothing is to be settled
+        state.h_s, axis.h_dis = h_s, surplus
+        return 0.0, 0.0, 0.0, 0.0
+    state.h_s, axis.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, damped, ceiling, slack)
+    state.kept_back += h_r + leak - paid
+    return h_r, deficit, leak, paid
+
+
+def relax(
+    environment: Environment, settings: Settings, state: State, true: float, ceiling: float
+) -> tuple[float, float, float]:
+    """Returns (state, energy there, energy dissipated) after one hold of internal relaxation [m or rad, J, J]."""
+    relaxed = environment.relaxed(true, settings.sample_time)
+    left = environment.stored_energy(relaxed)
+    lost = min(state.h_s, max(0.0, ceiling - left))
+    state.h_s -= lost
+    state.kept_back += lost
+    return relaxed, left, lost
+
+
+def motion_of(
+    environment: Environment,
+    settings: Settings,
+    axis: Axis,
+    displacement: float,
+    holds: int,
+    true: float,
+    last: float,
+    same: bool,
+) -> tuple[float, float]:
+    """Returns the motion per hold of the state and of the damper inside the contact [m or rad]."""
+    smooth = settings.longest_window > 0 and not environment.relaxes
+    if same:
+        if not smooth:
+            return (true - last) / holds, displacement / holds
+        motion = axis.window.velocity * settings.sample_time
+        return motion, motion
+    inside = (true - environment.admissible(true - displacement, true)) / holds
+    return axis.window.velocity * settings.sample_time if smooth else displacement / holds, inside
+
+
+def fade(state: State) -> None:
+    """Lets past dissipation of the device fade, out of contact."""
+    bound, energy = state.bound, state.h_s - state.axis.h_dis
+    keep(bound, energy, _FADE * max(0.0, energy + bound.dissipated))
+
+
+def certain_energy(state: State, energy: float) -> float:
+    """Returns what of an energy the next torques may take out with an encoder of finite counts [J].
+
+    What was dissipated or leaked is not available again, but it covers what the encoder leaves unsure: (4) holds
+    for the energy as booked, (3) for the true one.
+    """
+    lacking = state.bound.unsure - state.kept_back
+    return energy - lacking if lacking > 0.0 else energy
+
+
+def render(
+    environment: Environment,
+    settings: Settings,
+    state: State,
+    memory: Memory,
+    true: float,
+    travel: float,
+    inside: float,
+    spring: float,
+    ceiling: float,
+) -> tuple[float, float, float, float, int]:
+    """Returns (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate)."""
+    velocity, bound = inside / settings.sample_time, state.bound
+    energy = state.h_s - state.axis.h_dis + settings.credit
+    if settings.longest_window:
+        energy = certain_energy(state, energy)
+    lead = environment.effort(environment.admissible(true + settings.lead * travel, true)) - spring
+    spring, lead, damper, covered = efforts(settings, bound, spring, lead, velocity, energy, ceiling)
+    rendered = damper / velocity if velocity != 0.0 else settings.damping
+    modulated = 0.0
+    if settings.alpha > 0.0 and state.axis.h_dis > 0.0 and velocity != 0.0:
+        extra = modulated_damping(
+            settings.alpha, state.axis.h_dis, rendered, settings.cap, inside, settings.sample_time
+        )
+        modulated = extra * velocity
+        rendered += extra
+    torque = -(spring + lead + damper + modulated)
+    size = abs(torque)
+    if size == 0.0:
+        return torque, damper, modulated, rendered, _UNBOUNDED
+    sign = 1.0 if torque > 0.0 else -1.0
+    force, damping, speed = largest_torques(settings.declared, bound, memory.bound, sign, energy)
+    largest = force if force > damping else damping
+    if speed > largest:
+        largest = speed
+    if size > largest:
+        share = largest / size
+        torque, damper, modulated, rendered = torque * share, damper * share, modulated * share, rendered * share
+        size, covered = largest, False
+    certificate = (
+        _UNBOUNDED if covered else _BY_DAMPING if damping >= size else _BY_FORCE if force >= size else _BY_SPEED
+    )
+    if settings.quantum > 0.0:
+        torque = int(torque / settings.quantum) * settings.quantum  # towards 0
+    return torque, damper, modulated, rendered, certificate
+
+
+def efforts(
+    settings: Settings,
+    bound: TorqueBound,
+    spring: float,
+    lead: float,
+    velocity: float,
+    energy: float,
+    ceiling: float,
+) -> tuple[float, float, float, bool]:
+    """Returns efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
+    damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
+    room = settings.cap * speed
+    permitted = 2.0 * settings.calm_stiffness * energy
+    if settings.damped_stiffness > 0.0:
+        whole = spring + lead + damper
+        keep(bound, energy, ceiling + 0.5 * (whole * whole) / settings.damped_stiffness)
+        with_device = 2.0 * settings.damped_stiffness * (energy + bound.dissipated)
+        if with_device > permitted:
+            permitted = with_device
+    if settings.path > 0.0 and energy > 0.0:
+        permitted = max(permitted, (energy / settings.path) * (energy / settings.path))
+    covered = permitted >= size * size
+    if not covered:
+        held = sqrt(permitted) if permitted > 0.0 else 0.0
+        if velocity * spring > 0.0:
+            catch_up = min(size - held, room)
+            held += catch_up
+            room -= catch_up
+        held = copysign(held, spring)
+        # moving out, the lead may stick as much as the damper does, and a pure spring never
+        if lead * spring < 0.0 and abs(lead) > abs(held) + abs(damper):
+            lead = copysign(abs(held) + abs(damper), lead)
+        spring = held
+    if abs(damper) > room:
+        damper, covered = copysign(room, damper), False
+    room += settings.lead_room * speed - abs(damper)
+    if abs(lead) > room:
+        lead = copysign(room, lead)
+    return spring, lead, damper, covered
+
+
+class Guarded(SteppedController):
     """An environment rendered as far as the certificates allow."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedParameters
+    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)
 
     def __init__(self, environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> None:
-        sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or None
+        super().__init__(environment, parameters, loop)
         self.lost_frames = parameters.lost_frames
-        response = None
-        if parameters.hand_force is not None and mass is not None:
-            most = loop.device_damping_bound or 0.0
-            response = displacement_response(sample_time, mass, parameters.hand_force, damping or 0.0, most)
-        elif damping is None and parameters.hand_speed is None:
-            raise ParameterError(
-                "guarded: got neither moving_mass with hand_force, nor device_damping, nor hand_speed, expected one of "
-                "them; without any no torque can be certified: declare what is known or choose another algorithm"
-            )
-        self._environment, self._relaxes = environment, environment.relaxes
-        self._sample_time, self._delay = sample_time, loop.delay
-        self._credit, self._alpha, self._quantum = parameters.credit, parameters.alpha, loop.torque_quantum
-        self._lead = parameters.lead + loop.delay
-        self._cap = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time))
-        self._damping = min(environment.damping, self._cap)
-        self._lead_room = (_LEAD_ROOM - 1.0) * self._cap
-        self._calm_stiffness = _CALM * self._cap / (sample_time * (0.5 + loop.delay)) if response else 0.0
-        self._damped_stiffness = 2.0 * damping / (sample_time * (1 + loop.delay)) if damping else 0.0
-        self._path = (parameters.hand_speed or 0.0) * sample_time * (1 + loop.delay)
-        self._bound = TorqueBound(
-            Declared(sample_time, response, damping, parameters.hand_speed, loop.encoder_count, parameters.lost_frames),
-            loop.delay,
-        )
-        self._window = None
-        if loop.encoder_count:
-            self._window = AdaptiveWindow(sample_time, loop.encoder_count, max(2, round(_LONGEST_WINDOW / sample_time)))
-        self._in_flight = CommandsInFlight(loop.delay, loop.torque_limit)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets everything: zero stored energy, no torque in flight, no last position."""
-        self._bound.reset()
-        self._in_flight.reset()
-        self._under_way = deque((0.0,) * self._delay, maxlen=self._delay)
-        self._skipped: tuple[float, ...] = ()
-        self._zone = 0
-        self._state = self._stored = self._h_s = self._h_dis = self._kept_back = 0.0
 
     def hold(self) -> EnergyBalance:
         """Repeats the last command for want of a position; see `Controller.hold`.
 
         The next `step` books the displacement over all holds with the torque read back, less what that leaves open.
         """
-        in_flight = self._in_flight
-        self._skipped += (in_flight.lose_hold(),)
-        torque = in_flight.torques[-1]
-        self._under_way.append(torque)
-        return AT_REST._replace(torque=torque, h_s=self._h_s, h_dis=self._h_dis, branch=_HELD, state=self._stored)
-
-    def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Books the hold that ended; see `Controller.step`."""
-        hold = self._ended_hold(position, torque_applied)
-        environment = self._environment
-        zone, before = environment.contact(position), self._zone
-        self._zone = zone
-        if hold is None:
-            return AT_REST
-        displacement, damper, modulated, holds, unsure = hold
-        same = zone == before
-        last = self._state if same else 0.0
-        state = environment.true_state(position, displacement, last) if zone else 0.0
-        ceiling = environment.stored_energy(state) if zone else 0.0
-        h_i = interaction_energy(torque_applied, displacement) - unsure
-        h_pas = modulated * displacement
-        h_r, deficit, leak, paid = self._book(h_i, h_pas, damper * displacement, ceiling)
-        torque = rendered = 0.0
-        certificate = _UNBOUNDED
-        if zone:
-            if self._relaxes:
-                state, ceiling, lost = self._relax(state, ceiling)
-                h_r += lost
-            spring = environment.effort(state)
-            travel, inside = self._motion(state, last, displacement, holds, same)
-            torque, rendered, certificate = self._render(state, travel, inside, spring, ceiling)
-            branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
-        else:
-            self._in_flight.send(0.0, 0.0, 0.0)
-            if self._bound.dissipated:
-                self._fade()
-            branch = _EXIT if before or h_i or leak else _FREE
-        if deficit > 0.0:
-            branch = _DEPLETED
-        self._under_way.append(torque)
-        self._state = state
-        h_s = self._h_s
-        self._stored = stored = state if h_s == ceiling else environment.state_of_energy(h_s, state)
-        return _tuple(EnergyBalance, (
-            torque, h_i, h_pas, h_i - h_pas, h_r, h_s, self._h_dis, 0.0, deficit, leak, paid, branch, rendered,
-            certificate, stored,
-        ))  # fmt: skip
-
-    def _ended_hold(self, position: float, torque_applied: float) -> tuple[float, float, float, int, float] | None:
-        """Returns (displacement, damper effort, modulated effort, holds, energy unsure), None at the first sample."""
-        try:
-            hold = self._in_flight.ended_hold(position, torque_applied)
-        except ControlError:
-            self.reset()
-            raise
-        window = self._window
-        if hold is None:
-            self._skipped = ()
-            if window is not None:
-                window.restart(position)
-            return None
-        displacement, damper, modulated = hold
-        if not self._skipped:
-            self._bound.ended_hold(displacement, torque_applied)
-            if window is not None:
-                window.update(position)
-            return displacement, damper, modulated, 1, 0.0
-        holds = 1 + len(self._skipped)
-        unsure = self._bound.ended_gap(displacement, (*self._skipped, torque_applied))
-        self._skipped = ()
-        if window is not None:
-            window.restart(position)
-            window.velocity = displacement / (holds * self._sample_time)
-        return displacement, 0.0, 0.0, holds, unsure
-
-    def _relax(self, state: float, ceiling: float) -> tuple[float, float, float]:
-        """Returns (state, energy there, energy dissipated) after one hold of internal relaxation."""
-        relaxed = self._environment.relaxed(state, self._sample_time)
-        left = self._environment.stored_energy(relaxed)
-        lost = min(self._h_s, max(0.0, ceiling - left))
-        self._h_s -= lost
-        self._kept_back += lost
-        return relaxed, left, lost
-
-    def _motion(self, state: float, last: float, displacement: float, holds: int, same: bool) -> tuple[float, float]:
-        """Returns the motion per hold of the state and of the damper inside the contact [m or rad]."""
-        window = None if self._relaxes else self._window
-        if same:
-            if window is None:
-                return (state - last) / holds, displacement / holds
-            smooth = window.velocity * self._sample_time
-            return smooth, smooth
-        inside = (state - self._environment.admissible(state - displacement, state)) / holds
-        return displacement / holds if window is None else window.velocity * self._sample_time, inside
-
-    def _fade(self) -> None:
-        bound, energy = self._bound, self._h_s - self._h_dis
-        bound.keep(energy, _FADE * max(0.0, energy + bound.dissipated))
-
-    def _book(self, h_i: float, h_pas: float, damped: float, ceiling: float) -> tuple[float, float, float, float]:
-        """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
-
-        Args:
-            h_i: Interaction energy of the hold [J].
-            h_pas: Part of it taken by the modulated damper [J].
-            damped: Damper effort inside the applied torque times the displacement [J].
-            ceiling: What the environment stores at its true state [J]; more is not kept.
-        """
-        h_s, surplus = self._h_s + h_i - h_pas, self._h_dis - h_pas
-        slack = 0.0
-        if damped > 0.0 or h_s > ceiling:
-            slack = self._bound.free(h_s - surplus + self._credit, self._under_way)
-            if slack > h_s:
-                slack = h_s
-        elif h_s >= 0.0:  # nothing is dissipated, leaked or lacking: nothing is to be settled
-            self._h_s, self._h_dis = h_s, surplus
-            return 0.0, 0.0, 0.0, 0.0
-        self._h_s, self._h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, damped, ceiling, slack)
-        self._kept_back += h_r + leak - paid
-        return h_r, deficit, leak, paid
-
-    def _certain(self) -> float:
-        """Returns the energy [J] that the next torques may take out.
-
-        What was dissipated or leaked is not available again, but it covers what the encoder leaves unsure: (4) holds
-        for the energy as booked, (3) for the true one.
-        """
-        energy = self._h_s - self._h_dis + self._credit
-        if self._window is not None:
-            lacking = self._bound.unsure - self._kept_back
-            if lacking > 0.0:
-                energy -= lacking
-        return energy
-
-    def _render(
-        self, state: float, travel: float, displacement: float, spring: float, ceiling: float
-    ) -> tuple[float, float, int]:
-        """Sends the torque for the next free hold; returns (torque, damping rendered, certificate)."""
-        velocity = displacement / self._sample_time
-        energy, environment, bound = self._certain(), self._environment, self._bound
-        ahead = environment.admissible(state + self._lead * travel, state)
-        lead = environment.effort(ahead) - spring
-        spring, lead, damper, covered = self._efforts(spring, lead, velocity, energy, ceiling)
-        rendered = damper / velocity if velocity else self._damping
-        modulated = 0.0
-        if self._alpha and self._h_dis > 0.0 and velocity:
-            extra = modulated_damping(self._alpha, self._h_dis, rendered, self._cap, displacement, self._sample_time)
-            modulated = extra * velocity
-            rendered += extra
-        torque = -(spring + lead + damper + modulated)
-        size = abs(torque)
-        certificate = _UNBOUNDED
-        if size:
-            by_force, by_damping, by_speed = bound.largest(1.0 if torque > 0.0 else -1.0, energy, self._under_way)
-            largest = by_force if by_force > by_damping else by_damping
-            if by_speed > largest:
-                largest = by_speed
-            if size > largest:
-                share = largest / size
-                torque, damper, modulated, rendered = (
-                    torque * share,
-                    damper * share,
-                    modulated * share,
-                    rendered * share,
-                )
-                size, covered = largest, False
-            if not covered:
-                certificate = _BY_DAMPING if by_damping >= size else _BY_FORCE if by_force >= size else _BY_SPEED
-            if self._quantum:
-                torque = int(torque / self._quantum) * self._quantum  # towards 0
-        self._in_flight.send(torque, damper, modulated)
-        return torque, rendered, certificate
-
-    def _efforts(
-        self, spring: float, lead: float, velocity: float, energy: float, ceiling: float
-    ) -> tuple[float, float, float, bool]:
-        """Returns efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
-        damper = self._damping * velocity
-        bound, size, speed = self._bound, abs(spring), abs(velocity)
-        room = self._cap * speed
-        permitted = 2.0 * self._calm_stiffness * energy
-        if self._damped_stiffness:
-            bound.keep(energy, ceiling + 0.5 * (spring + lead + damper) ** 2 / self._damped_stiffness)
-            with_device = 2.0 * self._damped_stiffness * (energy + bound.dissipated)
-            if with_device > permitted:
-                permitted = with_device
-        if self._path and energy > 0.0:
-            permitted = max(permitted, (energy / self._path) ** 2)
-        covered = permitted >= size * size
-        if not covered:
-            held = math.sqrt(permitted) if permitted > 0.0 else 0.0
-            if velocity * spring > 0.0:
-                catch_up = min(size - held, room)
-                held += catch_up
-                room -= catch_up
-            held = math.copysign(held, spring)
-            # moving out, the lead may stick as much as the damper does, and a pure spring never
-            if lead * spring < 0.0 and abs(lead) > abs(held) + abs(damper):
-                lead = math.copysign(abs(held) + abs(damper), lead)
-            spring = held
-        if abs(damper) > room:
-            damper, covered = math.copysign(room, damper), False
-        room += self._lead_room * speed - abs(damper)
-        if abs(lead) > room:
-            lead = math.copysign(room, lead)
-        return spring, lead, damper, covered
+        return super().hold()._replace(damping_rendered=0.0, certificate=_UNBOUNDED)

@@ -1,13 +1,46 @@
-"""Opening and closing the books of one hold: what came in, and what the next command is made of."""
+"""Opening and closing the account of one hold: what came in, and what the next command is made of."""
 
+from dataclasses import dataclass, field
+from math import inf
 from typing import NamedTuple
 
-from canhaptic.control.balance import AT_REST, Branch, EnergyBalance, interaction_energy
-from canhaptic.control.passivity.in_flight import CommandsInFlight
-from canhaptic.control.passivity.storage import Account
-from canhaptic.control.velocity import AdaptiveWindow
+from canhaptic.control.balance import Certificate, EnergyBalance, interaction_energy
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.in_flight import Commands, as_far_as_limit, efforts_inside, no_commands, repeat, send
+from canhaptic.control.velocity import DamperVelocity, Window, restart, update
+from canhaptic.kernels import Buffer, MakeBuffer, new
 
-_HELD = Branch.HELD.value
+
+@dataclass(frozen=True, slots=True)
+class HoldSettings:
+    """What the account of a hold needs to know."""
+
+    sample_time: float  # [s]
+    delay: int  # whole holds between computation and action
+    torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
+    tolerance: float  # of the velocity's window [m or rad]; 0: the damper uses the velocity of the last hold
+    longest_window: int  # of the velocity, in samples; 0 without one
+    certificate: int  # what the algorithm promises (`Certificate`)
+
+
+@dataclass(slots=True)
+class Axis:
+    """Surplus, position and commands of one axis between two SYNCs."""
+
+    started: bool = False
+    position: float = 0.0  # [m or rad]
+    moved: float = 0.0  # in the last hold [m or rad]
+    missed: int = 0  # samples lost since
+    oldest: int = 0  # place of the command whose hold ends next
+    h_dis: float = 0.0  # surplus still to be dissipated [J]
+    window: Window = field(default_factory=Window)
+
+
+class AxisMemory(NamedTuple):
+    """Buffers of one axis."""
+
+    samples: Buffer  # of the velocity's window [m or rad]
+    commands: Commands
 
 
 class Hold(NamedTuple):
@@ -18,141 +51,141 @@ class Hold(NamedTuple):
     h_i: float  # [J]
     h_pas: float  # [J]
     elapsed: float  # [s]; more than one sample time where positions were lost
-    velocity: float  # measured: of this hold, or from the estimator [m/s or rad/s]
+    velocity: float  # measured: of this hold, or from the window [m/s or rad/s]
 
 
-class HoldAccount:
-    """The surplus of one axis and its commands in flight.
+class Account(NamedTuple):
+    """What an algorithm did with a hold; energies in [J]."""
 
-    Attributes:
-        h_dis: Surplus still to be dissipated [J].
+    branch: int
+    h_r: float
+    gen: float
+    deficit: float
+    leak: float
+
+
+def hold_settings(parameters: DamperVelocity, loop: LoopProperties, certificate: Certificate) -> HoldSettings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: A windowed velocity without an encoder count.
     """
+    tolerance = parameters.window_tolerance(loop.encoder_count)
+    longest = parameters.longest_window(loop.sample_time) if tolerance else 0
+    limit = inf if loop.torque_limit is None else loop.torque_limit
+    return HoldSettings(loop.sample_time, loop.delay, limit, tolerance, longest, certificate.value)
 
-    __slots__ = (
-        "_certificate",
-        "_estimator",
-        "_in_flight",
-        "_last",
-        "_sample_time",
-        "h_dis",
-    )
 
-    def __init__(
-        self,
-        *,
-        delay: int,
-        sample_time: float,
-        certificate: int,
-        estimator: AdaptiveWindow | None = None,
-        largest: float | None = None,
-    ) -> None:
-        """Opens the books of one axis.
+def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis.
 
-        Args:
-            delay: Whole holds between computation and action.
-            sample_time: [s].
-            certificate: What the algorithm promises (`Certificate`).
-            estimator: Of the velocity that the damper uses; None for that of the last hold.
-            largest: Largest torque that limiter and drive let act [N or N*m]; None: any.
-        """
-        self._in_flight = CommandsInFlight(delay, largest)
-        self._sample_time = sample_time
-        self._certificate = certificate
-        self._estimator = estimator
-        self.reset()
+    Args:
+        delay: Whole holds between computation and action.
+        longest_window: Of the velocity, in samples; 0 without one.
+        make_buffer: List or array.
+    """
+    return AxisMemory(make_buffer(longest_window + 1 if longest_window else 0), no_commands(delay, make_buffer))
 
-    def reset(self) -> None:
-        """No surplus, no torque in flight, no last position."""
-        self._in_flight.reset()
-        self._last = AT_REST
-        self.h_dis = 0.0
 
-    def open(self, position: float, torque_applied: float) -> Hold | None:
-        """Returns the hold that ended, or None at the first position.
+def begin(axis: Axis, memory: AxisMemory, position: float) -> None:
+    """Takes the first position [m or rad]."""
+    axis.started, axis.position, axis.missed, axis.h_dis = True, position, 0, 0.0
+    if len(memory.samples) > 0:
+        restart(axis.window, memory.samples, position)
 
-        Raises:
-            ControlError: The position or torque is not finite.
-        """
-        in_flight, estimator = self._in_flight, self._estimator
-        ended = in_flight.ended_hold(position, torque_applied)
-        if ended is None:
-            self.h_dis = 0.0
-            if estimator is not None:
-                estimator.restart(position)
-            return None
-        displacement, damper, modulated = ended
-        h_i = interaction_energy(torque_applied, displacement)
-        elapsed = self._sample_time
-        if in_flight.holds > 1:
-            elapsed *= in_flight.holds
-            h_i -= in_flight.uncertainty
-        velocity = displacement / elapsed
-        if estimator is not None:
-            if in_flight.holds > 1:
-                estimator.restart(position)
-            else:
-                velocity = estimator.update(position)
-        return Hold(displacement, damper, h_i, modulated * displacement, elapsed, velocity)
 
-    def repeat(self) -> EnergyBalance:
-        """Repeats the last command for want of a position, and books nothing."""
-        self._in_flight.lose_hold()
-        return self._last._replace(
-            branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
-        )
+def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: float, torque_applied: float) -> Hold:
+    """Returns the hold that ended.
 
-    @property
-    def torques_in_flight(self) -> tuple[float, ...]:
-        """Torques computed earlier whose hold has not ended [N or N*m], the next to act first."""
-        return self._in_flight.torques
+    Args:
+        settings: Of the run.
+        axis: Moved to the position.
+        memory: Of the axis.
+        position: At the end of the hold [m or rad].
+        torque_applied: In the hold [N or N*m].
+    """
+    displacement, elapsed = position - axis.position, settings.sample_time
+    h_i = interaction_energy(torque_applied, displacement)
+    missed = axis.missed
+    if missed:
+        elapsed *= missed + 1
+        h_i -= let_samples_pass(axis, memory.commands, displacement, torque_applied, settings.torque_limit)
+    damper, modulated = efforts_inside(memory.commands, axis.oldest, torque_applied)
+    velocity = displacement / elapsed
+    if settings.tolerance > 0.0:
+        if missed:
+            restart(axis.window, memory.samples, position)
+        else:
+            update(axis.window, memory.samples, settings.tolerance, elapsed, position)
+            velocity = axis.window.velocity
+    axis.position, axis.moved = position, displacement
+    return new(Hold, (displacement, damper, h_i, modulated * displacement, elapsed, velocity))
 
-    def send(
-        self,
-        hold: Hold,
-        account: Account,
-        efforts: tuple[float, float, float],
-        rendered: float,
-        state: float,
-        h_s: float,
-    ) -> EnergyBalance:
-        """Sends a command of given efforts (spring, damper, modulated) and returns the balance of the hold.
 
-        Args:
-            hold: As it was opened.
-            account: What the algorithm did with it.
-            efforts: Inside the command [N or N*m].
-            rendered: Total damping inside the command [N*s/m or N*m*s/rad].
-            state: Displacement of the storage [m or rad].
-            h_s: Energy stored there [J].
-        """
-        h_i, h_pas = hold.h_i, hold.h_pas
-        branch, h_r, gen, deficit, leak = account
-        self.h_dis, paid = self.surplus_after(hold, account)
-        spring, damper, modulated = efforts
-        torque = -spring - damper - modulated
-        self._in_flight.send(torque, damper, modulated)
-        self._last = balance = EnergyBalance(
-            torque,
-            h_i,
-            h_pas,
-            h_i - h_pas,
-            h_r,
-            h_s,
-            self.h_dis,
-            gen,
-            deficit,
-            leak,
-            paid,
-            branch,
-            rendered,
-            self._certificate,
-            state,
-        )
-        return balance
+def let_samples_pass(
+    axis: Axis, commands: Commands, displacement: float, torque_applied: float, torque_limit: float
+) -> float:
+    """Lets the samples pass that were lost; returns the largest error of torque applied times displacement [J].
 
-    def surplus_after(self, hold: Hold, account: Account) -> tuple[float, float]:
-        """Returns (surplus, part of the leak that paid for it) after a hold [J]."""
-        _, _, gen, deficit, leak = account
-        surplus = self.h_dis + gen + deficit - hold.h_pas
-        paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0
-        return surplus - paid, paid
+    Inside the holds the axis may have gone out and back, so that the excursion is not the displacement; it is taken as
+    that and the motion before, for every hold lost.
+
+    Args:
+        axis: Of which no sample is missing afterwards.
+        commands: Of the axis.
+        displacement: In all of the holds [m or rad].
+        torque_applied: In the last of them [N or N*m].
+        torque_limit: Largest torque that limiter and drive let act [N or N*m].
+    """
+    differences = 0.0
+    for _ in range(axis.missed):
+        differences += abs(as_far_as_limit(commands.torques[axis.oldest], torque_limit) - torque_applied)
+        axis.oldest = repeat(commands, axis.oldest)
+    excursion = abs(displacement) + axis.missed * abs(axis.moved)
+    axis.missed = 0
+    return differences * excursion
+
+
+def close_hold(
+    settings: HoldSettings,
+    axis: Axis,
+    memory: AxisMemory,
+    hold: Hold,
+    account: Account,
+    efforts: tuple[float, float, float],
+    rendered: float,
+    state: float,
+    h_s: float,
+) -> EnergyBalance:
+    """Sends a command of given efforts (spring, damper, modulated) and returns the balance of the hold.
+
+    Args:
+        settings: Of the run.
+        axis: Its surplus and commands change.
+        memory: Of the axis.
+        hold: As it was opened.
+        account: What the algorithm did with it.
+        efforts: Inside the command [N or N*m].
+        rendered: Total damping inside the command [N*s/m or N*m*s/rad].
+        state: Displacement of the storage [m or rad].
+        h_s: Energy stored there [J].
+    """
+    _, _, h_i, h_pas, _, _ = hold
+    branch, h_r, gen, deficit, leak = account
+    h_dis, paid = surplus_after(axis, hold, account)
+    axis.h_dis = h_dis
+    spring, damper, modulated = efforts
+    torque = -spring - damper - modulated
+    axis.oldest = send(memory.commands, axis.oldest, torque, damper, modulated)
+    return new(EnergyBalance, (
+        torque, h_i, h_pas, h_i - h_pas, h_r, h_s, h_dis, gen, deficit, leak, paid, branch, rendered,
+        settings.certificate, state,
+    ))  # fmt: skip
+
+
+def surplus_after(axis: Axis, hold: Hold, account: Account) -> tuple[float, float]:
+    """Returns (surplus, part of the leak that paid for it) after a hold [J]."""
+    _, _, gen, deficit, leak = account
+    surplus = axis.h_dis + gen + deficit - hold.h_pas
+    paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0
+    return surplus - paid, paid

@@ -19,16 +19,37 @@ Where the printed equations are departed from, and why:
 Kept as printed: every start creates k x^2 / 2, and the state creeps away from the true penetration under tremor.
 """
 
-import math
+from dataclasses import dataclass, field
+from math import copysign, isnan
 from typing import ClassVar, Final
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.root import solve_balance, solve_balance_nonlinear
-from canhaptic.control.passivity.storage import UNTOUCHED, Account
-from canhaptic.control.passivity.stored_model import StoredModel, StoredModelParameters
+from canhaptic.control.passivity.hold_account import Account, Axis, AxisMemory, Hold, begin, open_hold
+from canhaptic.control.passivity.root import Balance, solve_balance, solve_balance_nonlinear
+from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.passivity.storage import (
+    UNTOUCHED,
+    Storage,
+    approximate,
+    begin_storage,
+    entered_by,
+    follow,
+    is_deadlocked,
+    leave,
+    move,
+    pushed_inward,
+    start,
+)
+from canhaptic.control.passivity.stored_model import (
+    StoredModelParameters,
+    StoredModelSettings,
+    close,
+    dissipation,
+    memory_of,
+    stored_model_settings,
+)
+from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters
 
 _ROUNDING: Final = 2.5e-16  # of the stored energy: what a difference of two energies can resolve
@@ -39,90 +60,90 @@ class InternalDissipationParameters(StoredModelParameters):
     """What the paper leaves to choose."""
 
 
-class InternalDissipation:
+@dataclass(slots=True)
+class State:
+    """What is remembered between two SYNCs."""
+
+    axis: Axis = field(default_factory=Axis)
+    storage: Storage = field(default_factory=Storage)
+    blind: int = 0  # holds until the first torque after a start is felt
+
+
+def step(
+    environment: Environment,
+    settings: StoredModelSettings,
+    state: State,
+    memory: AxisMemory,
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Accounts for the hold that ended; see `Controller.step`."""
+    axis, storage = state.axis, state.storage
+    if not axis.started:
+        begin(axis, memory, position)
+        begin_storage(environment, storage, position)
+        state.blind = 0
+        return AT_REST
+    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
+    changed = follow(environment, storage, position, hold.displacement, hold.elapsed)
+    if storage.zone:
+        account = touch(environment, settings, state, hold, changed)
+    elif changed or hold.h_i != 0.0:
+        account = leave(storage, exchange(environment, settings, storage, hold))
+    else:
+        account = UNTOUCHED
+    return close(environment, settings, axis, memory, storage, hold, account)
+
+
+def touch(environment: Environment, settings: StoredModelSettings, state: State, hold: Hold, entered: bool) -> Account:
+    """Accounts for a hold that ended in contact.
+
+    After a start the user does not feel a torque before `delay` more holds have ended. Until then nothing can be
+    exchanged, and the first-order approximation goes on.
+    """
+    storage, displacement = state.storage, hold.displacement
+    fresh = entered or is_deadlocked(storage)
+    if fresh or state.blind:
+        if entered or pushed_inward(environment, storage, displacement):
+            state.blind = settings.hold.delay if fresh else state.blind - 1
+            change = entered_by(environment, storage, displacement)
+            return start(environment, storage, change, hold.elapsed, hold.h_i - hold.h_pas)
+        state.blind = 0
+    return exchange(environment, settings, storage, hold)
+
+
+def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> Account:
+    """Solves eq. 8 for the state change and takes it; eq. 18 where there is no solution."""
+    damper, h_m = hold.damper, hold.h_i - hold.h_pas
+    change = solve(environment, settings, storage, hold.displacement, damper, h_m)
+    if damper * change < 0.0:
+        damper = 0.0
+        change = solve(environment, settings, storage, hold.displacement, 0.0, h_m)
+    if isnan(change):
+        return approximate(environment, storage, hold.elapsed, dissipation(settings, hold), h_m)
+    furthest = 2.0 * abs(hold.displacement)
+    limited = h_m > 0.0 and (abs(change) > furthest or not settings.is_linear)
+    if limited and abs(change) > furthest:
+        change = copysign(furthest, change)
+    branch = _STICKY if h_m > 0.0 and change * storage.state < 0.0 else _EXACT
+    h_r, leak = move(environment, storage, change, hold.elapsed, damper * change, h_m, limited)
+    return new(Account, (branch, h_r, 0.0, 0.0, leak))
+
+
+def solve(
+    environment: Environment, settings: StoredModelSettings, storage: Storage, displacement: float, damper: float,
+    h_m: float,
+) -> float:  # fmt: skip
+    """Returns the state change of eq. 8 [m or rad], or NaN (eq. 17)."""
+    if settings.is_linear:
+        stiffness = settings.stiffness
+        return solve_balance(stiffness, stiffness * storage.state + damper, h_m, displacement)
+    old = Balance(storage.state, storage.h_s, damper)
+    return solve_balance_nonlinear(environment, old, h_m, 2.0 * displacement, _ROUNDING * storage.h_s)
+
+
+class InternalDissipation(SteppedController):
     """The paper's algorithm for one axis."""
 
     parameters_type: ClassVar[type[Parameters]] = InternalDissipationParameters
-
-    def __init__(
-        self, environment: Environment, parameters: InternalDissipationParameters, loop: LoopProperties
-    ) -> None:
-        self._environment = environment
-        self._stiffness = environment.linear_stiffness
-        self._delay = loop.delay
-        self._model = StoredModel(environment, parameters, loop)
-        self._storage = self._model.storage
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets everything: nothing stored, no torque in flight, no last position."""
-        self._model.reset()
-        self._blind = 0
-
-    def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Books the hold that ended; see `Controller.step`."""
-        opened = self._model.open(position, torque_applied)
-        if opened is None:
-            self._blind = 0
-            return AT_REST
-        hold, changed = opened
-        storage = self._storage
-        if storage.zone:
-            account = self._touch(hold, changed)
-        elif changed or hold.h_i != 0.0:
-            account = storage.leave(self._exchange(hold))
-        else:
-            account = UNTOUCHED
-        return self._model.close(hold, account)
-
-    def hold(self) -> EnergyBalance:
-        """Repeats the last command for want of a position; see `Controller.hold`."""
-        return self._model.repeat()
-
-    def _touch(self, hold: Hold, entered: bool) -> Account:
-        """Books a hold that ended in contact.
-
-        After a start the user does not feel a torque before `delay` more holds have ended. Until then nothing can be
-        exchanged, and the first-order approximation goes on.
-        """
-        storage = self._storage
-        fresh = entered or storage.deadlocked
-        if fresh or self._blind:
-            if entered or storage.pushed_inward(hold.displacement):
-                self._blind = self._delay if fresh else self._blind - 1
-                return storage.start(storage.entered_by(hold.displacement), hold.h_i - hold.h_pas)
-            self._blind = 0
-        return self._exchange(hold)
-
-    def _exchange(self, hold: Hold) -> Account:
-        """Solves eq. 8 for the state change and takes it; eq. 18 where there is no solution."""
-        storage, damper = self._storage, hold.damper
-        h_m = hold.h_i - hold.h_pas
-        change = self._solve(hold.displacement, damper, h_m)
-        if change is not None and damper * change < 0.0:
-            damper = 0.0
-            change = self._solve(hold.displacement, 0.0, h_m)
-        if change is None:
-            return storage.approximate(self._model.dissipation(hold), h_m)
-        furthest = 2.0 * abs(hold.displacement)
-        limited = h_m > 0.0 and (abs(change) > furthest or self._stiffness is None)
-        if limited and abs(change) > furthest:
-            change = math.copysign(furthest, change)
-        branch = _STICKY if h_m > 0.0 and change * storage.state < 0.0 else _EXACT
-        h_r, leak = storage.move(change, damper * change, h_m, limited)
-        return branch, h_r, 0.0, 0.0, leak
-
-    def _solve(self, displacement: float, damper: float, h_m: float) -> float | None:
-        """Returns the state change of eq. 8 [m or rad], or None (eq. 17)."""
-        state, stiffness = self._storage.state, self._stiffness
-        if stiffness is not None:
-            return solve_balance(stiffness, stiffness * state + damper, h_m, displacement)
-        environment, stored = self._environment, self._storage.h_s
-
-        def gain(change: float) -> float:
-            return environment.stored_energy(state + change) - stored + damper * change
-
-        def slope(change: float) -> float:
-            return environment.effort(state + change) + damper
-
-        return solve_balance_nonlinear(gain, slope, h_m, 2.0 * displacement, _ROUNDING * stored)
+    kernel: ClassVar[Kernel] = Kernel(stored_model_settings, State, memory_of, step)

@@ -21,14 +21,35 @@ takes its velocity from the displacement, never from the penetration; the veloci
 applied in that very hold; holds are booked to the end as in `internal_dissipation`.
 """
 
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.storage import UNTOUCHED, Account
-from canhaptic.control.passivity.stored_model import StoredModel, StoredModelParameters
+from canhaptic.control.passivity.hold_account import Account, Axis, AxisMemory, Hold, axis_memory, begin, open_hold
+from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.passivity.storage import (
+    UNTOUCHED,
+    Storage,
+    approximate,
+    begin_storage,
+    empty,
+    entered_by,
+    follow,
+    is_deadlocked,
+    leave,
+    pushed_inward,
+    start,
+)
+from canhaptic.control.passivity.stored_model import (
+    StoredModelParameters,
+    StoredModelSettings,
+    close,
+    dissipation,
+    stored_model_settings,
+)
+from canhaptic.kernels import Kernel, MakeBuffer
 from canhaptic.units import Parameters
 
 
@@ -39,56 +60,85 @@ class OriginalParameters(StoredModelParameters):
     """Velocity of the start after the store emptied in contact: x / T as printed (eq. 14), or from the displacement."""
 
 
-class Original:
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is fixed for a run."""
+
+    rearms_as_printed: bool
+    model: StoredModelSettings
+
+
+@dataclass(slots=True)
+class State:
+    """What is remembered between two SYNCs."""
+
+    axis: Axis = field(default_factory=Axis)
+    storage: Storage = field(default_factory=Storage)
+    met: bool = False  # whether a contact began since the first position
+
+
+def settings_of(environment: Environment, parameters: OriginalParameters, loop: LoopProperties) -> Settings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: A windowed velocity without an encoder count.
+    """
+    return Settings(parameters.rearm == "printed", stored_model_settings(environment, parameters, loop))
+
+
+def memory_of(settings: Settings, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis."""
+    return axis_memory(settings.model.hold.delay, settings.model.hold.longest_window, make_buffer)
+
+
+def step(
+    environment: Environment,
+    settings: Settings,
+    state: State,
+    memory: AxisMemory,
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Accounts for the hold that ended; see `Controller.step`."""
+    axis, storage = state.axis, state.storage
+    if not axis.started:
+        begin(axis, memory, position)
+        begin_storage(environment, storage, position)
+        return AT_REST
+    hold = open_hold(settings.model.hold, axis, memory, position, torque_applied)
+    changed = follow(environment, storage, position, hold.displacement, hold.elapsed)
+    if storage.zone:
+        account = touch(environment, settings, state, hold, changed)
+    elif changed or hold.h_i != 0.0:
+        account = leave(storage, update(environment, settings, storage, hold))
+    else:
+        account = UNTOUCHED
+    return close(environment, settings.model, axis, memory, storage, hold, account)
+
+
+def touch(environment: Environment, settings: Settings, state: State, hold: Hold, entered: bool) -> Account:
+    """Accounts for a hold that ended in contact."""
+    storage, displacement = state.storage, hold.displacement
+    state.met = state.met or entered
+    if entered or (is_deadlocked(storage) and pushed_inward(environment, storage, displacement)):
+        printed = settings.rearms_as_printed and state.met and not entered
+        state.met = True
+        change = storage.true if printed else entered_by(environment, storage, displacement)
+        return start(environment, storage, change, hold.elapsed, hold.h_i - hold.h_pas)
+    return update(environment, settings, storage, hold)
+
+
+def update(environment: Environment, settings: Settings, storage: Storage, hold: Hold) -> Account:
+    """Dissipates what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
+    lost = dissipation(settings.model, hold)
+    account = approximate(environment, storage, hold.elapsed, lost, hold.h_i - hold.h_pas)
+    if storage.h_s == 0.0:
+        empty(storage)
+    return account
+
+
+class Original(SteppedController):
     """The predecessor of the paper's algorithm for one axis."""
 
     parameters_type: ClassVar[type[Parameters]] = OriginalParameters
-
-    def __init__(self, environment: Environment, parameters: OriginalParameters, loop: LoopProperties) -> None:
-        self._model = StoredModel(environment, parameters, loop)
-        self._storage = self._model.storage
-        self._rearm_as_printed = parameters.rearm == "printed"
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets everything: nothing stored, no torque in flight, no last position."""
-        self._model.reset()
-        self._met = False
-
-    def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Books the hold that ended; see `Controller.step`."""
-        opened = self._model.open(position, torque_applied)
-        if opened is None:
-            self._met = False
-            return AT_REST
-        hold, changed = opened
-        storage = self._storage
-        if storage.zone:
-            account = self._touch(hold, changed)
-        elif changed or hold.h_i != 0.0:
-            account = storage.leave(self._update(hold))
-        else:
-            account = UNTOUCHED
-        return self._model.close(hold, account)
-
-    def hold(self) -> EnergyBalance:
-        """Repeats the last command for want of a position; see `Controller.hold`."""
-        return self._model.repeat()
-
-    def _touch(self, hold: Hold, entered: bool) -> Account:
-        """Books a hold that ended in contact."""
-        storage = self._storage
-        self._met = self._met or entered
-        if entered or (storage.deadlocked and storage.pushed_inward(hold.displacement)):
-            printed = self._rearm_as_printed and self._met and not entered
-            self._met = True
-            change = storage.true if printed else storage.entered_by(hold.displacement)
-            return storage.start(change, hold.h_i - hold.h_pas)
-        return self._update(hold)
-
-    def _update(self, hold: Hold) -> Account:
-        """Dissipates what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
-        account = self._storage.approximate(self._model.dissipation(hold), hold.h_i - hold.h_pas)
-        if self._storage.h_s == 0.0:
-            self._storage.empty()
-        return account
+    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)

@@ -7,16 +7,30 @@ shortfall back in one hold like the last. It guards eq. 3 and knows nothing of w
 says.
 """
 
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
-from canhaptic.control.balance import AT_REST, Certificate, CompensatedSum, EnergyBalance
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, RunningSum, add
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold, HoldAccount
-from canhaptic.control.passivity.sampled_model import SampledModel
+from canhaptic.control.passivity.hold_account import (
+    Account,
+    Axis,
+    AxisMemory,
+    Hold,
+    HoldSettings,
+    axis_memory,
+    begin,
+    close_hold,
+    hold_settings,
+    open_hold,
+)
+from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.recovery import damping_cap
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
+from canhaptic.kernels import Kernel, MakeBuffer, new
 from canhaptic.units import Parameters, quantity
 
 
@@ -28,60 +42,80 @@ class PassivityObserverParameters(DamperVelocity):
     two must be known: the damper wanted grows without bound as the motion comes to rest."""
 
 
-class PassivityObserver:
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is fixed for a run."""
+
+    damping_limit: float  # of the passivity controller [N*s/m or N*m*s/rad]
+    hold: HoldSettings
+
+
+@dataclass(slots=True)
+class State:
+    """What is remembered between two SYNCs."""
+
+    axis: Axis = field(default_factory=Axis)
+    model: SampledModel = field(default_factory=SampledModel)
+    observed: RunningSum = field(default_factory=RunningSum)  # sum(h_i) [J]
+
+
+def settings_of(environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties) -> Settings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: Nothing bounds the damper.
+    """
+    limit = parameters.damping_limit
+    if limit is None and loop.moving_mass is None:
+        raise ParameterError(
+            "passivity_observer: got neither damping_limit nor moving_mass, expected one of them to bound the "
+            "damper; give passivity.damping_limit, or passivity.moving_mass for the cap it implies"
+        )
+    if limit is None:
+        limit = max(0.0, damping_cap(loop.delay, loop.moving_mass, loop.sample_time) - environment.damping)
+    return Settings(limit, hold_settings(parameters, loop, Certificate.NONE))
+
+
+def memory_of(settings: Settings, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis."""
+    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
+
+
+def step(
+    environment: Environment,
+    settings: Settings,
+    state: State,
+    memory: AxisMemory,
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Accounts for the hold that ended; see `Controller.step`."""
+    axis, model = state.axis, state.model
+    if not axis.started:
+        begin(axis, memory, position)
+        begin_model(environment, model, position)
+        return AT_REST
+    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
+    observed = add(state.observed, hold.h_i)
+    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
+    gen, leak = settle(environment, model, 1.0, hold.h_i - hold.h_pas, h_r)
+    extra = controlling_damping(settings, observed, hold) if contact else 0.0
+    efforts = spring, damper, extra * hold.displacement / hold.elapsed
+    account = new(Account, (branch, h_r, gen, 0.0, leak))
+    rendered = environment.damping + extra if contact else 0.0
+    return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+
+
+def controlling_damping(settings: Settings, observed: float, hold: Hold) -> float:
+    """Returns the damping [N*s/m or N*m*s/rad] that wins back a negative energy [J] in one hold like the last."""
+    displacement = hold.displacement
+    if observed >= 0.0 or displacement == 0.0:
+        return 0.0
+    return min(settings.damping_limit, -observed * hold.elapsed / displacement / displacement)
+
+
+class PassivityObserver(SteppedController):
     """Time-domain passivity control around the sampled environment."""
 
     parameters_type: ClassVar[type[Parameters]] = PassivityObserverParameters
-
-    def __init__(self, environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties) -> None:
-        limit = parameters.damping_limit
-        if limit is None and loop.moving_mass is None:
-            raise ParameterError(
-                "passivity_observer: got neither damping_limit nor moving_mass, expected one of them to bound the "
-                "damper; give passivity.damping_limit, or passivity.moving_mass for the cap it implies"
-            )
-        cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
-        self._limit = max(0.0, cap - environment.damping) if limit is None else limit
-        self._damping = environment.damping
-        self._model = SampledModel(environment)
-        self._books = HoldAccount(
-            delay=loop.delay,
-            sample_time=loop.sample_time,
-            largest=loop.torque_limit,
-            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
-            certificate=Certificate.NONE.value,
-        )
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets everything: nothing observed, no torque in flight, no last position."""
-        self._model.reset()
-        self._books.reset()
-        self._observed = CompensatedSum()
-
-    def hold(self) -> EnergyBalance:
-        """Repeats the last command for want of a position; see `Controller.hold`."""
-        return self._books.repeat()
-
-    def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Accounts for the hold that ended; see `Controller.step`."""
-        hold = self._books.open(position, torque_applied)
-        model = self._model
-        if hold is None:
-            model.begin(position)
-            self._observed = CompensatedSum()
-            return AT_REST
-        observed = self._observed.add(hold.h_i)
-        branch, h_r, contact, spring, damper = model.advance(position, hold)
-        gen, leak = model.settle(1.0, hold.h_i - hold.h_pas, h_r)
-        extra = self._controlling_damping(observed, hold) if contact else 0.0
-        efforts = spring, damper, extra * hold.displacement / hold.elapsed
-        rendered = self._damping + extra if contact else 0.0
-        return self._books.send(hold, (branch, h_r, gen, 0.0, leak), efforts, rendered, model.state, model.h_s)
-
-    def _controlling_damping(self, observed: float, hold: Hold) -> float:
-        """Returns the damping [N*s/m or N*m*s/rad] that wins back a negative energy [J] in one hold like the last."""
-        displacement = hold.displacement
-        if observed >= 0.0 or displacement == 0.0:
-            return 0.0
-        return min(self._limit, -observed * hold.elapsed / displacement / displacement)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)

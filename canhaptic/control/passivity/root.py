@@ -10,8 +10,9 @@ exact products (Dekker 1971) and an exact sum.
 """
 
 import math
-from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
+
+from canhaptic.control.environments.environment import Environment
 
 _SPLITTER: Final = 134217729.0  # 2^27 + 1 (Veltkamp)
 _ITERATIONS: Final = 80  # bisection alone reaches the last bit of any bracket of one binade in 53
@@ -43,8 +44,8 @@ def _product_error(a: float, b: float, product: float) -> float:
     return ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
 
 
-def solve_balance(stiffness: float, effort: float, energy: float, displacement: float) -> float | None:
-    """Returns the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or None where no state change balances.
+def solve_balance(stiffness: float, effort: float, energy: float, displacement: float) -> float:
+    """Returns the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or NaN where no state change balances.
 
     Args:
         stiffness: k >= 0 [N/m or N*m/rad].
@@ -57,69 +58,82 @@ def solve_balance(stiffness: float, effort: float, energy: float, displacement: 
         return displacement if stiffness == 0.0 and effort == 0.0 else 0.0
     if effort == 0.0:
         if stiffness == 0.0 or energy < 0.0:
-            return None
+            return math.nan
         return math.copysign(math.sqrt(2.0 * energy / stiffness), displacement)
     if stiffness == 0.0:
         return energy / effort
     under_root = discriminant(effort, 2.0 * stiffness, energy)
     if under_root < 0.0:
-        return None
+        return math.nan
     return 2.0 * energy / (effort + math.copysign(math.sqrt(under_root), effort))
 
 
+class Balance(NamedTuple):
+    """What opposes a state change where the storage is not linear."""
+
+    state: float  # old one [m or rad]
+    stored: float  # energy there [J]
+    damper: float  # effort of the damper [N or N*m]
+
+
+def gain(environment: Environment, old: Balance, change: float) -> float:
+    """Returns the energy that a state change [m or rad] takes up, stored and dissipated [J]."""
+    return environment.stored_energy(old.state + change) - old.stored + old.damper * change
+
+
+def slope(environment: Environment, old: Balance, change: float) -> float:
+    """Returns the derivative of `gain` [N or N*m]."""
+    return environment.effort(old.state + change) + old.damper
+
+
 def solve_balance_nonlinear(
-    gain: Callable[[float], float],
-    slope: Callable[[float], float],
-    energy: float,
-    limit: float,
-    tolerance: float = 0.0,
-) -> float | None:
-    """Returns the root nearest zero of gain(dx) = H for a nonlinear storage, or None where no state change balances.
+    environment: Environment, old: Balance, energy: float, limit: float, tolerance: float
+) -> float:
+    """Returns the root nearest zero of gain(dx) = H for a nonlinear storage, or NaN where no state change balances.
 
     The direction follows from the sign of H and of the slope at 0. Within it the root is bracketed - by the limit, or
     by the place where the slope turns - and found by Newton steps that fall back to bisection when they leave the
     bracket or do not halve; never more than 80 of them.
 
     Args:
-        gain: Energy that a state change takes up, stored and dissipated [J]; gain(0) = 0.
-        slope: Its derivative [N or N*m].
+        environment: That stores.
+        old: The state before.
         energy: H, what the model received [J].
         limit: Largest state change to look at [m or rad]; its sign decides where nothing opposes motion at first.
             With more received than the limit takes up the answer is the limit, and the caller leaks the rest.
         tolerance: Rounding of `gain` [J]; nothing finer is looked for.
     """
     if energy == 0.0 or limit == 0.0:
-        return 0.0 if energy >= 0.0 else None
-    effort = slope(0.0)
-    far = math.copysign(limit, energy * effort) if effort else limit
-    if effort and (slope(far) > 0.0) != (effort > 0.0):
-        far = _turning_point(slope, far)
-    if abs(gain(far)) < abs(energy) or (gain(far) > 0.0) != (energy > 0.0):
-        return far if energy > 0.0 else None
-    return _newton(gain, slope, energy, far, tolerance)
+        return 0.0 if energy >= 0.0 else math.nan
+    effort = slope(environment, old, 0.0)
+    far = math.copysign(limit, energy * effort) if effort != 0.0 else limit
+    if effort != 0.0 and (slope(environment, old, far) > 0.0) != (effort > 0.0):
+        far = _turning_point(environment, old, far)
+    gained = gain(environment, old, far)
+    if abs(gained) < abs(energy) or (gained > 0.0) != (energy > 0.0):
+        return far if energy > 0.0 else math.nan
+    return _newton(environment, old, energy, far, tolerance)
 
 
-def _turning_point(slope: Callable[[float], float], far: float) -> float:
+def _turning_point(environment: Environment, old: Balance, far: float) -> float:
     """Returns the last place before the slope changes its sign between 0 and `far`."""
-    near, rising = 0.0, slope(0.0) > 0.0
+    near, rising = 0.0, slope(environment, old, 0.0) > 0.0
     for _ in range(_ITERATIONS):
         middle = 0.5 * (near + far)
         if middle in (near, far):
             break
-        if (slope(middle) > 0.0) == rising:
+        if (slope(environment, old, middle) > 0.0) == rising:
             near = middle
         else:
             far = middle
     return near
 
 
-def _newton(
-    gain: Callable[[float], float], slope: Callable[[float], float], energy: float, far: float, tolerance: float
-) -> float:
+def _newton(environment: Environment, old: Balance, energy: float, far: float, tolerance: float) -> float:
     """Returns the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
-    effort = slope(0.0)
-    near, gain_far = 0.0, gain(far)
-    guess = energy / effort if effort else far
+    effort = slope(environment, old, 0.0)
+    near, gain_far = 0.0, gain(environment, old, far)
+    guess = energy / effort if effort != 0.0 else far
     step = abs(far)
     for _ in range(_ITERATIONS):
         if not min(near, far) < guess < max(near, far):
@@ -127,7 +141,7 @@ def _newton(
             step = abs(far - near)
             if guess in (near, far):
                 break
-        gained = gain(guess)
+        gained = gain(environment, old, guess)
         missing = energy - gained
         if abs(missing) <= tolerance:
             break
@@ -135,7 +149,7 @@ def _newton(
             near = guess
         else:
             far, gain_far = guess, gained
-        steep = slope(guess)
+        steep = slope(environment, old, guess)
         halving = abs(2.0 * missing) <= step * abs(steep)
         following = guess + missing / steep if halving else _between(near, far, energy, gain_far)
         step = abs(following - guess)

@@ -4,13 +4,25 @@
 is booked as `gen`, what it loses as `leak`, so that the account closes like every other.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from canhaptic.control.balance import Branch
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.hold_account import Hold
+from canhaptic.kernels import new
 
 _FREE, _START, _EXACT, _EXIT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value, Branch.EXIT.value
+
+
+@dataclass(slots=True)
+class SampledModel:
+    """The true state of an environment, and the state that is rendered."""
+
+    zone: int = 0  # of contact
+    true: float = 0.0  # [m or rad]
+    state: float = 0.0  # rendered [m or rad]
+    h_s: float = 0.0  # energy stored at `state` [J]
 
 
 class ModelStep(NamedTuple):
@@ -23,69 +35,57 @@ class ModelStep(NamedTuple):
     damper: float  # effort of the damper for the next hold [N or N*m]
 
 
-class SampledModel:
-    """Follows the true state of an environment and books what that costs.
+def begin_model(environment: Environment, model: SampledModel, position: float) -> None:
+    """Takes the first position; a state that is displaced there stores energy that never came in."""
+    model.zone = environment.contact(position)
+    model.true = environment.true_state(position, 0.0, 0.0) if model.zone else 0.0
+    model.state = model.h_s = 0.0
 
-    Attributes:
-        state: Displacement of the storage that is rendered [m or rad].
-        h_s: Energy stored there [J].
+
+def follow(environment: Environment, model: SampledModel, position: float, hold: Hold) -> ModelStep:
+    """Follows one hold and returns what it dissipated and the efforts for the next; `settle` must follow.
+
+    Args:
+        environment: That is sampled.
+        model: Its true state moves.
+        position: At the end of the hold [m or rad].
+        hold: As it was opened.
     """
+    before, displacement, damper = model.true, hold.displacement, hold.damper
+    zone, zone_before = environment.contact(position), model.zone
+    model.zone = zone
+    if zone == 0:
+        h_r = 0.0
+        if zone_before:
+            h_r = max(0.0, damper * (environment.admissible(before + displacement, before) - before))
+        model.true = 0.0
+        branch = _EXIT if zone_before or hold.h_i != 0.0 or model.h_s != 0.0 else _FREE
+        return new(ModelStep, (branch, h_r, False, 0.0, 0.0))
+    entered = zone != zone_before
+    state = environment.true_state(position, displacement, 0.0 if entered else before)
+    before = environment.admissible(state - displacement if entered else before, state)
+    h_r = max(0.0, damper * (state - before))
+    if environment.relaxes:
+        strained = environment.stored_energy(state)
+        state = environment.relaxed(state, hold.elapsed)
+        h_r += strained - environment.stored_energy(state)
+    model.true = state
+    spring, damper = environment.effort(state), environment.damping * hold.velocity
+    return new(ModelStep, (_START if entered else _EXACT, h_r, True, spring, damper))
 
-    __slots__ = ("_environment", "_true", "_zone", "h_s", "state")
 
-    def __init__(self, environment: Environment) -> None:
-        self._environment = environment
-        self.reset()
+def settle(environment: Environment, model: SampledModel, share: float, h_m: float, h_r: float) -> tuple[float, float]:
+    """Stores the state that is rendered and closes the account; returns (gen, leak) [J].
 
-    def reset(self) -> None:
-        """Out of contact, nothing stored."""
-        self._zone = 0
-        self.state = self._true = self.h_s = 0.0
-
-    def begin(self, position: float) -> None:
-        """Takes the first position; a state that is already displaced there stores energy nobody put in."""
-        self.reset()
-        self._zone = zone = self._environment.contact(position)
-        self._true = self._environment.true_state(position, 0.0, 0.0) if zone else 0.0
-
-    def advance(self, position: float, hold: Hold) -> ModelStep:
-        """Follows one hold and returns what it dissipated and the efforts for the next; `settle` must follow.
-
-        Args:
-            position: At the end of the hold [m or rad].
-            hold: As the books opened it.
-        """
-        environment, before = self._environment, self._true
-        displacement, damper = hold.displacement, hold.damper
-        zone = environment.contact(position)
-        if zone == 0:
-            left = self._zone
-            h_r = max(0.0, damper * (environment.admissible(before + displacement, before) - before)) if left else 0.0
-            self._zone, self._true = 0, 0.0
-            return ModelStep(_EXIT if left or hold.h_i or self.h_s else _FREE, h_r, False, 0.0, 0.0)
-        entered = zone != self._zone
-        state = environment.true_state(position, displacement, 0.0 if entered else before)
-        before = environment.admissible(state - displacement if entered else before, state)
-        h_r = max(0.0, damper * (state - before))
-        if environment.relaxes:
-            strained = environment.stored_energy(state)
-            state = environment.relaxed(state, hold.elapsed)
-            h_r += strained - environment.stored_energy(state)
-        self._zone, self._true = zone, state
-        return ModelStep(
-            _START if entered else _EXACT, h_r, True, environment.effort(state), environment.damping * hold.velocity
-        )
-
-    def settle(self, share: float, h_m: float, h_r: float) -> tuple[float, float]:
-        """Stores the state that is rendered and closes the account; returns (gen, leak) [J].
-
-        Args:
-            share: Part of the model's effort that is rendered in the next hold, 0..1.
-            h_m: Energy the model received in this hold [J].
-            h_r: Energy dissipated in it [J].
-        """
-        self.state = self._true if share == 1.0 else share * self._true
-        stored_before = self.h_s
-        self.h_s = h_s = self._environment.stored_energy(self.state)
-        rest = stored_before + h_m - h_r - h_s
-        return max(0.0, -rest), max(0.0, rest)
+    Args:
+        environment: That is sampled.
+        model: Its rendered state moves.
+        share: Part of the model's effort that is rendered in the next hold, 0..1.
+        h_m: Energy the model received in this hold [J].
+        h_r: Energy dissipated in it [J].
+    """
+    model.state = state = model.true if share == 1.0 else share * model.true
+    before = model.h_s
+    model.h_s = h_s = environment.stored_energy(state)
+    rest = before + h_m - h_r - h_s
+    return max(0.0, -rest), max(0.0, rest)

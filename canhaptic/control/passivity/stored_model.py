@@ -3,13 +3,26 @@
 They differ in how a hold changes the state. How a hold is opened, and which command follows from the state, is here.
 """
 
+from dataclasses import dataclass
+
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold, HoldAccount
-from canhaptic.control.passivity.storage import Account, Storage
+from canhaptic.control.passivity.hold_account import (
+    Account,
+    Axis,
+    AxisMemory,
+    Hold,
+    HoldSettings,
+    axis_memory,
+    close_hold,
+    hold_settings,
+    surplus_after,
+)
+from canhaptic.control.passivity.storage import Storage, is_deadlocked
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.control.velocity import DamperVelocity
+from canhaptic.kernels import MakeBuffer
 
 
 class StoredModelParameters(DamperVelocity):
@@ -19,75 +32,82 @@ class StoredModelParameters(DamperVelocity):
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
 
 
-class StoredModel:
-    """Storage and books of one axis.
+@dataclass(frozen=True, slots=True)
+class StoredModelSettings:
+    """What is fixed for a run."""
 
-    Attributes:
-        storage: State, velocity and stored energy.
+    cap: float  # of the damping [N*s/m or N*m*s/rad]
+    damping: float  # of the model [N*s/m or N*m*s/rad]
+    alpha: float  # [s/m^2 or s/rad^2]
+    windowed: bool  # whether the damper uses the velocity of the window
+    is_linear: bool  # whether the storage is k x^2 / 2
+    stiffness: float  # k, where it is [N/m or N*m/rad]
+    stores: bool  # whether it stores anything
+    hold: HoldSettings
+
+
+def stored_model_settings(
+    environment: Environment, parameters: StoredModelParameters, loop: LoopProperties
+) -> StoredModelSettings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: A windowed velocity without an encoder count.
     """
+    cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
+    stiffness = environment.linear_stiffness
+    return StoredModelSettings(
+        cap=cap,
+        damping=min(environment.damping, cap),
+        alpha=parameters.alpha,
+        windowed=parameters.velocity == "windowed",
+        is_linear=stiffness is not None,
+        stiffness=stiffness or 0.0,
+        stores=stiffness != 0.0,
+        hold=hold_settings(parameters, loop, Certificate.NONE),
+    )
 
-    __slots__ = ("_alpha", "_books", "_cap", "_damping", "_environment", "_stores", "_windowed", "storage")
 
-    def __init__(self, environment: Environment, parameters: StoredModelParameters, loop: LoopProperties) -> None:
-        self._environment = environment
-        self._cap = cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
-        self._alpha = parameters.alpha
-        self._windowed = parameters.velocity == "windowed"
-        self._stores = environment.linear_stiffness != 0.0
-        self._damping = min(environment.damping, cap)
-        self.storage = Storage(environment, loop.sample_time)
-        self._books = HoldAccount(
-            delay=loop.delay,
-            sample_time=loop.sample_time,
-            largest=loop.torque_limit,
-            estimator=parameters.estimator(loop.sample_time, loop.encoder_count),
-            certificate=Certificate.NONE.value,
-        )
+def memory_of(settings: StoredModelSettings, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis."""
+    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
 
-    def reset(self) -> None:
-        """Forgets everything: nothing stored, no torque in flight, no last position."""
-        self._books.reset()
-        self.storage.reset()
 
-    def open(self, position: float, torque_applied: float) -> tuple[Hold, bool] | None:
-        """Returns the hold that ended and whether a contact was entered or left in it; None at the first position.
+def dissipation(settings: StoredModelSettings, hold: Hold) -> float:
+    """Returns T d v^2 of a hold with the velocity inside the torque that was applied in it [J] (eqs. 6, 18)."""
+    return hold.elapsed * (hold.damper * hold.damper) / settings.damping if settings.damping != 0.0 else 0.0
 
-        Raises:
-            ControlError: The position or torque is not finite.
-        """
-        hold = self._books.open(position, torque_applied)
-        if hold is None:
-            self.storage.begin(position)
-            return None
-        return hold, self.storage.follow(position, hold.displacement, hold.elapsed)
 
-    def repeat(self) -> EnergyBalance:
-        """Repeats the last command for want of a position, and books nothing."""
-        return self._books.repeat()
+def close(
+    environment: Environment,
+    settings: StoredModelSettings,
+    axis: Axis,
+    memory: AxisMemory,
+    storage: Storage,
+    hold: Hold,
+    account: Account,
+) -> EnergyBalance:
+    """Sends spring, damper and the modulated damper of eq. 19, and returns the balance of the hold.
 
-    def dissipation(self, hold: Hold) -> float:
-        """Returns T d v^2 of a hold with the velocity inside the torque that was applied in it [J] (eqs. 6, 18)."""
-        damping = self._damping
-        return hold.elapsed * hold.damper**2 / damping if damping else 0.0
-
-    def close(self, hold: Hold, account: Account) -> EnergyBalance:
-        """Sends spring, damper and the modulated damper of eq. 19, and returns the balance of the hold.
-
-        Args:
-            hold: As it was opened.
-            account: What the algorithm did with it.
-        """
-        storage, books = self.storage, self._books
-        state = storage.state
-        if not storage.zone:
-            return books.send(hold, account, (0.0, 0.0, 0.0), 0.0, state, storage.h_s)
-        measured = self._windowed and not (self._stores and storage.deadlocked)
-        rendered = self._damping
-        damper, modulated = rendered * (hold.velocity if measured else storage.velocity), 0.0
-        if self._alpha > 0.0:
-            surplus = books.surplus_after(hold, account)[0]
-            extra = modulated_damping(self._alpha, surplus, rendered, self._cap, hold.displacement, hold.elapsed)
-            modulated = extra * hold.displacement / hold.elapsed
-            rendered += extra
-        efforts = self._environment.effort(state), damper, modulated
-        return books.send(hold, account, efforts, rendered, state, storage.h_s)
+    Args:
+        environment: That is rendered.
+        settings: Of the run.
+        axis: Its surplus and commands change.
+        memory: Of the axis.
+        storage: After the hold.
+        hold: As it was opened.
+        account: What the algorithm did with it.
+    """
+    state, h_s = storage.state, storage.h_s
+    if not storage.zone:
+        return close_hold(settings.hold, axis, memory, hold, account, (0.0, 0.0, 0.0), 0.0, state, h_s)
+    measured = settings.windowed and not (settings.stores and is_deadlocked(storage))
+    rendered, modulated = settings.damping, 0.0
+    damper = rendered * (hold.velocity if measured else storage.velocity)
+    if settings.alpha > 0.0:
+        surplus = surplus_after(axis, hold, account)[0]
+        extra = modulated_damping(settings.alpha, surplus, rendered, settings.cap, hold.displacement, hold.elapsed)
+        modulated = extra * hold.displacement / hold.elapsed
+        rendered += extra
+    efforts = environment.effort(state), damper, modulated
+    return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, state, h_s)

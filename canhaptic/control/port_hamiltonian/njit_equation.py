@@ -1,7 +1,6 @@
-"""The equation of a network compiled by numba; needs the extra `fast`. The source is that of `plain_loops`.
+"""The equation of a network compiled by numba; needs the extra `fast`. The source is that of `njit_registry`.
 
-Compiling takes some seconds, once in a process. Only the equation is compiled, as `step_scaling` uses it and groups of
-which something is a function of one's own; of other groups the whole step is (`compiled_group`).
+Compiling takes some seconds, once in a process. Only the equation is compiled, not the account of the group.
 """
 
 from collections.abc import Callable

@@ -20,7 +20,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.sim.plant.propagator import flow_changes
-from canhaptic.study.batch.program import BatchCase
+from canhaptic.study.batch.batch_case import BatchCase
 from canhaptic.study.figures import last_rows
 from canhaptic.study.loop import Array
 from canhaptic.study.reference.continuous_reference import readings_per_hold

@@ -1,19 +1,19 @@
 """From a scene and the keys in which many scenes differ to loops that can run in arrays."""
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any, Final, cast
 
 import numpy as np
 
+from canhaptic.control.environments.plain import plain
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.study.batch.nodes import NotBatchableError
+from canhaptic.study.batch.batch_case import BatchCase, floats_of
 from canhaptic.study.batch.plants import plant_numbers, why_not_linear
-from canhaptic.study.batch.program import BatchCase, Structure, build_program, numbers_of
+from canhaptic.study.batch.rows import kernel_of
 from canhaptic.study.batch.varied import scene_with, split_key
 from canhaptic.study.loop import FURTHEST, Array, LoopCase
 from canhaptic.study.scenes import loop_case
@@ -35,24 +35,17 @@ def why_not_batchable(scene: Scene) -> str:
     if reason:
         return reason
     try:
-        reason = _reason(Structure(batch_case(scene, {})))
+        case = batch_case(scene, {})
+        loop_case(scene.axes[0], scene).controller()
     except ParameterError as error:
         return f"refused: {error}"
-    names = f"{scene.axes[0].environment.name} under {scene.axes[0].passivity.name}"
-    return f"{names}: the source has {reason}" if reason else ""
-
-
-@lru_cache(maxsize=256)
-def _reason(structure: Structure) -> str:
-    try:
-        build_program(structure.case, ())
-    except NotBatchableError as error:
-        return str(error)
-    return ""
+    if plain(case.environment) is case.environment:
+        return f"environment {type(case.environment).__name__} has no plain form (it asks its base by super())"
+    return "" if kernel_of(case) else f"algorithm {case.algorithm} is not written as a kernel"
 
 
 def why_not_beforehand(scene: Scene) -> str:
-    """Returns what `why_not_batchable` finds without looking at the source of the loop."""
+    """Returns what `why_not_batchable` finds without looking at the algorithm."""
     if len(scene.axes) != 1:
         return f"scene has {len(scene.axes)} axes, expected one"
     simulation = scene.axes[0].simulation
@@ -108,9 +101,9 @@ def _numbers(
     case: LoopCase, simulation: AxisSimulation, sample_time_ns: float, varied: Mapping[str, Array]
 ) -> dict[str, Array | float | None]:
     numbers: dict[str, Array | float | None] = {
-        **numbers_of("environment", cast(Parameters, case.environment)),
-        **numbers_of("passivity", cast(Parameters, case.parameters)),
-        **numbers_of("loop", case.loop),
+        **floats_of("environment", cast(Parameters, case.environment)),
+        **floats_of("passivity", cast(Parameters, case.parameters)),
+        **floats_of("loop", case.loop),
         "counts_per_unit": case.counts_per_unit,
         "torque_quantum": case.torque_quantum,
         "torque_limit": case.torque_limit,

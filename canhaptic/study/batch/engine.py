@@ -1,16 +1,16 @@
-"""What computes a batch: NumPy, or machine code compiled by numba; both give the same bits."""
+"""What runs the kernels of a batch: machine code compiled by numba, or Python; both give the same bits."""
 
 from importlib.util import find_spec
 from typing import Final, Literal
 
 from canhaptic.errors import ParameterError
 
-Engine = Literal["auto", "numpy", "numba"]
+Engine = Literal["auto", "numba", "python"]
 """As asked for."""
-ChosenEngine = Literal["numpy", "numba"]
+ChosenEngine = Literal["numba", "python"]
 
-WORTH_COMPILING: Final = 2e7
-"""Scenes times cycles from which compiling pays."""
+WORTH_COMPILING: Final = 1e6
+"""Scenes times cycles from which compiling pays: Python takes some 10 us for each, compiling some 10 s once."""
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
@@ -23,11 +23,11 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
     Raises:
         ParameterError: An unknown name, or numba is asked for and not installed.
     """
-    if engine not in ("auto", "numpy", "numba"):
-        raise ParameterError(f"engine: got {engine!r}, expected auto, numpy or numba")
+    if engine not in ("auto", "numba", "python"):
+        raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")
     there = find_spec("numba") is not None
     if engine == "numba" and not there:
-        raise ParameterError("engine: got numba, which is not installed; pip install 'canhaptic[fast]', or take numpy")
+        raise ParameterError("engine: got numba, which is not installed; pip install 'canhaptic[fast]', or take python")
     if engine == "auto":
-        return "numba" if there and pays else "numpy"
+        return "numba" if there and pays else "python"
     return engine

@@ -1,65 +1,51 @@
-"""Runs the written forms over many scenes in chunks that fit the cache; keeps the figures of those that diverge."""
+"""Runs many loops of one kind, in parts whose rows fit the memory; parts and engine change no figure."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.study.batch.batch_case import BatchCase, NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousRuns, why_not_continuous
-from canhaptic.study.batch.engine import WORTH_COMPILING, ChosenEngine, Engine, chosen_engine
-from canhaptic.study.batch.layout import known_values, widened
-from canhaptic.study.batch.numpy_form import BLOCK, NumpyForm
-from canhaptic.study.batch.program import INPUTS, BatchCase, Program, Structure, build_program
+from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
+from canhaptic.study.batch.interpreted_loops import run_interpreted
+from canhaptic.study.batch.rows import kernel_of, plant_arrays, scene_rows
 from canhaptic.study.figures import last_rows, metrics_of, sums_of
 from canhaptic.study.loop import Array
 
-CHUNK: Final = 8192
-"""Scenes that are moved together: many enough that a call costs less than its numbers, few enough for the cache."""
-PART: Final = 1 << 15
-"""Scenes for which numbers are laid out at a time."""
-_COUNTED: Final = ("diverged", "cycles", "continuous_travel", "continuous_rest", "continuous")
-"""Sums that are not states: the loop over the scenes and the continuous runs know them."""
+_ROWS: Final = 4e6
+"""Scenes times cycles for which continuous runs are kept at a time."""
+_MOST, _LEAST = 8192, 64
+_OF_REFERENCE: Final = ("continuous_travel", "continuous_rest", "continuous")
 _FORCES: Final = ("continuous", "force_squares", "force_worst")
 _COMPARED: Final = ("continuous_travel", "position_squares", "position_worst", *_FORCES)
 """Sums that need the continuous runs, and those that need their forces."""
 
 
-class _Form(NamedTuple):
-    program: Program
-    run: Any
-    engine: ChosenEngine
-
-
 def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Sequence[str]) -> dict[str, Array]:
-    """Returns metrics of many loops, each of shape (n_scenes,), in the order of the scenes and whatever the chunks.
+    """Returns metrics of many loops, each of shape (n_scenes,), in the order of the scenes.
 
     Args:
         case: What they have in common, and the numbers in which they differ.
         scenes: Their number.
         cycles: SYNCs, the first included.
         engine: See `run_batch`.
-        metrics: Names of `METRICS`.
+        metrics: Names of `ALL`.
 
     Raises:
-        NotBatchableError: Part of the source has no form in arrays.
+        NotBatchableError: The algorithm is no kernel, or numba cannot compile the environment.
     """
     names = list(metrics)
-    sums = sums_of(names)
+    found: dict[str, Array] = {name: np.empty(scenes) for name in sums_of(names)}
     case = replace(case, numbers={**case.numbers, "last_from": _last_from(case, cycles)})
     chosen = chosen_engine(engine, scenes * cycles >= WORTH_COMPILING)
-    form = _form(case, tuple(name for name in sums if name not in _COUNTED), chosen)
-    found: dict[str, Array] = {name: np.empty(scenes) for name in sums}
-    size = PART if form.engine == "numba" else CHUNK
+    compared = not {*found}.isdisjoint(_COMPARED)
+    size = int(min(_MOST, max(_LEAST, _ROWS / cycles))) if compared else _MOST
     for first in range(0, scenes, size):
         part = slice(first, min(first + size, scenes))
-        count = part.stop - part.start
-        numbers = {
-            name: value[part] if isinstance(value, np.ndarray) else value for name, value in case.numbers.items()
-        }
-        continuous = _continuous(case, numbers, count, cycles, found)
-        for name, values in _part(form, numbers, count, cycles, continuous).items():
+        numbers = {name: v[part] if isinstance(v, np.ndarray) else v for name, v in case.numbers.items()}
+        for name, values in _part(case, numbers, part.stop - first, cycles, chosen, found).items():
             if name in found:
                 found[name][part] = values
     return metrics_of(names, found)
@@ -72,88 +58,57 @@ def _last_from(case: BatchCase, cycles: int) -> Array | float:
     return np.array([found[value] for value in period.tolist()]) if period.ndim else found[float(period)]
 
 
-def _continuous(
-    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, names: Iterable[str]
-) -> ContinuousRuns | None:
-    """Returns the continuous runs beside some scenes; None where nobody asks for them or there are none."""
-    asked = {*names}
-    if asked.isdisjoint(_COMPARED) or why_not_continuous(case):
-        return None
-    return ContinuousRuns(case, numbers, count, cycles, with_force=not asked.isdisjoint(_FORCES))
-
-
-class _Fed:
-    """The inputs of a part of a batch; keeps the continuous runs going although no cycle uses them."""
-
-    def __init__(self, runs: ContinuousRuns | None, count: int, cycles: int) -> None:
-        self._runs, self._count, self._left = runs, count, cycles
-
-    def __call__(self, cycles: int) -> dict[str, Array]:
-        """Returns what the next cycles are given."""
-        self._left -= cycles
-        if self._runs is None:
-            nothing = np.full((cycles, self._count), np.nan)
-            return dict.fromkeys(INPUTS, nothing)
-        return dict(zip(INPUTS, self._runs.block(cycles), strict=True))
-
-    def sums(self) -> dict[str, Array]:
-        """Returns the sums of the continuous runs."""
-        if self._runs is None:
-            return {name: np.full(self._count, np.nan) for name in _COUNTED[2:]}
-        while self._left > 0:
-            self(min(BLOCK, self._left))
-        return self._runs.sums()
-
-
 def _part(
-    form: _Form, numbers: Mapping[str, Any], count: int, cycles: int, continuous: ContinuousRuns | None
+    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, engine: str, asked: Mapping[str, Array]
 ) -> dict[str, Array]:
-    program, feed = form.program, _Fed(continuous, count, cycles - 1)
-    if form.engine == "numba":
-        states, when = form.run(numbers, count, cycles - 1, feed)
-    else:
-        states, when = _with_escapes(form, numbers, count, cycles - 1, feed)
-    values = known_values(list(program.results.values()), numbers, states)
-    sums = {name: widened(values[node], count, False) for name, node in program.results.items()}
-    sums["diverged"] = np.array(when > 0, dtype=float)
-    sums["cycles"] = np.where(when > 0, when + 1.0, float(cycles))
-    return sums | feed.sums()
-
-
-def _with_escapes(
-    form: _Form, numbers: Mapping[str, Any], count: int, cycles: int, feed: _Fed
-) -> tuple[dict[str, Any], Any]:
-    """Returns the states at the end or when a scene diverged, and the cycle of that, 0 where it did not."""
-    program = form.program
-    begin = known_values(list(program.first.values()), numbers, {})
-    kept: dict[str, Array] = {}
-    when = np.zeros(count, dtype=np.int64)
-
-    def escaped(out: Any, states: Mapping[str, Any], cycle: int) -> None:
-        fresh = out & (when == 0)
-        when[fresh] = cycle
-        for name, values in states.items():
-            if name not in kept:
-                kept[name] = widened(values, count, program.then[name].is_truth)
-            kept[name][fresh] = values[fresh] if isinstance(values, np.ndarray) else values
-            if isinstance(values, np.ndarray):  # back to the start, so that nothing overflows from here on
-                values[out] = widened(begin[program.first[name]], count, program.then[name].is_truth)[out]
-
-    states = form.run(numbers, count, cycles, escaped, feed)
-    if kept:
-        states = {name: np.where(when > 0, kept[name], values) for name, values in states.items()}
-    return states, when
-
-
-def _form(case: BatchCase, sums: tuple[str, ...], engine: ChosenEngine) -> _Form:
-    return _known_form(Structure(case), sums, engine)
-
-
-@lru_cache(maxsize=64)
-def _known_form(structure: Structure, sums: tuple[str, ...], engine: ChosenEngine) -> _Form:
-    program = build_program(structure.case, sums)
+    kernel = kernel_of(case)
+    if kernel is None:
+        raise NotBatchableError(f"algorithm {case.algorithm} is not written as a kernel")
+    rows, (flows, starts) = list(scene_rows(case, kernel, numbers, count)), plant_arrays(case, numbers, count)
+    reference = _Reference(case, numbers, count, cycles, asked, starts)
+    given = rows, flows, starts, reference.positions, reference.torques, cycles
     if engine == "numba":
-        from canhaptic.study.batch.numba_form import NumbaForm
+        from canhaptic.study.batch.compiled_loops import run_compiled
 
-        return _Form(program, NumbaForm(program).run, engine)
-    return _Form(program, NumpyForm(program).run, engine)
+        meters = run_compiled(kernel, *given)
+        sums = {name: np.array(meters[name]) for name in meters.dtype.names or ()}
+    else:
+        found = run_interpreted(kernel, *given)
+        sums = {name: np.array([getattr(meter, name) for meter in found]) for name in type(found[0]).__slots__}
+    reference.judge(sums)
+    return sums
+
+
+class _Reference:
+    """The continuous runs of some scenes.
+
+    Attributes:
+        positions: At every SYNC, shape (count, cycles); of no columns where nothing is compared.
+        torques: Mean over the hold that ended there, of the same shape.
+    """
+
+    def __init__(
+        self, case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, asked: Mapping[str, Array],
+        starts: Array,
+    ) -> None:  # fmt: skip
+        self._count, self._runs = count, None
+        names = {*asked}
+        compares = not names.isdisjoint(_COMPARED)
+        self.positions = self.torques = np.full((count, cycles if compares else 0), np.nan)
+        if not compares or why_not_continuous(case):
+            return
+        self._runs = ContinuousRuns(case, numbers, count, cycles, with_force=not names.isdisjoint(_FORCES))
+        position, torque = self._runs.block(cycles - 1)
+        begin = np.broadcast_to(starts[:, 0], (count,)) + 0.0 * position[0]  # none without a reference
+        self.positions = np.ascontiguousarray(np.concatenate([begin[None], position]).T)
+        if torque.size:
+            self.torques = np.ascontiguousarray(np.concatenate([0.0 * torque[:1], torque]).T)
+
+    def judge(self, sums: dict[str, Array]) -> None:
+        """Adds the sums of the continuous runs; NaN, as is what is compared with them, where a scene has none."""
+        if self._runs is not None:
+            sums |= self._runs.sums()
+        else:
+            sums |= {name: np.full(self._count, np.nan) for name in _OF_REFERENCE}
+        for name in _COMPARED:
+            sums[name] = np.where(np.isnan(sums["continuous_travel"]), np.nan, sums[name])

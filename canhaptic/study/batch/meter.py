@@ -1,8 +1,11 @@
 """The sums behind the figures of one run, gathered while it runs: memory does not grow with cycles.
 
-Written for one axis and floats. The batch form is made from this source. `canhaptic.study.figures` defines what each
-sum is for.
+A kernel, so that runs one by one and compiled ones have the same sums. `canhaptic.study.figures` defines what each sum
+is for.
 """
+
+from dataclasses import dataclass
+from math import inf
 
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
@@ -10,118 +13,177 @@ from canhaptic.control.environments.environment import Environment
 _FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT = (branch.value for branch in list(Branch)[:7])
 
 
+@dataclass(frozen=True, slots=True)
+class MeterSettings:
+    """What the sums rest on."""
+
+    last_from: float = 0.0  # SYNC with which the last part of the run begins (`figures.last_rows`)
+    damping_per_time: float = 0.0  # b / T of the device [N/m or N*m/rad]
+    friction: float = 0.0  # Coulomb friction of the device in motion [N or N*m]
+
+
+@dataclass(slots=True)
 class Meter:
-    """Running sums and extremes of one axis; energies in [J]. Its attributes are what `figures.ALL` names."""
+    """Running sums and extremes of one axis; energies in [J]. Its fields are what `figures.ALL` names."""
 
-    def __init__(
-        self, environment: Environment, last_from: float = 0.0, damping_per_time: float = 0.0, friction: float = 0.0
-    ) -> None:
-        """Begins.
+    cycles: float = 0.0
+    diverged: float = 0.0
+    true_position: float = 0.0
+    highest: float = -inf
+    lowest: float = inf
+    lost: float = 0.0
+    least_covered: float = 0.0
+    interaction: float = 0.0
+    least_interaction: float = 0.0
+    margin: float = 0.0
+    believed: float = 0.0
+    dissipated: float = 0.0
+    believed_margin: float = 0.0
+    believed_error: float = 0.0
+    surplus: float = 0.0
+    torque: float = 0.0
+    torque_peak: float = 0.0
+    variation: float = 0.0
+    certificate: float = 0.0
+    contacts: float = 0.0
+    damping: float = 0.0
+    damping_least: float = inf
+    damping_most: float = 0.0
+    state: float = 0.0
+    force: float = 0.0
+    asked: float = 0.0
+    free: float = 0.0
+    start: float = 0.0
+    exact: float = 0.0
+    sticky: float = 0.0
+    fallback: float = 0.0
+    depleted: float = 0.0
+    exit: float = 0.0
+    position_squares: float = 0.0
+    position_worst: float = 0.0
+    force_squares: float = 0.0
+    force_worst: float = 0.0
+    last: float = 0.0
+    last_highest: float = -inf
+    last_lowest: float = inf
+    last_force: float = 0.0
+    last_state: float = 0.0
+    last_asked: float = 0.0
 
-        Args:
-            environment: That is rendered.
-            last_from: SYNC with which the last part of the run begins (`canhaptic.study.figures.last_rows`).
-            damping_per_time: b / T of the device [N/m or N*m/rad].
-            friction: Coulomb friction of the device in motion [N or N*m].
-        """
-        self._environment, self._last_from = environment, last_from
-        self._relaxes = environment.relaxes
-        self._damping_per_time, self._friction = damping_per_time, friction
-        self.true_position = self.lost = self.least_covered = 0.0
-        self.interaction = self.least_interaction = self.margin = 0.0
-        self.believed = self.dissipated = self.believed_margin = self.believed_error = self.surplus = 0.0
-        self.torque = self.torque_peak = self.variation = 0.0
-        self.contacts = self.damping = self.damping_most = 0.0
-        self.damping_least = float("inf")
-        self.state = self.force = self.asked = 0.0
-        self.highest, self.lowest = -float("inf"), float("inf")
-        self.diverged = self.cycles = self.certificate = 0.0
-        self.free = self.start = self.exact = self.sticky = self.fallback = self.depleted = self.exit = 0.0
-        self.position_squares = self.position_worst = self.force_squares = self.force_worst = 0.0
-        self.last_highest, self.last_lowest = -float("inf"), float("inf")
-        self.last_force = self.last_state = self.last_asked = self.last = 0.0
 
-    def take(
-        self, position: float, true_position: float, torque: float, interaction: float, balance: EnergyBalance
-    ) -> None:
-        """Takes one SYNC.
+def take(
+    environment: Environment,
+    settings: MeterSettings,
+    meter: Meter,
+    position: float,
+    true_position: float,
+    torque: float,
+    interaction: float,
+    balance: EnergyBalance,
+) -> None:
+    """Takes one SYNC.
 
-        Args:
-            position: As the controller saw it [m or rad].
-            true_position: [m or rad].
-            torque: Applied in the hold that ended [N or N*m].
-            interaction: True energy that came in since the start [J].
-            balance: What the controller booked.
-        """
-        self.cycles += 1.0
-        self.highest, self.lowest = max(self.highest, true_position), min(self.lowest, true_position)
-        self.interaction = interaction
-        self.least_interaction = min(self.least_interaction, interaction)
-        moved = true_position - self.true_position if self.cycles > 1.0 else 0.0
-        self.true_position = true_position
-        self.lost += self._damping_per_time * (moved * moved) + self._friction * abs(moved)
-        self.least_covered = min(self.least_covered, interaction + self.lost)
-        believed = self.believed = self.believed + balance.h_i
-        dissipated = self.dissipated = self.dissipated + balance.h_r
-        self.margin = min(self.margin, interaction - dissipated)
-        self.believed_margin = min(self.believed_margin, believed - dissipated)
-        self.believed_error = max(self.believed_error, abs(believed - interaction))
-        self.surplus = balance.h_dis
-        self.torque_peak = max(self.torque_peak, abs(torque))
-        self.variation += abs(torque - self.torque)
-        self.torque = torque
-        if balance.branch != _FREE and balance.branch != _EXIT:  # noqa: PLR1714 - `in` would search
-            self._in_contact(position, torque, balance.damping_rendered)
-        self.certificate = max(self.certificate, balance.certificate)
-        self._count(balance.branch)
-        if self.cycles > self._last_from:
-            self._in_last_part(true_position, torque)
+    Args:
+        environment: That is rendered.
+        settings: Of the run.
+        meter: Changed.
+        position: As the controller saw it [m or rad].
+        true_position: [m or rad].
+        torque: Applied in the hold that ended [N or N*m].
+        interaction: True energy that came in since the start [J].
+        balance: What the controller booked.
+    """
+    meter.cycles += 1.0
+    meter.highest, meter.lowest = max(meter.highest, true_position), min(meter.lowest, true_position)
+    moved = true_position - meter.true_position if meter.cycles > 1.0 else 0.0
+    meter.true_position = true_position
+    take_energy(settings, meter, moved, interaction, balance)
+    meter.torque_peak = max(meter.torque_peak, abs(torque))
+    meter.variation += abs(torque - meter.torque)
+    meter.torque = torque
+    branch = balance.branch
+    if branch != _FREE and branch != _EXIT:  # noqa: PLR1714 - `in` would search
+        take_contact(environment, meter, position, torque, balance.damping_rendered)
+    meter.certificate = max(meter.certificate, float(balance.certificate))
+    count_branch(meter, branch)
+    if meter.cycles > settings.last_from:
+        take_last_part(environment, meter, true_position, torque)
 
-    def compare(self, position: float, torque: float, continuous_position: float, continuous_torque: float) -> None:
-        """Takes one SYNC beside that of the continuous environment.
 
-        Args:
-            position: The true one [m or rad].
-            torque: Applied in the hold that ended [N or N*m].
-            continuous_position: [m or rad].
-            continuous_torque: Its mean over the hold that ended [N or N*m].
-        """
-        error = position - continuous_position
-        self.position_squares += error * error
-        self.position_worst = max(self.position_worst, abs(error))
-        error = torque - continuous_torque
-        self.force_squares += error * error
-        self.force_worst = max(self.force_worst, abs(error))
+def take_energy(
+    settings: MeterSettings, meter: Meter, moved: float, interaction: float, balance: EnergyBalance
+) -> None:
+    """Takes the energies of one SYNC; see `take`."""
+    meter.interaction = interaction
+    meter.least_interaction = min(meter.least_interaction, interaction)
+    meter.lost += settings.damping_per_time * (moved * moved) + settings.friction * abs(moved)
+    meter.least_covered = min(meter.least_covered, interaction + meter.lost)
+    meter.believed += balance.h_i
+    meter.dissipated += balance.h_r
+    believed, dissipated = meter.believed, meter.dissipated
+    meter.margin = min(meter.margin, interaction - dissipated)
+    meter.believed_margin = min(meter.believed_margin, believed - dissipated)
+    meter.believed_error = max(meter.believed_error, abs(believed - interaction))
+    meter.surplus = balance.h_dis
 
-    def _count(self, branch: int) -> None:
-        self.free += 1.0 if branch == _FREE else 0.0
-        self.start += 1.0 if branch == _START else 0.0
-        self.exact += 1.0 if branch == _EXACT else 0.0
-        self.sticky += 1.0 if branch == _STICKY else 0.0
-        self.fallback += 1.0 if branch == _FALLBACK else 0.0
-        self.depleted += 1.0 if branch == _DEPLETED else 0.0
-        self.exit += 1.0 if branch == _EXIT else 0.0
 
-    def _in_last_part(self, true_position: float, torque: float) -> None:
-        self.last += 1.0
-        self.last_highest, self.last_lowest = (
-            max(self.last_highest, true_position),
-            min(self.last_lowest, true_position),
-        )
-        if not self._relaxes:
-            self.last_force -= torque
-            if self._environment.contact(true_position):
-                state = self._environment.true_state(true_position, 0.0, 0.0)
-                self.last_state += state
-                self.last_asked += self._environment.effort(state)
+def compare(meter: Meter, position: float, torque: float, continuous_position: float, continuous_torque: float) -> None:
+    """Takes one SYNC with that of the continuous environment.
 
-    def _in_contact(self, position: float, torque: float, rendered: float) -> None:
-        self.contacts += 1.0
-        self.damping += rendered
-        self.damping_least = min(self.damping_least, rendered)
-        self.damping_most = max(self.damping_most, rendered)
-        if not self._relaxes:
-            state = self._environment.true_state(position, 0.0, 0.0)
-            self.force -= torque
-            self.state += state
-            self.asked += self._environment.effort(state)
+    Args:
+        meter: Changed.
+        position: The true one [m or rad].
+        torque: Applied in the hold that ended [N or N*m].
+        continuous_position: [m or rad].
+        continuous_torque: Its mean over the hold that ended [N or N*m].
+    """
+    error = position - continuous_position
+    meter.position_squares += error * error
+    meter.position_worst = max(meter.position_worst, abs(error))
+    error = torque - continuous_torque
+    meter.force_squares += error * error
+    meter.force_worst = max(meter.force_worst, abs(error))
+
+
+def count_branch(meter: Meter, branch: int) -> None:
+    """Counts a hold."""
+    if branch == _FREE:
+        meter.free += 1.0
+    elif branch == _EXACT:
+        meter.exact += 1.0
+    elif branch == _STICKY:
+        meter.sticky += 1.0
+    elif branch == _START:
+        meter.start += 1.0
+    elif branch == _FALLBACK:
+        meter.fallback += 1.0
+    elif branch == _DEPLETED:
+        meter.depleted += 1.0
+    elif branch == _EXIT:
+        meter.exit += 1.0
+
+
+def take_last_part(environment: Environment, meter: Meter, true_position: float, torque: float) -> None:
+    """Takes a SYNC of the last part of the run."""
+    meter.last += 1.0
+    meter.last_highest = max(meter.last_highest, true_position)
+    meter.last_lowest = min(meter.last_lowest, true_position)
+    if not environment.relaxes:
+        meter.last_force -= torque
+        if environment.contact(true_position):
+            state = environment.true_state(true_position, 0.0, 0.0)
+            meter.last_state += state
+            meter.last_asked += environment.effort(state)
+
+
+def take_contact(environment: Environment, meter: Meter, position: float, torque: float, rendered: float) -> None:
+    """Takes a hold in contact."""
+    meter.contacts += 1.0
+    meter.damping += rendered
+    meter.damping_least = min(meter.damping_least, rendered)
+    meter.damping_most = max(meter.damping_most, rendered)
+    if not environment.relaxes:
+        state = environment.true_state(position, 0.0, 0.0)
+        meter.force -= torque
+        meter.state += state
+        meter.asked += environment.effort(state)

@@ -1,14 +1,17 @@
 """One scene at a time, with the names of the batch: for scenes that do not fit it, and to judge it by."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
+from math import inf
 
 import numpy as np
 
+from canhaptic.control.environments.plain import plain
 from canhaptic.errors import ControlError
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.study.batch.axis import SampledAxis
-from canhaptic.study.batch.meter import Meter
+from canhaptic.study.batch.closed_loop import LoopSettings, commanded, measured
+from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
 from canhaptic.study.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of
 from canhaptic.study.loop import FURTHEST, LoopCase
 from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
@@ -42,7 +45,7 @@ def run_case(
     """Returns the figures of one loop by the names of `METRICS`; see `run_scalar`."""
     meter = metered(case, cycles, continuous)
     names = list(METRICS if metrics is None else metrics)
-    found = vars(meter) | _sums_of_continuous(continuous, case.sample_time_ns)
+    found = asdict(meter) | _sums_of_continuous(continuous, case.sample_time_ns)
     sums = {name: np.array([found[name]]) for name in sums_of(names)}
     return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}
 
@@ -61,38 +64,37 @@ def _sums_of_continuous(continuous: Reference | None, sample_time_ns: int) -> di
 
 def metered(case: LoopCase, cycles: int, continuous: Reference | None = None) -> Meter:
     """Returns the meter of a loop after its cycles, or when it diverged."""
-    plant = case.make_plant()
-    axis = axis_of(case, cycles)
-    meter = axis.meter
+    plant, controller, loop, meter = case.make_plant(), case.controller(), loop_settings(case, cycles), Meter()
+    environment = plain(case.environment)
+    held = waiting = 0.0
     plant.begin(0)
     for k in range(cycles):
         if k:
-            plant.advance_to(k * case.sample_time_ns, axis.held)
+            plant.advance_to(k * case.sample_time_ns, held)
+        true_position = plant.position
         if continuous is not None:
-            meter.compare(plant.position, axis.held, float(continuous.position[k]), float(continuous.torque[k]))
+            compare(meter, true_position, held, float(continuous.position[k]), float(continuous.torque[k]))
+        position = measured(loop, plant.encoder_position)
         try:
-            axis.sync_with(plant.encoder_position, plant.position, _interaction(plant))
+            balance = controller.step(position, held)
         except ControlError:
-            axis.out = True
-        if axis.out:
             meter.diverged = 1.0
             break
+        take(environment, loop.meter, meter, position, true_position, held, _interaction(plant), balance)
+        if not -loop.furthest < true_position < loop.furthest:
+            meter.diverged = 1.0
+            break
+        command = commanded(loop, balance.torque)
+        held, waiting = (waiting, command) if loop.delay else (command, 0.0)
     return meter
 
 
-def axis_of(case: LoopCase, cycles: int) -> SampledAxis:
-    """Returns the axis of a loop, at rest before a run of some cycles."""
-    return SampledAxis(
-        case.controller(),
-        case.environment,
-        delay=case.delay,
-        counts_per_unit=case.counts_per_unit,
-        torque_quantum=case.torque_quantum,
-        torque_limit=case.torque_limit,
-        furthest=FURTHEST,
-        last_from=float(last_rows(cycles, case.sample_time_ns * 1e-9).start),
-        damping_per_time=case.device_damping / (case.sample_time_ns * 1e-9),
-        friction=case.device_friction,
+def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
+    """Returns what lies between plant and controller in a run of some cycles."""
+    period = case.sample_time_ns * 1e-9
+    meter = MeterSettings(float(last_rows(cycles, period).start), case.device_damping / period, case.device_friction)
+    return LoopSettings(
+        case.delay, case.counts_per_unit or 0.0, case.torque_quantum or 0.0, case.torque_limit or inf, FURTHEST, meter
     )
 
 

@@ -24,7 +24,7 @@ from canhaptic.errors import InputError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.study.batch.cases import why_not_beforehand
-from canhaptic.study.batch.engine import Engine, chosen_engine
+from canhaptic.study.batch.engine import ChosenEngine, Engine, chosen_engine
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import COMPLETED, ENGINES, REFUSED, ChunkResult, run_chunk
 from canhaptic.study.sweep.places import places_of
@@ -48,10 +48,6 @@ DURATION: Final = 2.0  # [s]
 _SLACK: Final = 0.05
 """Part by which a wall may miss the tolerance and yet not stand against a larger one: where counts and holds happen to
 fall makes the shares of neighbours differ by some tenths of a per cent."""
-_BATCHES: Final = 5.0
-"""Of a search, about."""
-_WORTH_COMPILING: Final = 3e4
-"""Batches times cycles from which "auto" compiles: NumPy takes some 1.4 ms for each, compiling some 30 s."""
 _FREQUENCY: Final = 1.0  # of the hand that presses [Hz]
 _METRICS: Final = (
     "diverged",
@@ -91,7 +87,7 @@ class Trial:
         scene: Leaning on the wall; what is shown of a wall is shown of it.
         softest: Wall that is tried [N/m or N*m/rad].
         engine: What computes the trials.
-        in_arrays: Whether many walls cost hardly more than one: the plant is linear.
+        is_quick: Whether walls are tried compiled.
         walls: How many were tried.
 
     Raises:
@@ -116,8 +112,9 @@ class Trial:
         presses = {"stiffness": hand["stiffness"], "motion.amplitude": travel, "push": 0.0}
         self._hands = {f"{_USER}.{name}": (leans[name], presses[name]) for name in leans}
         pressed = _with_user(scene, {**hand, "push": 0.0, "motion": motion})
-        self.in_arrays = not why_not_beforehand(pressed)
-        self._recipe = _recipe(pressed, self._hands, engine)
+        chosen = chosen_engine(engine, pays=True)
+        self.is_quick = chosen == "numba" and not why_not_beforehand(pressed)
+        self._recipe = _recipe(pressed, self._hands, chosen)
         self.engine, self.walls, self.remark = "", 0, ""
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
@@ -202,9 +199,7 @@ def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:
     return {"mass": axis.loop.moving_mass, "damping": axis.loop.device_damping or 0.0}
 
 
-def _recipe(scene: Scene, hands: Mapping[str, tuple[float, float]], engine: Engine) -> Recipe:
+def _recipe(scene: Scene, hands: Mapping[str, tuple[float, float]], engine: ChosenEngine) -> Recipe:
     varied = [ranged(STIFFNESS, 1e-3, STIFFEST, 2, "log"), ranged(DAMPING, 0.0, _MOST_DAMPING, 2)]
     points = make_points([*varied, *(listed(key, values) for key, values in hands.items())], [ALGORITHM])
-    cycles = _BATCHES * DURATION / scene.bus.sample_time
-    chosen = chosen_engine(engine, pays=cycles >= _WORTH_COMPILING)
-    return make_recipe(scene, points, metrics=_METRICS, engine=chosen, duration=DURATION)
+    return make_recipe(scene, points, metrics=_METRICS, engine=engine, duration=DURATION)

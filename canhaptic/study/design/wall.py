@@ -1,8 +1,8 @@
 """The largest stiffness, and then the largest damping, that `guarded` renders within a tolerance and with a margin.
 
-A range is tried at many places in one batch, the interval in which walls stop passing at many more in a second: what a
-batch costs hardly depends on the number of its walls. A wall counts only if every smaller one that was tried passes or
-nearly does, softer ones with the same damping included: what a rig renders need not fall evenly.
+A range is tried at many places in one batch, the interval in which walls stop passing at many more in a second. A wall
+counts only if every smaller one that was tried passes or nearly does, softer ones with the same damping included: what
+a rig renders need not fall evenly.
 """
 
 import math
@@ -46,7 +46,7 @@ class _Places(NamedTuple):
         return sum(self.stiffnesses) + len(_SHARES) * len(_BELOW) * sum(self.dampings) + self.below**2 + 1
 
 
-_IN_ARRAYS: Final = _Places((128, 64), (32, 32), 10)
+_COMPILED: Final = _Places((128, 64), (32, 32), 10)
 _ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
 
 
@@ -103,7 +103,7 @@ class _WallSearch:
 
     def __init__(self, trial: Trial, factor: float, progress: Callable[[int, int], None]) -> None:
         self._trial, self._factor, self._progress = trial, factor, progress
-        self._places = _IN_ARRAYS if trial.in_arrays else _ONE_BY_ONE
+        self._places = _COMPILED if trial.is_quick else _ONE_BY_ONE
         progress(0, self._places.most)
 
     def largest_stiffness(self) -> float:

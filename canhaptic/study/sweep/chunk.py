@@ -1,7 +1,7 @@
 """The figures of consecutive scenes, wherever they are computed: a pure function of the recipe and their values.
 
-Scenes of one kind run together: in arrays by the batch engine, or one by one where that cannot take them, with the
-reason kept. How scenes are dealt into chunks changes nothing, because no scene knows of its neighbours.
+Scenes of one kind run together by the batch engine, or one by one where that cannot take them, with the reason kept.
+How scenes are dealt into chunks changes nothing, because no scene knows of its neighbours.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.scene.models import Scene
-from canhaptic.study.batch import ALL, BATCH_KEYS, METRICS, run_batch, run_scalar, spectral_radius, why_not_batchable
+from canhaptic.study.batch import (
+    ALL,
+    BATCH_KEYS,
+    METRICS,
+    NotBatchableError,
+    run_batch,
+    run_scalar,
+    spectral_radius,
+    why_not_batchable,
+)
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import batch_key
 from canhaptic.study.sweep.points import Column
@@ -37,7 +46,7 @@ USUAL: Final = (*METRICS, RADIUS)
 """Metrics that need no continuous run beside each scene."""
 STATUS: Final = ("pending", "completed", "refused", "failed")
 COMPLETED, REFUSED, _FAILED = (STATUS.index(name) for name in ("completed", "refused", "failed"))
-ENGINES: Final = ("none", "closed form", "numpy", "numba", "scalar")
+ENGINES: Final = ("none", "closed form", "python", "numba", "scalar")
 SLOTS: Final = 32
 """Different remarks that one chunk keeps."""
 _MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set with its values says which"
@@ -166,7 +175,7 @@ class _Chunk:
             varied = self._varied(built, scene, index, rows, batched)
             try:
                 figures = run_batch(scene, varied, cycles, recipe.engine, metrics)
-            except ParameterError as error:
+            except (ParameterError, NotBatchableError) as error:
                 return f"the batch refused: {error}".splitlines()[0]
             found |= {f"{name}/{metric}": figures[metric] for metric in metrics}
         for path, values in found.items():

@@ -91,13 +91,16 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
     worst, strongest, richest, branches = 0.0, 0.0, 0.0, set()
 
     def align(_q):
-        storage, scaled = one._storage, group._state  # type: ignore[attr-defined]
+        storage, axis, commands = one._state.storage, one._state.axis, one._memory.commands
+        scaled = group._state  # type: ignore[attr-defined]
         scaled._network.state[0] = storage.state
         scaled._network.settle()
         scaled.h_s, scaled.pace = storage.h_s, storage.velocity
-        group._h_dis = one._model._books.h_dis  # type: ignore[attr-defined]
+        group._h_dis = axis.h_dis  # type: ignore[attr-defined]
         queue = group._commands._queue  # type: ignore[attr-defined]
-        for index, (torque, damper, modulated) in enumerate(one._model._books._in_flight._queue):
+        for index in range(delay + 1):
+            place = axis.oldest + index - delay - 1
+            torque, damper, modulated = commands.torques[place], commands.dampers[place], commands.modulated[place]
             power = damper * damper / damping * 1e-3
             queue[index] = GroupCommand((torque,), (damper,), (modulated,), (0.0,), power)
 

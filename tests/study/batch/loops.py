@@ -1,16 +1,19 @@
-"""Loops for the tests of the batch: many in arrays, and the same ones with floats in Python, operation by operation."""
+"""Loops for the tests of the batch: many at once, and the same ones by the classes of the cycle."""
 
 from typing import Any
 
 import numpy as np
 
 from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.environments.plain import plain
 from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from canhaptic.study.batch.batch_case import BatchCase
 from canhaptic.study.batch.cases import loop_in_arrays
-from canhaptic.study.batch.program import BatchCase
-from canhaptic.study.batch.scalar import axis_of
+from canhaptic.study.batch.closed_loop import commanded, measured
+from canhaptic.study.batch.meter import Meter, take
+from canhaptic.study.batch.scalar import loop_settings
 from canhaptic.study.figures import METRICS, metrics_of, sums_of
 from canhaptic.study.loop import LoopCase
 from tools.bench.standard_cases import standard_case
@@ -47,7 +50,7 @@ def in_arrays(case: LoopCase, numbers: dict[str, np.ndarray] | None = None) -> B
 
 
 def with_floats(case: LoopCase, batch: BatchCase, cycles: int, last: int = 0) -> dict[str, float]:
-    """Returns the figures of one loop by the scalar classes, its plant moved term by term in Python.
+    """Returns the figures of one loop by the controller of the cycle, its plant moved term by term in Python.
 
     Args:
         case: What the scalar classes are made of.
@@ -58,18 +61,24 @@ def with_floats(case: LoopCase, batch: BatchCase, cycles: int, last: int = 0) ->
     flow: Any = batch.numbers
     states = batch.size - 2
     state = [float(flow[f"start.{i}"]) for i in range(states)]
-    axis = axis_of(case, last or cycles)
-    axis.sync(state[0], state[0], 0.0)
-    for _ in range(cycles - 1):
-        before = [*state, axis.held, 1.0]
-        state = []
-        for row in range(states):
-            total = 0.0
-            for column in range(states + 2):
-                if f"flow.{row}.{column}" in flow:
-                    total = total + flow[f"flow.{row}.{column}"] * before[column]
-            state.append(total)
-        axis.sync(state[0], 0.0, 0.0)
+    controller, loop, meter = case.controller(), loop_settings(case, last or cycles), Meter()
+    held = waiting = interaction = before = 0.0
+    for k in range(cycles):
+        if k:
+            known = [*state, held, 1.0]
+            state = []
+            for row in range(states):
+                total = 0.0
+                for column in range(states + 2):
+                    total += flow.get(f"flow.{row}.{column}", 0.0) * known[column]
+                state.append(total)
+        interaction -= held * (state[0] - before)
+        before = state[0]
+        position = measured(loop, state[0])
+        balance = controller.step(position, held)
+        take(plain(case.environment), loop.meter, meter, position, state[0], held, interaction, balance)
+        command = commanded(loop, balance.torque)
+        held, waiting = (waiting, command) if loop.delay else (command, 0.0)
     names = [name for name in METRICS if name not in COUNTED]
-    sums = {name: np.array([getattr(axis.meter, name)]) for name in sums_of(names)}
+    sums = {name: np.array([getattr(meter, name)]) for name in sums_of(names)}
     return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}

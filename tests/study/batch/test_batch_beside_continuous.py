@@ -122,7 +122,7 @@ def test_a_graze_inside_of_one_hold_is_met():
 @pytest.mark.parametrize("algorithm", ["direct", pytest.param("guarded", marks=pytest.mark.slow)])
 def test_every_metric_of_a_batch_is_that_of_one_scene_beside_its_reference(algorithm):
     scene, varied = demo(algorithm), many(2)
-    found = run_batch(scene, varied, 400, engine="numpy", metrics=list(ALL))
+    found = run_batch(scene, varied, 400, engine="python", metrics=list(ALL))
     for i in range(2):
         one = run_scalar(scene_with(scene, {key: float(v[i]) for key, v in varied.items()}), 400, list(ALL))
         for name in ALL:
@@ -138,7 +138,7 @@ def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
     environment = environment_of(axis)
     reference = continuous_reference(environment, plant, user, effects, scene.bus.sample_time_ns, cycles, seed)
     expected = figures(environment, render(loop_case(axis, scene), cycles), reference, scene.bus.sample_time)
-    found = {name: float(v[0]) for name, v in run_batch(scene, {}, cycles, "numpy", list(ALL)).items()}
+    found = {name: float(v[0]) for name, v in run_batch(scene, {}, cycles, "python", list(ALL)).items()}
     for kind in ("position_error", "force_error"):
         for part in ("rms", "max"):
             assert found[f"{kind}.{part}"] == pytest.approx(expected[kind][part], rel=1e-5), (kind, part)
@@ -167,7 +167,7 @@ def test_a_continuous_run_does_not_depend_on_those_beside_it():
 def test_without_a_closed_form_there_is_no_figure_and_the_others_stay():
     case = in_arrays(scalar_case("detents", "direct"))
     assert "closed form" in why_not_continuous(case)
-    found = march(case, 1, 50, "numpy", ["position_error.rms", "limit_cycle", "interaction"])
+    found = march(case, 1, 50, "python", ["position_error.rms", "limit_cycle", "interaction"])
     assert np.isnan(found["position_error.rms"]).all()
     assert np.isnan(found["limit_cycle"]).all()
     assert np.isfinite(found["interaction"]).all()
@@ -176,5 +176,5 @@ def test_without_a_closed_form_there_is_no_figure_and_the_others_stay():
 
 def test_scenes_too_fast_for_a_reference_have_none_and_the_others_keep_theirs():
     case = in_arrays(scalar_case("spring_damper_wall", "direct"), {"environment.damping": np.array([5.0, 1e7])})
-    found = march(case, 2, 50, "numpy", ["position_error.max"])["position_error.max"]
+    found = march(case, 2, 50, "python", ["position_error.max"])["position_error.max"]
     assert np.isfinite(found).tolist() == [True, False]

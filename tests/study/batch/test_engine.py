@@ -14,10 +14,10 @@ INSTALLED = ModuleSpec("numba", None)
     ("installed", "asked", "pays", "chosen"),
     [
         (True, "auto", True, "numba"),
-        (True, "auto", False, "numpy"),
+        (True, "auto", False, "python"),
         (True, "numba", False, "numba"),
-        (True, "numpy", True, "numpy"),
-        (False, "auto", True, "numpy"),
+        (True, "python", True, "python"),
+        (False, "auto", True, "python"),
     ],
 )
 def test_auto_compiles_where_numba_is_there_and_pays(

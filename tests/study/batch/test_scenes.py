@@ -60,7 +60,7 @@ def many(scenes: int) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_batch_gives_the_figures_of_one_scene_at_a_time(algorithm):
     scene, varied = demo(algorithm), many(5)
-    found = run_batch(scene, varied, CYCLES, engine="numpy")
+    found = run_batch(scene, varied, CYCLES, engine="python")
     for i in range(5):
         one = run_scalar(scene_with(scene, {key: float(values[i]) for key, values in varied.items()}), CYCLES)
         for name in METRICS:
@@ -73,7 +73,7 @@ def test_the_figures_are_those_of_the_comparison(algorithm):
     case = loop_case(scene.axes[0], scene)
     run = render(case, CYCLES)
     of_comparison = figures(environment_of(scene.axes[0]), run, None, 1e-3)
-    found = {name: float(values[0]) for name, values in run_batch(scene, {}, CYCLES, engine="numpy").items()}
+    found = {name: float(values[0]) for name, values in run_batch(scene, {}, CYCLES, engine="python").items()}
     assert found["least_interaction"] == pytest.approx(of_comparison["least_interaction"], rel=1e-6, abs=1e-12)
     assert found["interaction"] == pytest.approx(of_comparison["interaction"], rel=1e-6)
     assert found["margin"] == pytest.approx(of_comparison["margin"]["value"], rel=1e-6, abs=1e-12)
@@ -124,7 +124,7 @@ def test_linear_effects_fit():
         scene = with_effect(demo(), **effect)
         assert why_not_batchable(scene) == "", effect
         varied = {"simulation.plant.mass": np.array([0.2, 0.3]), "bus.rate": np.array([1000.0, 800.0])}
-        found = run_batch(scene, varied, CYCLES, engine="numpy", metrics=["interaction", "torque_peak"])
+        found = run_batch(scene, varied, CYCLES, engine="python", metrics=["interaction", "torque_peak"])
         for i in range(2):
             one = run_scalar(scene_with(scene, {key: float(values[i]) for key, values in varied.items()}), CYCLES)
             assert found["interaction"][i] == pytest.approx(one["interaction"], rel=1e-6), effect
@@ -136,7 +136,7 @@ def test_what_does_not_fit_for_other_reasons_is_named():
     assert "2 axes" in why_not_batchable(replace(scene, axes=scene.axes * 2))
     assert "not simulated" in why_not_batchable(replace(scene, axes=(replace(scene.axes[0], simulation=None),)))
     wall = "environment={type: hardening_wall, stiffness: 100, hardening: 1e5}"
-    assert "hardening_wall under internal_dissipation" in why_not_batchable(demo("internal_dissipation", wall))
+    assert why_not_batchable(demo("internal_dissipation", wall)) == ""
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def told():
 
 @pytest.fixture(scope="module")
 def designed(told):
-    return design_wall(load_scene(DEMO, RIG), engine="numpy", progress=lambda *seen: told.append(seen))
+    return design_wall(load_scene(DEMO, RIG), engine="python", progress=lambda *seen: told.append(seen))
 
 
 def test_a_progress_bar_rises_and_never_passes_its_end(designed, told):
@@ -63,7 +63,7 @@ def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_t
 
 
 def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
-    trial = Trial(load_scene(DEMO, RIG), 0.05, "numpy")
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "python")
     verdict = trial.verdict(
         np.array([designed.stiffness, 1.3 * designed.stiffness, 20.0 * designed.stiffness]), np.zeros(3)
     )
@@ -74,12 +74,12 @@ def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
 
 
 def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
-    trial = Trial(load_scene(DEMO, RIG), 0.05, "numpy")
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "python")
     places = np.linspace(0.8, 1.2, 201) * designed.stiffness
     verdict = trial.verdict(1.2 * places, np.zeros(len(places)))
     first = int(np.argmin(verdict.nearly))
     assert first > 0
-    assert designed.stiffness == pytest.approx(places[:first][verdict.passed[:first]].max(), rel=0.006)
+    assert designed.stiffness == pytest.approx(places[:first][verdict.passed[:first]].max(), rel=0.02)
     assert [damping > 0.0 for _, damping in designed.trade] == [False, True, True]
     for stiffness, damping in designed.trade[1:]:
         dampings = np.linspace(0.0, 1.3, 131) * damping
@@ -91,7 +91,7 @@ def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
 
 
 def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own():
-    trial = Trial(load_scene(DEMO, RIG), 0.05, "numpy")
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "python")
     verdict = trial.verdict(np.array([300.0, 600.0]), np.array([2.0, 0.0]))
     motion = "{type: sinusoid, amplitude: 0.16666666666666666, frequency: 1, phase: 1.5707963267948966}"
     for row, (stiffness, damping) in enumerate([(300.0, 2.0), (600.0, 0.0)]):
@@ -110,7 +110,7 @@ def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own():
 def test_a_plant_that_cannot_run_in_arrays_is_tried_in_fewer_places():
     scene = load_scene(DEMO, [*RIG, "simulation.effects=[{type: coulomb_friction, kinetic: 0.1 N, static: 0.1 N}]"])
     trial = Trial(scene, 0.05)
-    assert not trial.in_arrays
+    assert not trial.is_quick
     verdict = trial.verdict(np.array([200.0]), np.zeros(1))
     assert trial.engine == "scalar"
     assert 0.5 < verdict.stiffness_share[0] < 1.0
@@ -136,7 +136,7 @@ def test_what_cannot_be_designed_is_said():
 
 def test_a_rig_that_renders_no_wall_is_told_what_to_change():
     with pytest.raises(CheckFailedError, match=r"raise bus\.rate"):
-        design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="numpy")
+        design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="python")
 
 
 def test_numbers_are_rounded_down():

@@ -23,7 +23,7 @@ from tests.study.sweep.conftest_sweep import DEMO, VARY
 
 LONG = [
     "sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:6", "--vary", "simulation.seed=0:4:lin:5",
-    "--cycles", "100", "--chunk", "1", "--engine", "numpy",
+    "--cycles", "100", "--chunk", "1", "--engine", "python",
 ]  # fmt: skip
 CHUNKS = 30
 ONE: dict[str, Any] = {"cycles": 20, "metrics": ["travel"], "controllers": ["direct"]}

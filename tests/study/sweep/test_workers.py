@@ -18,7 +18,7 @@ OPTIONS: dict[str, Any] = {
     "cycles": 40,
     "chunk": 4,
     "controllers": ["direct"],
-    "engine": "numpy",
+    "engine": "python",
     "metrics": ["travel", "margin", "spectral_radius"],
 }
 SCENES = 32

@@ -1,0 +1,66 @@
+"""A passivity algorithm in the cycle: the class that keeps what the kernel remembers, and refuses what is no number."""
+
+from math import isfinite
+from typing import Any, ClassVar
+
+from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.errors import ControlError
+from canhaptic.kernels import Kernel, list_of_zeros, with_quick_fields
+from canhaptic.units import Parameters
+
+_HELD = Branch.HELD.value
+
+
+class SteppedController:
+    """A kernel with the state of one axis; see `Controller`."""
+
+    parameters_type: ClassVar[type[Parameters]]
+    kernel: ClassVar[Kernel]
+
+    def __init__(self, environment: Environment, parameters: Any, loop: LoopProperties) -> None:
+        """Prepares a run; `parameters` is of `parameters_type`.
+
+        Raises:
+            ParameterError: The algorithm cannot do without something that is not known.
+        """
+        self._environment = environment
+        self._settings = self.kernel.settings(environment, parameters, loop)
+        self._step = self.kernel.step
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything: zero stored energy, no torque in flight, no last position."""
+        self._state = self.kernel.state()
+        self._axis = self._state.axis
+        self._memory = with_quick_fields(self.kernel.memory(self._settings, list_of_zeros))
+        self._last = AT_REST
+
+    def hold(self) -> EnergyBalance:
+        """Repeats the last command for want of a position; see `Controller.hold`."""
+        if self._axis.started:
+            self._axis.missed += 1
+        return self._last._replace(
+            branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
+        )
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Accounts for the hold that ended; see `Controller.step`."""
+        if not isfinite(position - self._axis.position + torque_applied):
+            self.reset()
+            raise ControlError(
+                f"controller: got position {position!r} and applied torque {torque_applied!r}, expected finite "
+                "numbers; torque is zero and the controller is to be reset, check the encoder and its scaling"
+            )
+        balance: EnergyBalance = self._step(
+            self._environment, self._settings, self._state, self._memory, position, torque_applied
+        )
+        if not isfinite(balance[0]):
+            self.reset()
+            raise ControlError(
+                f"controller: computed torque {balance.torque!r}, expected a finite number; torque is zero and the "
+                "controller is to be reset, check stiffness and damping against the size of the motion"
+            )
+        self._last = balance
+        return balance

@@ -1,0 +1,71 @@
+"""Machine code of kernels on disk, so that the next process need not compile: in the user's own cache folder.
+
+numba keeps code too, but its key is the file of one function: a change in a function that it calls, in another file,
+goes unnoticed. Here the key of a folder covers the code of every kernel reached, the constants that they name, the
+versions of Python, numba, llvmlite and NumPy, and the processor. What is loaded is executed, so the folder must belong
+to the user, and nobody else may read it; otherwise nothing is kept.
+"""
+
+import hashlib
+import os
+import platform
+import stat
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import llvmlite
+import numba
+import numpy as np
+from llvmlite import binding
+
+_PRIVATE: Final = 0o700
+
+
+@contextmanager
+def kept_code(sources: Iterable[str]) -> Iterator[bool]:
+    """While it lasts, numba keeps the code of what is made in a folder of these sources; yields whether it can.
+
+    Args:
+        sources: Everything that decides the machine code.
+    """
+    folder = cache_folder()
+    if folder is None:
+        yield False
+        return
+    config: Any = numba.config
+    place, before = folder / code_key(sources), config.CACHE_DIR
+    place.mkdir(mode=_PRIVATE, exist_ok=True)
+    config.CACHE_DIR = str(place)
+    try:
+        yield True
+    finally:
+        config.CACHE_DIR = before
+
+
+def cache_folder() -> Path | None:
+    """Returns the folder of compiled kernels, made if need be; None where it is not the user's alone."""
+    root = os.environ.get("XDG_CACHE_HOME", "")
+    base = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
+    folder = base / "canhaptic" / "kernels"
+    try:
+        folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
+        status = folder.lstat()
+    except (OSError, RuntimeError):
+        return None
+    is_own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    is_private = os.name != "posix" or not stat.S_IMODE(status.st_mode) & 0o077
+    return folder if stat.S_ISDIR(status.st_mode) and is_own and is_private else None
+
+
+def code_key(sources: Iterable[str]) -> str:
+    """Returns the name of the folder for code made of these sources, here."""
+    digest = hashlib.sha256()
+    features = sorted(name for name, there in binding.get_host_cpu_features().items() if there)
+    where = (sys.version, platform.machine(), binding.get_host_cpu_name(), features)
+    versions = (numba.__version__, llvmlite.__version__, np.__version__)
+    for part in (repr(where), repr(versions), *sources):
+        digest.update(hashlib.sha256(part.encode()).digest())
+    return digest.hexdigest()[:32]

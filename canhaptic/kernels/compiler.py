@@ -1,0 +1,126 @@
+"""Kernels compiled by numba, each with every kernel that it reaches; needs the extra `fast`.
+
+The source is that of the functions; only their global names are bound anew, to compiled functions. No floating-point
+operation is reordered or fused, and a division by zero gives an infinity, so that both forms give the same bits.
+Reference counts of arrays are left out - a kernel makes no array - which makes it ten times faster.
+"""
+
+import builtins
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import CodeType, FunctionType
+from typing import Any, Final
+
+import numba
+from numba import types
+from numba.extending import overload_method
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from canhaptic.kernels import new
+from canhaptic.kernels.code_cache import kept_code
+
+_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
+METHODS: Final = (
+    "contact",
+    "true_state",
+    "admissible",
+    "stored_energy",
+    "effort",
+    "state_of_energy",
+    "relaxed",
+)
+"""What a kernel may ask an environment."""
+
+fixed_tuple: Any = to_fixed_tuple
+"""(array, length) -> tuple of its numbers; the length is a global name of the function that calls it."""
+
+
+def compiled(function: Callable[..., Any], instead: Mapping[Any, Any] | None = None, *, keep: bool = False) -> Any:
+    """Returns a kernel as a function that is compiled at its first call.
+
+    Args:
+        function: The kernel.
+        instead: A function that it reaches, or a global name -> what to take in its place.
+        keep: Whether the machine code is kept on disk for the next process.
+    """
+    compiling = _Compiling(instead or {})
+    rebound = compiling.rebound(function)
+    if not keep:
+        return numba.njit(rebound, **_OPTIONS)
+    with kept_code(compiling.sources) as can_keep:
+        return numba.njit(rebound, cache=can_keep, **_OPTIONS)
+
+
+class _Compiling:
+    """Functions found on the way, each compiled once.
+
+    Attributes:
+        sources: What decides the machine code: of every function its code, and the constants that it names.
+    """
+
+    def __init__(self, instead: Mapping[Any, Any]) -> None:
+        self._instead = instead
+        self._known: dict[Any, Any] = {new: _made}
+        self.sources: list[str] = [repr(_OPTIONS), Path(__file__).read_text(encoding="utf-8")]
+
+    def rebound(self, function: Any) -> FunctionType:
+        """Returns the same code with compiled functions in the place of its global names."""
+        self.sources.append(_text_of(function.__code__) + repr(function.__defaults__))
+        found: dict[str, Any] = {"__name__": function.__module__, "__builtins__": builtins}
+        for name in sorted(_names_in(function.__code__)):
+            if name in function.__globals__:
+                found[name] = self._value(name, function.__globals__[name])
+        return FunctionType(function.__code__, found, function.__name__, function.__defaults__)
+
+    def _value(self, name: str, value: Any) -> Any:
+        value = self._instead.get(name, value)
+        if not callable(value):
+            self.sources.append(f"{name}={value!r}")
+            return value
+        value = self._instead.get(value, value)
+        if value in self._known:
+            return self._known[value]
+        known = value
+        if isinstance(value, FunctionType):
+            known = numba.njit(self.rebound(value), **_OPTIONS)
+        elif isinstance(value, type):
+            self.sources.append(f"{name}={value.__qualname__}{getattr(value, '_fields', ())}")
+            for method in METHODS:
+                if isinstance(getattr(value, method, None), FunctionType):
+                    self.rebound(getattr(value, method))
+        else:
+            self.sources.append(f"{name}={getattr(value, '__name__', name)}")
+        self._known[value] = known
+        return known
+
+
+def _names_in(code: CodeType) -> set[str]:
+    inner = [_names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
+    return {*code.co_names}.union(*inner)
+
+
+def _text_of(code: CodeType) -> str:
+    constants = [_text_of(part) if isinstance(part, CodeType) else repr(part) for part in code.co_consts]
+    return repr((code.co_name, code.co_code, constants, code.co_names, code.co_varnames, code.co_freevars))
+
+
+def _make(kind: Any, values: Any) -> Any:
+    return kind(*values)
+
+
+_made: Final = numba.njit(_make, **_OPTIONS)
+
+
+def _overload(name: str) -> None:
+    @overload_method(types.BaseNamedTuple, name)
+    def method(self: Any, *args: Any) -> Any:
+        function = compiled(getattr(self.instance_class, name))
+
+        def call(self: Any, *args: Any) -> Any:
+            return function(self, *args)
+
+        return call
+
+
+for _name in METHODS:
+    _overload(_name)

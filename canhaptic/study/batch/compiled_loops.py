@@ -1,0 +1,120 @@
+"""Loops of a batch compiled by numba, the controller, the plant and the figures in one; needs the extra `fast`."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+from numba.core.errors import NumbaError
+
+from canhaptic.control.environments.plain import tuple_type
+from canhaptic.kernels import Buffer, Kernel
+from canhaptic.kernels.compiler import compiled, fixed_tuple
+from canhaptic.kernels.records import Records, records_of
+from canhaptic.study.batch.batch_case import NotBatchableError
+from canhaptic.study.batch.closed_loop import run_loop, step
+from canhaptic.study.batch.meter import Meter
+from canhaptic.study.batch.rows import SceneRow
+from canhaptic.study.loop import Array
+
+WIDTH = 0
+"""Numbers of an environment; this, and `new_environment`, are bound anew for each kind."""
+
+
+def new_environment(*_numbers: float) -> Any:
+    """Stands for the NamedTuple of an environment."""
+    raise NotImplementedError
+
+
+def run_loops(
+    table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: Any, zeros: Array,
+    meters: Records, flows: Array, starts: Array, plant: Any, moved: Any, positions: Array, torques: Array,
+    cycles: int,
+) -> None:  # fmt: skip
+    """Runs one loop after the other; see `run_loop`."""
+    for i in range(len(table)):
+        environment = new_environment(*fixed_tuple(table[i], WIDTH))
+        zeros[:] = 0.0
+        states[0] = rest[0]
+        for place in range(len(plant)):
+            plant[place] = starts[i % len(starts), place]
+        run_loop(
+            environment, settings[i], loops[i], states[0], memory, meters[i], flows[i % len(flows)], plant, moved,
+            positions[i], torques[i], cycles,
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def compiled_loops(kind: Any, kernel: Kernel) -> Any:
+    """Returns `run_loops` compiled for the tuple type of an environment and an algorithm."""
+    instead = {new_environment: kind, "WIDTH": len(kind._fields), step: kernel.step}
+    return compiled(run_loops, instead, keep=True)
+
+
+def run_compiled(
+    kernel: Kernel, rows: Sequence[SceneRow], flows: Array, starts: Array, positions: Array, torques: Array, cycles: int
+) -> Records:
+    """Returns the meter of every scene as records; see `run_interpreted` for the arguments."""
+    settings, loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
+    rest, states = records_of([kernel.state()]), records_of([kernel.state()])
+    meters = np.repeat(records_of([Meter()]), len(rows))
+    kind = tuple_type(rows[0].environment)
+    numbers = attrgetter(*kind._fields)
+    table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
+    run = compiled_loops(kind, kernel)
+    plant, moved = np.empty(starts.shape[1]), np.empty(starts.shape[1] - 2)
+    for some in _alike(kernel, rows):
+        memory, zeros = _memory(kernel, rows[some[0]].settings)
+        part = meters[some]
+        try:
+            run(
+                table[some], settings[some], loops[some], rest, states, memory, zeros, part, _of(flows, some),
+                _of(starts, some), plant, moved, positions[some], torques[some], cycles,
+            )  # fmt: skip
+        except NumbaError as error:
+            raise NotBatchableError(
+                f"numba cannot compile {kind.__name__} under this algorithm: {str(error).splitlines()[-1]}"
+            ) from error
+        meters[some] = part
+    return meters
+
+
+def _of(values: Array, some: Any) -> Array:
+    """Returns what belongs to some scenes; all of it where they share it."""
+    return values if len(values) == 1 else values[some]
+
+
+def _alike(kernel: Kernel, rows: Sequence[SceneRow]) -> list[Any]:
+    """Returns the numbers of the rows whose buffers have the same lengths, together."""
+    lengths: dict[int, tuple[int, ...]] = {}
+    found: dict[tuple[int, ...], list[int]] = {}
+    for i, row in enumerate(rows):
+        settings = row.settings
+        if id(settings) not in lengths:
+            lengths[id(settings)] = _lengths(kernel, settings)
+        found.setdefault(lengths[id(settings)], []).append(i)
+    return [np.array(some) for some in found.values()]
+
+
+def _lengths(kernel: Kernel, settings: Any) -> tuple[int, ...]:
+    asked: list[int] = []
+
+    def make_buffer(length: int) -> Buffer:
+        asked.append(length)
+        return []
+
+    kernel.memory(settings, make_buffer)
+    return tuple(asked)
+
+
+def _memory(kernel: Kernel, settings: Any) -> tuple[Any, Array]:
+    """Returns the buffers of an algorithm, and the one array in which all of them lie."""
+    whole, used = np.zeros(sum(_lengths(kernel, settings))), 0
+
+    def make_buffer(length: int) -> Any:
+        nonlocal used
+        used += length
+        return whole[used - length : used]
+
+    return kernel.memory(settings, make_buffer), whole

@@ -1,0 +1,71 @@
+"""Compiled code is kept for the next process, in a folder of the user's alone, and never taken for a changed kernel."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("numba")
+
+from canhaptic.kernels.code_cache import cache_folder, code_key
+
+ROOT = Path(__file__).resolve().parents[2]
+INNER = "def inner(x):\n    return x * {factor}\n"
+OUTER = """from inner_kernel import inner
+
+
+def outer(values):
+    for i in range(len(values)):
+        values[i] = inner(values[i])
+"""
+CALL = """
+import numpy as np
+from outer_kernel import outer
+from canhaptic.kernels.compiler import compiled
+
+run = compiled(outer, keep=True)
+values = np.array([1.0, 2.0])
+run(values)
+print(values.tolist(), sum(run.stats.cache_hits.values()))
+"""
+
+
+def called(folder: Path, factor: float) -> list[str]:
+    """Returns what a process of its own prints that compiles two kernels of two files, or loads them."""
+    (folder / "inner_kernel.py").write_text(INNER.format(factor=factor))
+    (folder / "outer_kernel.py").write_text(OUTER)
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{folder}", "XDG_CACHE_HOME": str(folder / "cache")}
+    found = subprocess.run([sys.executable, "-c", CALL], env=environment, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stderr
+    return found.stdout.split("]")
+
+
+def test_the_next_process_loads_the_code_and_an_edit_of_a_called_kernel_is_seen(tmp_path: Path) -> None:
+    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 0\n"]
+    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 1\n"]
+    assert called(tmp_path, 5.0) == ["[5.0, 10.0", " 0\n"]  # numba's own key knows the file of the outer one alone
+
+
+def test_the_folder_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = cache_folder()
+    assert folder is not None
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o755)  # others could put code there, or read what is run
+    assert cache_folder() is None
+    folder.rmdir()
+    folder.symlink_to(tmp_path)
+    assert cache_folder() is None
+
+
+def test_without_a_place_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
+    assert cache_folder() is None
+
+
+def test_every_source_counts_in_the_key() -> None:
+    assert len({code_key(sources) for sources in (["a", "b"], ["b", "a"], ["ab"], ["a"], [])}) == 5
