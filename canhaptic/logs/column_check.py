@@ -1,5 +1,6 @@
 """Whether the columns of an energy log are all there, of their type, and of one length."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -64,15 +65,21 @@ def _column(path: Path, file: Hdf5File, name: str, dtype: str) -> Dataset:
 
 def _require_one_length(path: Path, columns: FoundColumns, grows: bool) -> None:
     lengths = {name: len(dataset) for name, dataset in columns.items()}
-    expected = max(lengths.values())
+    expected = usual_length(columns)
     if grows:  # it may also have grown from one column to the next
         least = expected - max(dataset.chunk for dataset in columns.values())
-        short = [name for name in lengths if lengths[name] < least and columns[name].refreshed_length() < least]
+        odd = [name for name in lengths if lengths[name] < least and columns[name].refreshed_length() < least]
     else:
-        short = [name for name in lengths if lengths[name] < expected]
-    if short:
-        more = f" ({len(short)} columns are short)" if len(short) > 1 else ""
+        odd = [name for name in lengths if lengths[name] != expected]
+    if odd:
+        more = f" ({len(odd)} columns are of another length)" if len(odd) > 1 else ""
         raise LogFormatError(
-            f"{path}: {short[0]} has {lengths[short[0]]} rows, expected {expected} like the other columns{more}; "
+            f"{path}: {odd[0]} has {lengths[odd[0]]} rows, expected {expected} like the other columns{more}; "
             "the file is damaged, `inspect --repair` saves the rows that every column has"
         )
+
+
+def usual_length(columns: FoundColumns) -> int:
+    """Returns the length that most columns have, the longer of two that are as usual."""
+    counts = Counter(len(dataset) for dataset in columns.values())
+    return max(counts, key=lambda length: (counts[length], length))

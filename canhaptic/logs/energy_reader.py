@@ -20,7 +20,7 @@ from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION
 from canhaptic.logs.hdf5 import Array, Hdf5File
 from canhaptic.logs.log_file import log_file
 
-_DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError)
+DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError)
 """What h5py and NumPy raise for one kind of damage or another."""
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
 
@@ -104,7 +104,7 @@ class EnergyLog:
             return EnergyLog(path, file, description)
         except BaseException as error:
             file.close()
-            if isinstance(error, _DAMAGE) and not isinstance(error, LogFormatError):
+            if isinstance(error, DAMAGE) and not isinstance(error, LogFormatError):
                 raise LogFormatError(f"{path}: the file is damaged ({error})") from error
             raise
 
@@ -185,7 +185,7 @@ def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
     except LogFormatError:
         file.close()
         raise
-    except _DAMAGE as error:
+    except DAMAGE as error:
         file.close()
         raise LogFormatError(f"{path}: the file is damaged ({error})") from error
 

@@ -101,8 +101,8 @@ class Hdf5File:
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """Attributes of the root."""
-        return dict(self._file.attrs)
+        """Attributes of the root; bytes of a text that are no UTF-8 are replaced."""
+        return {name: _text(value) if isinstance(value, str) else value for name, value in self._file.attrs.items()}
 
     def set_attribute(self, name: str, value: Any) -> None:
         """Sets one attribute of the root."""
@@ -155,3 +155,7 @@ class Hdf5File:
     def flush(self) -> None:
         """Hands everything to the operating system."""
         self._file.flush()
+
+
+def _text(value: str) -> str:
+    return value.encode("utf-8", "surrogateescape").decode("utf-8", "replace")

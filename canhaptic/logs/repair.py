@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Final
 
-from canhaptic.errors import InputError
+from canhaptic.errors import InputError, LogFormatError
 from canhaptic.host.output_file import require_writable_place
-from canhaptic.logs.column_check import found_columns
-from canhaptic.logs.energy_reader import open_file
-from canhaptic.logs.hdf5 import Dataset
+from canhaptic.logs.column_check import FoundColumns, found_columns, usual_length
+from canhaptic.logs.energy_reader import DAMAGE, open_file
 from canhaptic.logs.packing import repack
 
 _STEP: Final = 512  # rows tried at a time
@@ -34,22 +33,27 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
     file, description = open_file(source)
     with file:
         rows, events = found_columns(source, file, description.ports)
-        longest = max(len(dataset) for dataset in rows.values())
-        readable, notes = (min(_readable(dataset) for dataset in found.values()) for found in (rows, events))
+        expected = usual_length(rows)
+        readable, notes = _readable(rows), _readable(events)
     note = "" if description.status == "complete" else f" (was: {description.status})"
     try:
         repack(source, target, {"status": f"repaired{note}"}, (readable, notes))
     except OSError as error:
         raise InputError(f"{target}: the repaired copy cannot be written ({error}); name another file") from error
-    return readable, longest - readable
+    except DAMAGE as error:
+        target.with_name(target.name + ".new").unlink(missing_ok=True)
+        raise LogFormatError(f"{source}: too damaged to be saved ({error})") from error
+    return readable, max(0, expected - readable)
 
 
-def _readable(dataset: Dataset) -> int:
-    """Returns how many elements at the start can be read."""
-    length = len(dataset)
-    for start in range(0, length, _STEP):
-        try:
-            dataset.read(start, min(length, start + _STEP))
-        except (OSError, RuntimeError):
-            return start
-    return length
+def _readable(columns: FoundColumns) -> int:
+    """Returns how many rows at the start every column has and can be read."""
+    rows = min(len(dataset) for dataset in columns.values())  # a damaged column may claim any length
+    for dataset in columns.values():
+        for start in range(0, rows, _STEP):
+            try:
+                dataset.read(start, min(rows, start + _STEP))
+            except (OSError, RuntimeError):
+                rows = start
+                break
+    return rows

@@ -133,6 +133,18 @@ def test_a_finding_is_shown_with_its_column_and_cycle(whole: Path, capsys: pytes
     assert "ports/handle/h_m: 2 rows are no finite number, first in cycle 7" in capsys.readouterr().out
 
 
+def too_long(file: Any, name: str) -> None:
+    file[name].resize((1 << 50,))
+
+
+def test_a_column_that_claims_any_length_is_named_and_repaired_at_once(whole: Path) -> None:
+    for name in ("ports/handle/h_i", "timing/sync_index"):
+        path = damaged(whole, too_long, name)
+        with pytest.raises(LogFormatError, match=rf"{name} has {1 << 50} rows, expected {ROWS} like the other"):
+            EnergyLog.open(path)
+        assert repair(path, whole.with_name("saved.h5")) == (ROWS, 0)
+
+
 def test_repair_keeps_the_rows_that_every_column_has_and_refuses_what_it_cannot_save(whole: Path) -> None:
     saved = whole.with_name("saved.h5")
     for name in columns(whole)[::4]:
@@ -163,6 +175,17 @@ def test_a_log_that_is_being_written_may_be_a_chunk_short_in_some_columns_and_no
         assert log.rows == ROWS - 10
     with pytest.raises(LogFormatError, match=rf"ports/handle/h_i has {ROWS // 2} rows, expected {ROWS}"):
         EnergyLog.open(damaged(whole, running(ROWS // 2, 10), "ports/handle/h_i"))
+
+
+def test_a_text_that_is_no_utf8_is_read_and_saved(whole: Path) -> None:
+    def put(file: Any, name: str) -> None:
+        file.attrs[name] = b"\xff.yaml"
+
+    path, saved = damaged(whole, put, "config_source"), whole.with_name("saved.h5")
+    assert typed.inspect(path) == 0
+    assert repair(path, saved) == (ROWS, 0)
+    with EnergyLog.open(saved) as log:
+        assert log.attributes["config_source"] == "\ufffd.yaml"
 
 
 @pytest.mark.parametrize("name", ["branch", "certificate"])
