@@ -4,6 +4,7 @@ import argparse
 
 from canhaptic.cli.arguments import (
     check_folder,
+    check_page,
     check_picture,
     scene_of,
 )
@@ -11,6 +12,7 @@ from canhaptic.cli.output import note_file, write_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.study.accuracy.study import UNITS, AccuracyStudy
+from canhaptic.study.scenes import require_single_axes
 from canhaptic.view.energy_table import make_console
 
 
@@ -21,11 +23,13 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an axis or a file that cannot be used.
     """
     scene = scene_of(arguments)
+    require_single_axes(scene, "accuracy", arguments.axis or scene.axes[0].parameters.name)
     if arguments.png is not None:
         check_picture(arguments.png)
-    for path in (arguments.html, arguments.markdown):
-        if path is not None:
-            check_folder(path)
+    if arguments.html is not None:
+        check_page(arguments.html)
+    if arguments.markdown is not None:
+        check_folder(arguments.markdown)
     with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
         study = AccuracyStudy(
             scene,

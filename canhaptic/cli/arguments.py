@@ -51,11 +51,26 @@ def check_picture(path: Path) -> None:
     """Refuses a picture that could not be written, before anything runs.
 
     Raises:
-        InputError: An unknown suffix, or a folder that is not there.
+        InputError: An unknown suffix, a folder that is not there, or matplotlib is not installed.
     """
     if path.suffix not in _PICTURES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
     check_folder(path)
+    from canhaptic.view.picture_style import matplotlib_figure
+
+    matplotlib_figure()
+
+
+def check_page(path: Path) -> None:
+    """Refuses a page that could not be written, before anything runs.
+
+    Raises:
+        InputError: There is no folder for it, or Bokeh is not installed.
+    """
+    from canhaptic.view.html_page import require_bokeh
+
+    check_folder(path)
+    require_bokeh()
 
 
 def check_folder(path: Path) -> None:

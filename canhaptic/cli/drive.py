@@ -12,6 +12,7 @@ from canhaptic.cli.output import write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
+from canhaptic.host.realtime import Realtime
 from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.bus import open_bus, suffers, with_effects
 from canhaptic.scene.models import NamedBus, Scene
@@ -31,6 +32,11 @@ def execute(arguments: argparse.Namespace) -> int:
         )
     with ExitStack() as stack:
         stop = stack.enter_context(StopSignal())
+        realtime = Realtime(scene.bus.realtime)
+        stack.callback(realtime.end)
+        realtime.begin()
+        for name, answer in realtime.report.items():
+            write_note(f"  bus.realtime.{name}: {answer}")
         far_ends = [_far_end(scene, place, stack) for place in range(len(scene.buses))]
         write_note("; ".join(_names(scene, bus) for bus in scene.buses) + ": powered, Ctrl-C ends")
         _live(far_ends, arguments.duration, stop)

@@ -2,7 +2,7 @@
 
 import argparse
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 
@@ -10,15 +10,18 @@ from canhaptic.audit.inspection import inspect
 from canhaptic.audit.log_difference import compare
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.user_checks import check
+from canhaptic.cli.arguments import check_folder, check_page, check_picture
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.export import export
+from canhaptic.logs.export import export, require_library
 from canhaptic.logs.log_file import CONVERTIBLE
 from canhaptic.logs.repair import repair
 from canhaptic.view.energy_table import energy_report, make_console
 from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report
 from canhaptic.view.run_picture import draw_energy
+
+_EXPORTS: Final = ("csv", "parquet", "mat")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -29,6 +32,7 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: A log or an argument that cannot be used.
     """
+    _check_files(arguments)
     console = make_console()
     if arguments.repair is not None:
         kept, lost = repair(arguments.log, arguments.repair)
@@ -73,12 +77,25 @@ def _is_good(result: dict[str, Any]) -> bool:
     )
 
 
-def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
-    for suffix in ("csv", "parquet", "mat"):
+def _check_files(arguments: argparse.Namespace) -> None:
+    """Refuses files that could not be written, before anything is read."""
+    for suffix in _EXPORTS:
         path = getattr(arguments, suffix)
         if path is not None:
             if path.suffix != f".{suffix}":
                 raise InputError(f"--{suffix} {path}: expected a name that ends in .{suffix}")
+            check_folder(path)
+            require_library(path)
+    for path in (arguments.png, arguments.svg):
+        if path is not None:
+            check_picture(path)
+    if arguments.html is not None:
+        check_page(arguments.html)
+
+
+def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace) -> None:
+    for path in (getattr(arguments, suffix) for suffix in _EXPORTS):
+        if path is not None:
             export(log, path)
     pictures = [path for path in (arguments.png, arguments.svg) if path is not None]
     if not pictures and arguments.html is None:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from canhaptic.cli.arguments import check_folder, check_picture
+from canhaptic.cli.arguments import check_page, check_picture
 from canhaptic.cli.output import note_file, write_json, write_line
 from canhaptic.study.map.field import fields_of
 from canhaptic.study.map.panel import Lines, Panel
@@ -20,7 +20,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.png is not None:
         check_picture(arguments.png)
     if arguments.html is not None:
-        check_folder(arguments.html)
+        check_page(arguments.html)
     with SweepTable(arguments.file) as table:
         fields = fields_of(table, arguments.axis)
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)

@@ -73,10 +73,10 @@ def _run(
     except CanHapticError as raised:
         error = raised
     elapsed = (clock.now() - begin) * 1e-9
-    status = "completed" if error is None else f"failed: {type(error).__name__}"
+    status = "completed" if error is None else f"failed: {error}"
     if error is None and stop.requested():
         status = "stopped"
-    result = experiment_account(experiment, status, elapsed)
+    result = experiment_account(experiment, status if error is None else "failed", elapsed)  # why: printed after it
     try:
         experiment.close(status)
     except CanHapticError as raised:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
 from canhaptic.host.output_file import replacing
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 
@@ -25,15 +26,26 @@ def export(log: EnergyLog, path: str | Path) -> None:
     writers = {".csv": _write_csv, ".parquet": _write_parquet, ".mat": _write_mat}
     if path.suffix not in writers:
         raise InputError(f"{path}: cannot export to {path.suffix!r}, expected one of: {', '.join(writers)}")
+    require_library(path)
     try:
         with replacing(path) as file:
             writers[path.suffix](log, file)
-    except ImportError as error:
-        raise InputError(
-            f"{path}: {error.name} is not installed; install it with: pip install 'canhaptic[export]'"
-        ) from error
     except OSError as error:
         raise InputError(f"{path}: the table cannot be written ({error}); name another file") from error
+
+
+def require_library(path: Path) -> None:
+    """Imports what a table of this suffix is written with.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    library = {".parquet": "pyarrow", ".mat": "scipy"}.get(path.suffix)
+    try:
+        if library is not None:
+            importlib.import_module(library)
+    except ImportError as error:
+        raise InputError(f"{path}: needs {library}; install it with: {install_hint('export')}") from error
 
 
 def _columns(log: EnergyLog) -> Iterator[tuple[str, str, Quantities, str]]:

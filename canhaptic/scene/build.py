@@ -125,7 +125,7 @@ class Experiment:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close("completed" if error is None else f"{type(error).__name__}: {error}")
+        self.close("completed" if error is None else f"failed: {error}")
 
 
 def build(

@@ -18,7 +18,7 @@ from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
 from canhaptic.study.over_can import render_over_can
 from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
-from canhaptic.study.scenes import at_rate, cycles_of, environment_of, loop_case, plant_parts
+from canhaptic.study.scenes import at_rate, cycles_of, environment_of, loop_case, plant_parts, require_single_axes
 
 _BATCH: Final = 64  # cycles between two reports of progress
 
@@ -93,8 +93,7 @@ def compare(
 
 
 def _require_comparable(scene: Scene) -> None:
-    if scene.groups:
-        raise InputError(f"{scene.source}: has groups of axes, expected axes that render by themselves; run it instead")
+    require_single_axes(scene, "compare")
     if not all(axis.simulation is not None for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
 

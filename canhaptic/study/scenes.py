@@ -24,6 +24,26 @@ def cycles_of(scene: Scene, duration: float | None) -> int:
     return max(2, round((duration or scene.run.duration or _DEFAULT_DURATION) / scene.bus.sample_time))
 
 
+def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> None:
+    """Refuses axes that a group of the scene moves together.
+
+    Args:
+        scene: Of the study.
+        command: That studies it, for the message.
+        axis: The only one that is studied; None for all.
+
+    Raises:
+        InputError: A group renders on one of them.
+    """
+    for group in scene.groups:
+        if axis is None or axis in group.axes:
+            raise InputError(
+                f"{scene.source}: group {group.name!r} renders on the axes {', '.join(group.axes)} together, expected "
+                f"axes that render by themselves: {command} judges one axis at a time; `canhaptic run` and "
+                "`canhaptic inspect` give the account of a group"
+            )
+
+
 def at_rate(scene: Scene, rate: float) -> Scene:
     """Returns the scene at another rate [Hz], without asking whether its bus could carry it.
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
 from canhaptic.host.output_file import replacing
 
 
@@ -16,7 +17,7 @@ def require_bokeh() -> None:
     try:
         import bokeh.plotting  # noqa: F401 - what every page is drawn with
     except ImportError as error:
-        raise InputError("an HTML page needs Bokeh; install it with: pip install 'canhaptic[report]'") from error
+        raise InputError(f"an HTML page needs Bokeh; install it with: {install_hint('report')}") from error
 
 
 def write_page(content: Any, title: str, path: Path) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
 from canhaptic.host.output_file import replacing
 
 STYLE: Final[Any] = {
@@ -35,7 +36,7 @@ def matplotlib_figure() -> tuple[Any, Any]:
         import matplotlib as mpl
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise InputError("a picture needs matplotlib; install it with: pip install 'canhaptic[plot]'") from error
+        raise InputError(f"a picture needs matplotlib; install it with: {install_hint('plot')}") from error
     return mpl, Figure
 
 

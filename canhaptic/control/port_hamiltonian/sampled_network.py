@@ -8,6 +8,7 @@ from canhaptic.control.port_hamiltonian import newton as step
 from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, extension, gradient, stored_energy
 from canhaptic.control.port_hamiltonian.network import Network
 from canhaptic.errors import ParameterError
+from canhaptic.extras import install_hint
 
 
 def _never_left(network: Network) -> bool:
@@ -34,9 +35,7 @@ def _compiled_equation(tables: NetworkTables, room: equation.Workspace, network:
     try:
         from canhaptic.control.port_hamiltonian.njit_equation import CompiledEquation
     except ImportError as error:
-        raise ParameterError(
-            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out"
-        ) from error
+        raise ParameterError(f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out") from error
     return CompiledEquation(tables, room)
 
 

@@ -135,7 +135,8 @@ class BringUp(ABC):
         except DictionaryError as error:
             raise self.refusal(name, str(error).removeprefix(f"{self._drive.axis.name}: "), expected) from error
         except LinkError as error:
-            raise self.refusal(name, str(error), "a working bus") from error
+            seen = str(error).removeprefix(f"{self._drive.axis.name}: ")
+            raise self.refusal(name, seen, "a working bus") from error
 
     def refusal(self, name: str, seen: str, expected: str) -> StartError:
         """Returns the error of a step."""
@@ -170,8 +171,9 @@ class BringUp(ABC):
             self._command_pre_operational()
         with self.step("presence"):
             device_type = self._sdo.read(od.DEVICE_TYPE)
-        drive.answers = True
-        if device_type & 0xFFFF != od.CIA402_PROFILE:
+        drive.is_foreign = device_type & 0xFFFF != od.CIA402_PROFILE
+        drive.answers = not drive.is_foreign
+        if drive.is_foreign:
             seen = f"0x1000 = {device_type:#010x}"
             raise self.refusal("device type", seen, f"low word {od.CIA402_PROFILE:#06x}")
 

@@ -27,7 +27,7 @@ def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """
     for drive in exchange.drives:
         drive.reset()
-        drive.answers = False
+        drive.answers = drive.is_foreign = False
     for bring_up in bring_ups:
         bring_up.call()  # all of them first: their heartbeats come while the first is awaited
     for bring_up in bring_ups:

@@ -63,7 +63,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     Returns:
         What was not confirmed, one text per drive; empty when all is well.
     """
-    _try(lambda: _write_zero(exchange.drives))
+    _try(lambda: _write_zero([drive for drive in exchange.drives if not drive.is_foreign]))
     reachable = [drive for drive in exchange.drives if drive.answers]
     if not reachable:
         return []

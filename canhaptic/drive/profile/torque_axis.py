@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from typing import Final, NamedTuple, Protocol
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.code_texts import emcy_text
 from canhaptic.canopen.dictionary import Dictionary
 from canhaptic.drive.profile.limiter import TorqueLimiter
 from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
@@ -52,7 +53,8 @@ class ReceivedEmergency(NamedTuple):
     vendor: bytes
 
     def __str__(self) -> str:
-        return f"EMCY {self.code:#06x}, error register {self.register:#04x}, vendor {self.vendor.hex(' ') or 'none'}"
+        numbers = f"error register {self.register:#04x}, vendor {self.vendor.hex(' ') or 'none'}"
+        return f"EMCY {self.code:#06x} {emcy_text(self.code)}, {numbers}"
 
 
 class CycleRules(NamedTuple):
@@ -109,6 +111,7 @@ class TorqueAxis(ABC):
         self.limiter = TorqueLimiter(axis.torque_limit, rules.sample_time, axis.torque_rate_limit, axis.power_limit)
         self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles)
         self.answers = False
+        self.is_foreign = False
         self.sample_time_ns = rules.sample_time_ns
         self._is_synchronous, self._silence = rules.is_synchronous, rules.silence
         self._sample_time, self._stop_cycles = rules.sample_time, rules.stop_cycles

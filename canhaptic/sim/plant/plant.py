@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import model_validator
 
 from canhaptic.errors import EventLimitError, ParameterError
+from canhaptic.extras import install_hint
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
@@ -371,7 +372,7 @@ def _compiled_machine() -> type[HybridAutomaton]:
         from canhaptic.sim.plant.njit_stepper import CompiledMachine
     except ImportError as error:
         raise ParameterError(
-            f"compiled: needs numba ({error}); pip install 'canhaptic[fast]', or leave it out", "compiled"
+            f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out", "compiled"
         ) from error
     return CompiledMachine
 

@@ -12,11 +12,12 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
 from canhaptic.sim.textbook.reference_elements import Floats, Transition
 from canhaptic.sim.textbook.reference_model import Model, Modes
 from canhaptic.sim.textbook.reference_motion import Motion, motion_of
 
-_MISSING: Final = "the reference of an accuracy study needs scipy; install it with: pip install 'canhaptic[study]'"
+_MISSING: Final = f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
 _LONGEST_STEP: Final = 2.5e-4
 """[s] where modes may change: their guards are looked at at the ends of steps."""
 _MOST_CHANGES: Final = 10_000

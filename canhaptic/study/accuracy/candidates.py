@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from canhaptic.extras import install_hint
 from canhaptic.scene.accuracy_choice import ladder, observed, textbook_model
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import build_plant
@@ -85,7 +86,7 @@ def remarks(simulation: AxisSimulation) -> list[str]:
     """Returns what could not be run, and why."""
     lines = []
     if not importlib.util.find_spec("mujoco"):
-        lines.append("MuJoCo: not installed (pip install 'canhaptic[bench]')")
+        lines.append(f"MuJoCo: not installed ({install_hint('bench')})")
     elif inexpressible(simulation):
         lines.append(f"MuJoCo: the scene cannot be expressed there ({', '.join(inexpressible(simulation))})")
     return lines

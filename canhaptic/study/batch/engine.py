@@ -4,6 +4,7 @@ from importlib.util import find_spec
 from typing import Final, Literal
 
 from canhaptic.errors import ParameterError
+from canhaptic.extras import install_hint
 
 Engine = Literal["auto", "numba", "python"]
 """As asked for."""
@@ -27,7 +28,7 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
         raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")
     there = find_spec("numba") is not None
     if engine == "numba" and not there:
-        raise ParameterError("engine: got numba, which is not installed; pip install 'canhaptic[fast]', or take python")
+        raise ParameterError(f"engine: got numba, which is not installed; {install_hint('fast')}, or take python")
     if engine == "auto":
         return "numba" if there and pays else "python"
     return engine

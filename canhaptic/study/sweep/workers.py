@@ -14,6 +14,7 @@ from multiprocessing.connection import wait
 from typing import Any, Final, TypeVar
 
 from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
 
 T = TypeVar("T")
 
@@ -90,7 +91,7 @@ def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError("--dask needs Dask; install it with: pip install 'canhaptic[sweep]'") from error
+        raise InputError(f"--dask needs Dask; install it with: {install_hint('sweep')}") from error
     try:
         client = Client(address, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

@@ -1,0 +1,153 @@
+"""What a user reads when something fails: words, once, with a remedy that works; and what a refused node receives."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic import errors
+from canhaptic.cli.main import main
+from canhaptic.extras import install_hint
+from canhaptic.logs.energy_reader import EnergyLog
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+DEMO = str(CONFIGS / "demo.yaml")
+CLASSES = [name for name in vars(errors) if name.endswith("Error")]
+LOST_HEARTBEAT = "simulation.bus={drop: 1, ids: [0x77E], during: [{begin: 0.2, duration: 9}]}"
+
+
+def test_an_emcy_is_told_in_words_with_what_to_do(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = ["run", DEMO, "--duration", "1", "--log", str(tmp_path / "run.h5"), "--set", LOST_HEARTBEAT]
+    assert main(words) == 3
+    printed = capsys.readouterr()
+    fault = printed.err.splitlines()[0]
+    assert "EMCY 0x8130 life guard or heartbeat error" in fault
+    assert re.search(r"missed the heartbeat of this computer for 100 ms; this computer skipped \d+ cycles: see", fault)
+    assert "look the code up" not in fault
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        assert log.status.startswith("failed: handle: the drive sent an EMCY")
+        written = f"{log.status} {' '.join(event.text for event in log.events)} {printed.out} {printed.err}"
+    assert [name for name in CLASSES if name in written] == []
+    assert (printed.out + printed.err).count("the drive sent an EMCY") == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", DEMO, "--set", "simulation.drive.objects.0x1000=0x00030191"],
+        ["run", DEMO, "--set", "axes.0.vendor_id=5"],
+        ["run", DEMO, "--set", "bus.rate=9 kHz"],
+        ["run", "absent.yaml"],
+        ["inspect", "absent.h5"],
+        ["scope", "--config", DEMO],
+        ["compare", str(CONFIGS / "xy_box.yaml")],
+    ],
+)
+def test_no_fault_says_its_prefix_twice_or_names_a_class(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) in {2, 3}
+    text = capsys.readouterr().err
+    assert not re.search(r"\b(\w[\w /.]*): \1: ", text), text
+    assert [name for name in CLASSES if name in text] == []
+
+
+def test_nothing_is_written_to_a_node_that_is_no_cia_402_drive(tmp_path: Path) -> None:
+    bus_log = tmp_path / "run.log"
+    words = ["run", DEMO, "--bus-log", str(bus_log), "--set", "simulation.drive.objects.0x1000=0x00030191"]
+    assert main(words) == 3
+    frames = [line.split()[2] for line in bus_log.read_text().splitlines() if "#" in line]
+    answer = next(place for place, frame in enumerate(frames) if frame.startswith("581#43001000"))
+    assert not [frame for frame in frames[answer + 1 :] if frame.split("#")[0] in {"000", "080", "201", "301", "601"}]
+
+
+@pytest.mark.parametrize("port", ["80000", "-1", "x"])
+def test_a_port_that_does_not_exist_is_refused(port: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["scope", "run.h5", "--port", port])
+    assert ended.value.code == 2
+    shown = capsys.readouterr().err
+    assert "--port: " in shown
+    assert port == "-1" or "expected a number from 0 to 65535" in shown
+
+
+HIDDEN = """
+import builtins, sys
+real = builtins.__import__
+def hidden(name, *rest, **named):
+    if name.split(".")[0] in sys.argv[1].split(","):
+        raise ImportError(name, name=name)
+    return real(name, *rest, **named)
+builtins.__import__ = hidden
+from canhaptic.cli.main import main
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("library", "extra", "words"),
+    [
+        ("matplotlib", "plot", ["run", DEMO, "--duration", "1000000", "--png", "a.png"]),
+        ("matplotlib", "plot", ["compare", DEMO, "--duration", "1000000", "--png", "a.png"]),
+        ("bokeh", "report", ["accuracy", DEMO, "--budget", "100000", "--html", "a.html"]),
+        ("bokeh", "report", ["inspect", "absent.h5", "--html", "a.html"]),
+        ("bokeh", "report", ["map", "absent.h5", "--html", "a.html"]),
+    ],
+)
+def test_what_is_not_installed_is_found_before_the_work(
+    library: str, extra: str, words: list[str], tmp_path: Path
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", HIDDEN, library, *words], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        check=False, env={**os.environ, "PYTHONPATH": str(CONFIGS.parent)},
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert install_hint(extra) in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("origin", "hint"),
+    [
+        (None, "pip install 'canhaptic[plot]'"),
+        ({"url": "file:///home/me/canhaptic", "dir_info": {"editable": True}},
+         "pip install -e '/home/me/canhaptic[plot]'"),
+        ({"url": "file:///home/me/can haptic", "dir_info": {}}, "pip install '/home/me/can haptic[plot]'"),
+        ({"url": "https://host/canhaptic.git", "vcs_info": {"vcs": "git", "commit_id": "12ab"}},
+         "pip install 'canhaptic[plot] @ git+https://host/canhaptic.git@12ab'"),
+        ({"url": "https://host/canhaptic.whl", "archive_info": {}},
+         "pip install 'canhaptic[plot] @ https://host/canhaptic.whl'"),
+    ],
+)  # fmt: skip
+def test_the_hint_installs_from_where_the_package_came(
+    origin: dict[str, Any] | None, hint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = None if origin is None else json.dumps(origin)
+    monkeypatch.setattr(metadata.PathDistribution, "read_text", lambda *_: text)
+    assert install_hint("plot") == hint
+
+
+def test_the_simulated_drive_asks_for_what_the_scene_says_of_its_thread(capsys: pytest.CaptureFixture[str]) -> None:
+    before = os.sched_getaffinity(0)
+    cpu = min(before)
+    words = ["drive", DEMO, "--duration", "0.05", "--set", "bus.interface=virtual", "--set", "bus.channel=words"]
+    assert main([*words, "--set", f"bus.realtime.cpus=[{cpu}]"]) == 0
+    assert "bus.realtime.cpus: granted" in capsys.readouterr().err
+    assert os.sched_getaffinity(0) == before
+
+
+@pytest.mark.parametrize("scene", ["xy_box", "two_handles", "five_bar_sphere"])
+@pytest.mark.parametrize("command", ["compare", "accuracy", "sweep", "design"])
+def test_a_study_of_single_axes_says_what_to_do_with_a_group(
+    command: str, scene: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [command, str(CONFIGS / f"{scene}.yaml")]
+    assert main([*words, *(["--vary", "bus.rate=500,1000"] if command == "sweep" else [])]) == 2
+    shown = capsys.readouterr().err
+    assert f"{command} judges one axis at a time" in shown
+    assert "`canhaptic run` and `canhaptic inspect` give the account of a group" in shown
+    assert "has no `simulation`" not in shown
