@@ -79,6 +79,10 @@ class SceneError(InputError):
         super().__init__("\n".join(self.faults))
 
 
+class OldNameWarning(FutureWarning):
+    """A scene, an override or an option uses a name of an earlier release; the text says what it is called now."""
+
+
 class SceneConflictError(SceneError):
     """A scene whose values are right on their own and do not go together: a rate that its bus cannot carry."""
 

@@ -80,14 +80,14 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
 def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], controller: object) -> dict[str, Any]:
     """Returns what a ledger holds, with the longest hold [sample times] of its drives.
 
-    A certificate covers `lost_frames` sample times without a new torque, of a controller that declares them, and none
-    of one that does not. A skipped SYNC is no lost frame: the torque under way acts for longer, and the one behind it,
-    which counted on a single hold, acts all the same. Where a torque acted for longer than was covered, nothing was
-    certified, whatever each step said.
+    A certificate covers `max_consecutive_losses` sample times without a new torque, of a controller that declares them,
+    and none of one that does not. A skipped SYNC is no lost frame: the torque under way acts for longer, and the one
+    behind it, which counted on a single hold, acts all the same. Where a torque acted for longer than was covered,
+    nothing was certified, whatever each step said.
     """
     account = ledger.summary().as_json(sample_time)
     account["longest_hold"] = longest = max(drive.longest_hold for drive in drives)
-    covered = getattr(controller, "lost_frames", 0) if all(drive.longest_gap == 1 for drive in drives) else 0
+    covered = getattr(controller, "max_consecutive_losses", 0) if all(drive.longest_gap == 1 for drive in drives) else 0
     if longest > 1 + covered and (account["in"] or account["out"]):
         account["certificate"] = Certificate.NONE.name.lower()
     return account

@@ -125,7 +125,7 @@ GALLERY: Final[tuple[Entry, ...]] = (
         "damping. No bus could carry the highest rates.",
         (
             "canhaptic sweep configs/demo.yaml --vary environment.stiffness=100:1e5:log:16 "
-            "--vary bus.rate=100:3200:log:6 --controllers direct,guarded --duration 4 --beyond-bus --out map.h5",
+            "--vary bus.rate=100:3200:log:6 --controllers unprotected,guarded --duration 4 --beyond-bus --out map.h5",
             "canhaptic map map.h5 --png map.png",
         ),
         ("--duration 0.1", ""),

@@ -100,7 +100,7 @@ def scene_of(log: EnergyLog, config: Path | None = None) -> "Scene":
     if not path.is_file():
         raise InputError(f"{log.path}: its scene {str(path)!r} is not there; name it with --config")
     scene = load_scene(path, overrides)
-    if scene.config_hash() != log.attributes.get("config_hash"):
+    if log.attributes.get("config_hash") not in (scene.config_hash(), scene.config_hash(old_names=True)):
         raise InputError(
             f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"
         )

@@ -7,12 +7,13 @@ import argparse
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
-from canhaptic.cli.output import print_failure
-from canhaptic.errors import CanHapticError
+from canhaptic.cli.output import print_failure, write_note
+from canhaptic.errors import CanHapticError, OldNameWarning
 
 _COMMANDS: Final = {
     "commission": "walk a new rig from zero torque to a measured configuration, asking before every torque",
@@ -67,7 +68,22 @@ def _run(words: list[str], name: str) -> int:
         if known == name:  # only what is used is imported
             options = importlib.import_module(f"canhaptic.cli.options.{_module_of(known)}")
             options.add_arguments(subparser)
-    return _execute(parser.parse_args(words))
+    with warnings.catch_warnings():
+        _show_old_names()
+        return _execute(parser.parse_args(words))
+
+
+def _show_old_names() -> None:
+    """Shows a warning of an old name as one line, like every note; others as Python does."""
+    before = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, OldNameWarning):
+            write_note(f"canhaptic: warning: {message}")
+        else:
+            before(message, category, *where, **more)
+
+    warnings.showwarning = show
 
 
 def _module_of(command: str) -> str:

@@ -17,7 +17,7 @@ from canhaptic.scene.models import AxisScene, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
 """Algorithms that certain damping of the device certifies."""
-_UNPROTECTED: Final = "direct"
+_UNPROTECTED: Final = "unprotected"
 """Algorithm that renders the plain wall."""
 _LINEAR_ROTARY: Final = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "N*m*s/rad"), "speed": ("m/s", "rad/s")}
 
@@ -68,7 +68,7 @@ def group_hints(scene: Scene) -> list[Hint]:
 
 def _losses(axis: AxisScene) -> int:
     """Returns the consecutive cycles without a new torque that the certificates survive."""
-    return int(getattr(axis.passivity.parameters, "lost_frames", 0))
+    return int(getattr(axis.passivity.parameters, "max_consecutive_losses", 0))
 
 
 def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
@@ -82,8 +82,9 @@ def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
         return []
     holds = 1 + axis.loop.delay + losses
     text = (
-        f"lost_frames {losses}: each axis is certified by itself, for {holds} holds. A spring that one axis pulls and "
-        "another follows moves the other beyond this extension, for each unit of speed; with lost_frames 0 at once"
+        f"max_consecutive_losses {losses}: each axis is certified by itself, for {holds} holds. A spring that one axis "
+        "pulls and another follows moves the other beyond this extension, for each unit of speed; with "
+        "max_consecutive_losses 0 at once"
     )
     limit = 2.0 * holds * axis.loop.sample_time
     return [Hint(axis.parameters.name, "extension without force", limit, None, f"{unit}/({unit}/s)", text)]
@@ -194,12 +195,12 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
     """Returns what each declared certificate of `guarded` can hold at the torque limit, and what of the asked wall.
 
     A torque must be covered for the hold in which it acts, those of the delay, and those of the frames that may be lost
-    (`lost_frames`). In a group the hand pulls on every axis at once, with the same force.
+    (`max_consecutive_losses`). In a group the hand pulls on every axis at once, with the same force.
     """
     parameters, loop = axis.passivity.parameters, axis.loop
     torque, hints, lag = axis.parameters.torque_limit, [], loop.delay + _losses(axis)
     held: dict[str, tuple[float, str]] = {}
-    more = f"; lost_frames {_losses(axis)}: {lag + 1} holds" if _losses(axis) else ""
+    more = f"; max_consecutive_losses {_losses(axis)}: {lag + 1} holds" if _losses(axis) else ""
     hand_force, hand_speed = getattr(parameters, "hand_force", None), getattr(parameters, "hand_speed", None)
     if hand_force is not None and loop.moving_mass is not None:
         least, most = 0.0 if len(group) > 1 else loop.device_damping or 0.0, loop.device_damping_bound or 0.0

@@ -17,6 +17,7 @@ from canhaptic.scene.document import MarkedMapping, mark_plain, parse_yaml
 from canhaptic.scene.explain import note_errors, read_mapping
 from canhaptic.scene.layout import SECTIONS, laid_out
 from canhaptic.scene.models import Scene, SceneContext, scene_adapter
+from canhaptic.scene.old_names import rename_old
 from canhaptic.scene.overrides import apply_overrides
 
 MAX_BYTES: Final = 1_000_000
@@ -88,7 +89,9 @@ def _read(document: Any, source: str, text: str, overrides: Sequence[str], fault
     sections = read_mapping(document, top, faults, ", ".join(SECTIONS))
     if sections is None:
         raise faults.error()
+    rename_old(sections, faults)
     apply_overrides(sections, overrides, faults)
+    rename_old(sections, faults)  # what overrides brought
     scene = _validated(sections, laid_out(sections, source, text, overrides, faults), faults)
     if scene is None or len(faults):
         raise faults.error()

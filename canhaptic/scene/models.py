@@ -25,6 +25,7 @@ from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OnDemand
 from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.old_names import in_old_names
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
@@ -274,8 +275,11 @@ class Scene:
             **({"accuracy": auto} if self.auto_accuracy else {}),
         }
 
-    def config_hash(self) -> str:
+    def config_hash(self, *, old_names: bool = False) -> str:
         """Returns the SHA-256 of the configuration in effect, dictionaries by content.
+
+        Args:
+            old_names: Whether by the names of the first release, as in its logs.
 
         Comments, the order of keys, log paths and the folder of the dictionaries do not change it, nor does it matter
         whether an automatic accuracy was chosen yet: it follows from the rest.
@@ -288,6 +292,8 @@ class Scene:
                 del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
         if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
+        if old_names:
+            resolved = in_old_names(resolved)
         canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 from canhaptic.registry import nearest
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping, parse_yaml
+from canhaptic.scene.old_names import path_now
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
 _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
@@ -24,7 +25,8 @@ def apply_overrides(scene: MarkedMapping, overrides: Sequence[str], faults: Diag
         if not equals or _PATH.fullmatch(address.strip()) is None:
             faults.add(top, "got no PATH=VALUE, expected something like axes.0.node_id=5")
             continue
-        path = tuple(quoted or plain for quoted, plain in _PART.findall(address.strip()))
+        typed = tuple(quoted or plain for quoted, plain in _PART.findall(address.strip()))
+        path = path_now(typed, source)
         value = parse_yaml(value_text, source, faults, path, lined=False)
         _put(scene, path, value, top._replace(path=path), faults)
 

@@ -84,10 +84,11 @@ def build_group(scene: Scene, group: GroupScene) -> GroupController:
         )
     limits = [scene.axis(name).parameters for name in group.axes]
     cut = [a.name for a in limits if a.torque_rate_limit is not None or a.power_limit is not None]
-    if cut and getattr(group.passivity.parameters, "lost_frames", 1) == 0:
+    if cut and getattr(group.passivity.parameters, "max_consecutive_losses", 1) == 0:
         raise ParameterError(
             f"group {group.name!r}: torque_rate_limit or power_limit of {', '.join(cut)} cuts one axis alone, and "
-            "so turns the certified torque; expected passivity.lost_frames >= 1 (each axis certified), or no such limit"
+            "so turns the certified torque; expected passivity.max_consecutive_losses >= 1 (each axis certified), "
+            "or no such limit"
         )
     return build_group_controller(network, kinematics, group.passivity.name, group.passivity.parameters, loops)
 

@@ -10,6 +10,7 @@ from canhaptic.registry import load
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.old_names import algorithm_now
 from canhaptic.study.scenes import loop_case
 from canhaptic.units import Parameters
 
@@ -36,13 +37,15 @@ def chosen_algorithms(algorithms: Sequence[str] | None) -> list[str]:
     Raises:
         ParameterError: One is unknown.
     """
-    for name in algorithms or ():
+    chosen = [algorithm_now(name, "algorithms") for name in algorithms or ("guarded", *ALGORITHMS)]
+    for name in chosen:
         load(ALGORITHMS, name, "passivity algorithm")
-    return list(dict.fromkeys(algorithms or ("guarded", *ALGORITHMS)))
+    return list(dict.fromkeys(chosen))
 
 
 def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
     """Returns an axis under another algorithm, with what the two have in common (alpha, velocity, ...) kept."""
+    name = algorithm_now(name, axis.parameters.name)
     model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
     given = axis.passivity.parameters
     if axis.passivity.name == name:

@@ -1,4 +1,4 @@
-"""A torque that is held longer than was certified: the account says so, and `lost_frames` covers frames, not stalls."""
+"""A torque that is held longer than was certified: the account says so. `max_consecutive_losses` covers no stalls."""
 
 import json
 from pathlib import Path
@@ -43,14 +43,14 @@ def test_a_torque_that_acted_for_longer_than_was_certified_was_not(capsys: pytes
     assert truth["least_interaction"] == pytest.approx(port["least_interaction"], rel=0.01)
 
 
-@pytest.mark.parametrize(("lost_frames", "certificate"), [(-1, "none"), (0, "hand_force")])
+@pytest.mark.parametrize(("max_consecutive_losses", "certificate"), [(-1, "none"), (0, "hand_force")])
 def test_frames_lost_are_certified_as_far_as_they_are_declared(
-    lost_frames: int, certificate: str, capsys: pytest.CaptureFixture[str]
+    max_consecutive_losses: int, certificate: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drop = "simulation.bus={drop: 0.1}"
     longest = account(capsys, drop)[0]["longest_hold"]
     assert longest > 2
-    port, truth = account(capsys, drop, f"passivity.lost_frames={longest - 1 + lost_frames}")
+    port, truth = account(capsys, drop, f"passivity.max_consecutive_losses={longest - 1 + max_consecutive_losses}")
     assert (port["longest_hold"], port["certificate"]) == (longest, certificate)
     assert port["out"] > 0.0
     if certificate != "none":
@@ -60,7 +60,7 @@ def test_frames_lost_are_certified_as_far_as_they_are_declared(
 def test_lost_frames_certify_no_sync_that_was_skipped(capsys: pytest.CaptureFixture[str]) -> None:
     """The torque under way acts for longer, and the one behind it, computed for after one hold, acts all the same."""
     stalls = "simulation.bus={stall: [{begin: 0.0221, duration: 0.056, every: 0.064}]}"
-    port, truth = account(capsys, stalls, "passivity.lost_frames=15", *THROWN)
+    port, truth = account(capsys, stalls, "passivity.max_consecutive_losses=15", *THROWN)
     assert port["longest_hold"] <= 16
     assert truth["least_interaction"] < -1e-3
     assert port["certificate"] == "none"

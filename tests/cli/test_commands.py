@@ -206,7 +206,7 @@ def test_check_marks_limits_that_the_chosen_algorithm_does_not_rest_on(capsys: C
     assert (colgate["exceeded"], colgate["concerns"]) == (True, False)  # of a plain wall, and this one is guarded
     assert colgate["text"].startswith("plain wall only: ")
     assert rows["damping, stable"]["concerns"] is True
-    assert main(["check", DEMO, *stiff, "--json", "--set", "passivity={algorithm: direct}"]) == 0
+    assert main(["check", DEMO, *stiff, "--json", "--set", "passivity={algorithm: unprotected}"]) == 0
     answer = json.loads(capsys.readouterr().out)
     rows = {hint["what"]: hint for hint in answer["stability"]}
     assert rows["stiffness, Colgate's bound 2 b / T"]["concerns"] is True
@@ -328,7 +328,7 @@ def test_a_strict_run_exits_with_one_unless_it_was_passive(capsys):
     stiff = ["environment.stiffness=3000", "environment.damping=0", "bus.rate=200"]
     words = [word for override in stiff for word in ("--set", override)]
     command = ["run", DEMO, "--duration", "1.5", "--json", *words]
-    active = [*command, "--set", "passivity={algorithm: direct}"]
+    active = [*command, "--set", "passivity={algorithm: unprotected}"]
     assert main(active) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["passive"], found["ports"]["handle"]["passive"]) == ("no", "no")

@@ -20,13 +20,13 @@ Captured = pytest.CaptureFixture[str]
 
 def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_path: Path) -> None:
     out = tmp_path / "a.h5"
-    words = ["--vary", "bus.rate=100,4000", "--controllers", "direct,guarded", "--out", str(out), "--json"]
+    words = ["--vary", "bus.rate=100,4000", "--controllers", "unprotected,guarded", "--out", str(out), "--json"]
     assert main([*SMALL, *words]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["scenes"] == result["finished"] == 12
     assert result["status"] == {"completed": 6, "refused": 6}
     assert sum(result["engines"].values()) == 12
-    assert set(result["figures"]["handle"]) == {"direct", "guarded"}
+    assert set(result["figures"]["handle"]) == {"unprotected", "guarded"}
     assert any("does not fit the bus" in entry["remark"] for entry in result["remarks"])
 
 
@@ -67,14 +67,14 @@ def test_bad_options_are_refused_by_the_parser(capsys: Captured, arguments: list
 
 def test_a_map_of_a_sweep(capsys: Captured, tmp_path: Path) -> None:
     out, picture = tmp_path / "a.h5", tmp_path / "map.png"
-    words = ["--vary", "bus.rate=100,200", "--controllers", "direct", "--set", "environment.damping=0"]
+    words = ["--vary", "bus.rate=100,200", "--controllers", "unprotected", "--set", "environment.damping=0"]
     main([*SMALL, *words, "--out", str(out)])
     capsys.readouterr()
     assert main(["map", str(out), "--png", str(picture)]) == 0
     assert "Colgate" in capsys.readouterr().out
     assert picture.stat().st_size > 10_000
     assert main(["map", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["passing"].keys() == {"direct"}
+    assert json.loads(capsys.readouterr().out)["passing"].keys() == {"unprotected"}
     assert main(["map", DEMO]) == 2
     assert main(["map", str(out), "--png", "map.bmp"]) == 2
     assert main(["map", str(out), "--axis", "elbow"]) == 2

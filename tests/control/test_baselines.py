@@ -71,7 +71,7 @@ def least_interaction(algorithm, delay, parameters=None):
 
 
 def test_the_observer_bounds_what_a_stiff_wall_without_damper_would_lose():
-    plain = least_interaction("direct", 0)
+    plain = least_interaction("unprotected", 0)
     observed = least_interaction("passivity_observer", 0)
     assert plain.least_interaction < -0.05
     assert observed.least_interaction > 0.02 * plain.least_interaction
@@ -85,7 +85,7 @@ def test_the_observer_does_nothing_while_more_was_put_in_than_taken_out():
     loop = LoopProperties(sample_time=2e-3, delay=1, moving_mass=0.25)
     runs = [
         sampled(USER_S, build_controller(wall, algorithm, None, loop), 2e-3, 2.0, 1)
-        for algorithm in ("direct", "passivity_observer")
+        for algorithm in ("unprotected", "passivity_observer")
     ]
     assert np.array_equal(runs[0].torque, runs[1].torque)
     assert sum(balance.gen for balance in runs[1].balances) > 1e-3

@@ -12,7 +12,7 @@ from canhaptic.errors import ControlError
 from tests.control.cases import EXAMPLES, algorithms, controller
 
 pytestmark = pytest.mark.parametrize("environment", sorted(EXAMPLES))
-UNPROTECTED_START = {"direct", "passivity_observer"}
+UNPROTECTED_START = {"unprotected", "passivity_observer"}
 UNDERFLOW = 1e-40  # J: below it squares and differences are no longer normal numbers
 every_algorithm = pytest.mark.parametrize("algorithm", algorithms())
 

@@ -42,7 +42,7 @@ def inward(damping):
 
 
 def trial(wall, rate, delay, user, seed, *, cycles=1500, count=0.0, quantum=0.0, share=0.0, **known):
-    losses: dict[str, Any] = {"lost_frames": 2} if share else {}
+    losses: dict[str, Any] = {"max_consecutive_losses": 2} if share else {}
     controller = guarded(*wall, rate, delay, count=count, quantum=quantum, **losses, **known)  # type: ignore[call-arg, misc]
     return run(
         controller,
@@ -109,7 +109,7 @@ def test_with_a_hand_speed_declared_no_slower_user_takes_out_more_than_came_in_a
     controller = build_controller(
         SpringDamperWall(stiffness=2000.0, damping=5.0),
         "guarded",
-        GuardedParameters(hand_force=None, hand_speed=top, credit=credit),
+        GuardedParameters(hand_force=None, hand_speed=top, energy_allowance=credit),
         LoopProperties(sample_time=sample_time, delay=delay),
     )
     rng, position, interaction, pending, used = random.Random(3), 0.002, 0.0, [0.0] * (delay + 1), 0.0

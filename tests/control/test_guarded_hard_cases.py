@@ -46,7 +46,7 @@ def test_at_100_hz_without_delay_a_hand_that_never_pulls_meets_the_stiffness_ask
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_at_100_hz_a_credit_buys_contact_from_a_slow_start_under_a_hand_force(delay):
-    controller = guarded(500.0, 0.0, 100, delay, hand_force=5.0, most=6.0, credit=0.02)
+    controller = guarded(500.0, 0.0, 100, delay, hand_force=5.0, most=6.0, energy_allowance=0.02)
     mean, _, truth = settle(controller, 100, damping=5.0, delay=delay)
     assert mean == pytest.approx(1.0 / 500.0, rel=0.01)
     assert truth.least >= -0.02

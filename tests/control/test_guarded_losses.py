@@ -24,7 +24,7 @@ def test_of_several_torques_under_way_any_may_stay_for_the_next(delay: int, loss
         wall = 10 ** rng.uniform(2, 5), rng.choice((0.0, 0.0, 5.0, 50.0))
         rate, user, pull = rng.choice((100, 400, 1000)), rng.choice(sorted(USERS)), rng.choice((0.0, 5.0, 20.0))
         truth = run(
-            guarded(*wall, rate, delay, hand_force=pull, lost_frames=losses),
+            guarded(*wall, rate, delay, hand_force=pull, max_consecutive_losses=losses),
             USERS[user](random.Random(seed)),
             rate,
             300,
@@ -47,7 +47,7 @@ def dragged(delay: int, losses: int, seed: int) -> tuple[float, float]:
     rng = random.Random(seed)
     controller = Guarded(
         SpringDamperWall(stiffness=10 ** rng.uniform(3, 5)),
-        GuardedParameters(hand_force=None, lost_frames=losses, credit=CREDIT),
+        GuardedParameters(hand_force=None, max_consecutive_losses=losses, energy_allowance=CREDIT),
         LoopProperties(sample_time=T, delay=delay, device_damping=DAMPING),
     )
     position, held, energy, least, strongest, rest = 0.0, 0.0, CREDIT, 0.0, 0.0, 0

@@ -88,13 +88,13 @@ def test_booking_the_newest_damper_effort_instead_would_ring_with_one_sample_of_
 
 
 def test_the_original_shows_fig_4_and_fails_in_fig_5(reference):
-    at_40, at_100 = (render(FIGURE_4, "original", rate) for rate in (40, 100))
+    at_40, at_100 = (render(FIGURE_4, "a_priori_dissipation", rate) for rate in (40, 100))
     assert variation_ratio(at_40, reference, FIGURE_4) < 1.5
     assert variation_ratio(at_100, reference, FIGURE_4) > 30.0
 
 
 def test_the_failure_of_the_original_rests_on_the_printed_start_inside_the_wall(reference):
-    run = render(FIGURE_4, "original", 100, parameters=OriginalParameters(rearm="displacement"))
+    run = render(FIGURE_4, "a_priori_dissipation", 100, parameters=OriginalParameters(rearm="displacement"))
     assert variation_ratio(run, reference, FIGURE_4) < 2.0
 
 
@@ -117,7 +117,7 @@ def test_the_modulated_damper_pays_back_what_the_starts_created(delay):
     assert recovered.margin_value >= without.margin_value
 
 
-@pytest.mark.parametrize("algorithm", ["direct", "original", "internal_dissipation"])
+@pytest.mark.parametrize("algorithm", ["unprotected", "a_priori_dissipation", "internal_dissipation"])
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_account_of_a_whole_figure_closes_at_every_hold(algorithm, delay):
     run = render(FIGURE_7, algorithm, 100, delay)

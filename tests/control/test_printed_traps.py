@@ -37,7 +37,7 @@ def test_1_the_state_of_an_energy_printed_positive_throws_the_user_about():
     assert rms_error(printed) > 2.0 * rms_error(WALL)
 
 
-@pytest.mark.parametrize("algorithm", ["original", "internal_dissipation"])
+@pytest.mark.parametrize("algorithm", ["a_priori_dissipation", "internal_dissipation"])
 def test_4_switched_on_deep_in_a_wall_the_force_waits_for_a_push_and_knows_its_speed(algorithm):
     wall = SpringDamperWall(stiffness=100.0, damping=10.0)
     made = build_controller(wall, algorithm, None, LoopProperties(sample_time=1e-4))
@@ -58,7 +58,7 @@ def test_5_every_first_order_start_is_booked_as_created():
     assert summary.branches["start"] == 18
 
 
-@pytest.mark.parametrize("algorithm", ["direct", "internal_dissipation"])
+@pytest.mark.parametrize("algorithm", ["unprotected", "internal_dissipation"])
 @pytest.mark.parametrize("delay", [0, 1])
 def test_6_the_holds_that_end_outside_are_booked_to_the_last_torque_in_flight(algorithm, delay):
     made = build_controller(WALL, algorithm, None, LoopProperties(sample_time=0.01, delay=delay))
@@ -83,7 +83,7 @@ def test_7_an_emptied_store_gives_no_torque_and_is_armed_again_by_a_push():
     assert made.step(-0.0006, 0.0).branch == Branch.START
 
 
-@pytest.mark.parametrize("algorithm", ["direct", "original", "internal_dissipation"])
+@pytest.mark.parametrize("algorithm", ["unprotected", "a_priori_dissipation", "internal_dissipation"])
 @pytest.mark.parametrize("limit", [5.0, 2.0])
 def test_10_under_saturation_the_torque_read_back_keeps_the_account_exact(algorithm, limit):
     wall = SpringDamperWall(stiffness=2000.0, damping=5.0)
@@ -127,7 +127,7 @@ def test_12_believed_and_true_energy_differ_by_no_more_than_the_bound_of_the_enc
     assert error.max() > 0.02 * bound[error.argmax()]
 
 
-@pytest.mark.parametrize("algorithm", ["direct", "internal_dissipation"])
+@pytest.mark.parametrize("algorithm", ["unprotected", "internal_dissipation"])
 def test_13_after_a_lost_position_the_velocity_is_that_of_both_holds(algorithm):
     made = build_controller(ViscousMedium(damping=6.0), algorithm, None, LoopProperties(sample_time=1e-3))
     made.step(0.0, 0.0)

@@ -12,9 +12,11 @@ STALLED = [
 ]
 
 
-def stalled_run(lost_frames: int) -> tuple[float, float, int]:
+def stalled_run(max_consecutive_losses: int) -> tuple[float, float, int]:
     """Returns the least energy believed and true [J], and the SYNCs skipped."""
-    scene = load_scene(ROOT / "configs" / "demo.yaml", [*STALLED, f"passivity.lost_frames={lost_frames}"])
+    scene = load_scene(
+        ROOT / "configs" / "demo.yaml", [*STALLED, f"passivity.max_consecutive_losses={max_consecutive_losses}"]
+    )
     with build(scene) as experiment:
         run(experiment.cycle, cycles=600)
         account = experiment.cycle.ledgers[0].summary()
@@ -22,14 +24,14 @@ def stalled_run(lost_frames: int) -> tuple[float, float, int]:
 
 
 def test_holds_longer_than_certified_give_energy_out_and_the_account_says_so() -> None:
-    believed, true, skipped = stalled_run(lost_frames=0)
+    believed, true, skipped = stalled_run(max_consecutive_losses=0)
     assert skipped > 200
     assert true < -1e-3
     assert abs(believed - true) < 1e-4
 
 
 def test_lost_frames_help_against_stalls_and_do_not_cover_them() -> None:
-    believed, true, skipped = stalled_run(lost_frames=16)
+    believed, true, skipped = stalled_run(max_consecutive_losses=16)
     assert skipped > 200
-    assert 0.2 * stalled_run(lost_frames=0)[1] < true < -1e-3
+    assert 0.2 * stalled_run(max_consecutive_losses=0)[1] < true < -1e-3
     assert abs(believed - true) < 1e-4

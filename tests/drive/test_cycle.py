@@ -297,6 +297,6 @@ def test_a_few_lost_rpdos_are_no_lost_command(bench: MakeBench) -> None:
 @pytest.mark.parametrize("controllers", [0, 2])
 def test_a_cycle_wants_one_controller_for_each_axis(bench: MakeBench, controllers: int) -> None:
     wall, loop = SpringDamperWall(stiffness=100.0), LoopProperties(sample_time=1e-3)
-    several = [build_controller(wall, "direct", None, loop) for _ in range(controllers)]
+    several = [build_controller(wall, "unprotected", None, loop) for _ in range(controllers)]
     with pytest.raises(InputError, match=f"controllers for {controllers} axes and a rig of 1"):
         Cycle(bench().rig, several)

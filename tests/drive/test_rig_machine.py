@@ -131,7 +131,7 @@ class RigUnderStress(RuleBasedStateMachine):
         self.enabled_by_operator = True
         loop = LoopProperties(sample_time=1e-3, delay=1, moving_mass=1.0, torque_limit=LIMIT)
         wall = SpringDamperWall(stiffness=300.0, damping=1.0)
-        parameters = GuardedParameters(lost_frames=16)
+        parameters = GuardedParameters(max_consecutive_losses=16)
         try:
             self.rig.start()
         except RigError:

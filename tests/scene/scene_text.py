@@ -27,7 +27,7 @@ environment:
   type: spring_damper_wall
   stiffness: 100 N/m
   damping: 10
-passivity: {algorithm: direct}
+passivity: {algorithm: unprotected}
 simulation:
   plant: {mass: 0.25, damping: 0.1}
   user: {stiffness: 60, damping: 5, motion: {amplitude: 0.1, frequency: 0.5}}

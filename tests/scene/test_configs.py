@@ -60,8 +60,8 @@ def test_scenes_with_a_real_interface_are_among_the_shipped_ones() -> None:
 @pytest.mark.parametrize(
     ("name", "rate", "damping", "surface", "algorithm", "amplitude"),
     [
-        ("paper_fig4_40hz", 40.0, 5.0, 0.0, "original", 0.1),
-        ("paper_fig5_100hz", 100.0, 5.0, 0.0, "original", 0.1),
+        ("paper_fig4_40hz", 40.0, 5.0, 0.0, "a_priori_dissipation", 0.1),
+        ("paper_fig5_100hz", 100.0, 5.0, 0.0, "a_priori_dissipation", 0.1),
         ("paper_fig7_40hz", 40.0, 10.0, -0.05, "internal_dissipation", 0.15),
         ("paper_fig8_100hz", 100.0, 10.0, -0.05, "internal_dissipation", 0.15),
         ("paper_fig9_100hz", 100.0, 10.0, -0.05, "internal_dissipation", 0.15),

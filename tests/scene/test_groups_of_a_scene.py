@@ -52,7 +52,7 @@ def faults(path: Path, *overrides: str) -> list[str]:
         (STAGE, "groups.0.network.stifness=5", "groups.0.network.stifness: unknown key; did you mean 'stiffness'?"),
         (STAGE, "groups.0.network=null", "groups.0.network: missing, expected type"),
         (STAGE, "groups.0.passivity={algorithm: guarded}", "got neither moving_mass of every axis"),
-        (STAGE, "groups.0.passivity.algorithm=original", "unknown group algorithm 'original'"),
+        (STAGE, "groups.0.passivity.algorithm=a_priori_dissipation", "unknown group algorithm 'a_priori_dissipation'"),
         (STAGE, "groups.0.passivity.delay=0", "groups.0.passivity.delay: got 0, but bus.rpdo: synchronous"),
         (STAGE, "groups=5", "groups: got 5, expected a list of groups"),
         (STAGE, "environment={type: free_space}", "environment: no axis renders by itself"),
@@ -101,7 +101,7 @@ def test_an_axis_may_know_more_of_its_own_loop_than_the_group() -> None:
 def test_a_limit_that_cuts_one_axis_asks_for_axes_certified_apart() -> None:
     cut = "axes.y.torque_rate_limit=100 N/s"
     assert any("cuts one axis alone" in fault for fault in faults(STAGE, cut))
-    load_scene(STAGE, [cut, "groups.0.passivity.lost_frames=1"])
+    load_scene(STAGE, [cut, "groups.0.passivity.max_consecutive_losses=1"])
 
 
 def test_the_identity_counts_the_axes_of_its_group() -> None:
@@ -161,19 +161,19 @@ def test_hints_say_what_lost_frames_and_a_hand_on_every_axis_leave() -> None:
         hints = {hint.what: hint for hint in group_hints(load_scene(HANDLES, overrides)) if hint.axis == "first"}
         return hints["stiffness, certified by hand force"], hints.get("extension without force")
 
-    plain, none = held("groups.0.passivity.lost_frames=0")
+    plain, none = held("groups.0.passivity.max_consecutive_losses=0")
     assert (plain.limit, none) == (pytest.approx(0.2 / (6 * 1e-3**2)), None)  # delay 1: m / 6 T^2
-    lossy, extension = held("groups.0.passivity.lost_frames=1")
+    lossy, extension = held("groups.0.passivity.max_consecutive_losses=1")
     assert lossy.limit == pytest.approx(0.2 / (12 * 1e-3**2))  # three holds: 2 (1 + 2 + 3)
-    assert "lost_frames 1: 3 holds" in lossy.text
+    assert "max_consecutive_losses 1: 3 holds" in lossy.text
     assert extension.limit == pytest.approx(6e-3)  # 2 H T, in m for each m/s
-    pulled, _ = held("groups.0.passivity.lost_frames=0", "groups.0.passivity.hand_force=10")
+    pulled, _ = held("groups.0.passivity.max_consecutive_losses=0", "groups.0.passivity.hand_force=10")
     assert pulled.limit == pytest.approx(0.2 / (6 * 1e-3**2) * 20.0 / (20.0 + 10.0 * 2.0**0.5))  # torque limit 20 N
     assert "on each of 2 axes" in pulled.text
 
 
 def test_the_hint_for_lost_frames_is_what_the_certificates_do() -> None:
-    scene = load_scene(HANDLES, ["groups.0.passivity.lost_frames=1"])
+    scene = load_scene(HANDLES, ["groups.0.passivity.max_consecutive_losses=1"])
     loops = [LoopProperties(sample_time=1e-3, delay=1, moving_mass=0.2)] * 2
     apart = PerAxisBound(axes_of(tuple(loops), 0.0, None), 1, 1)
     still, torques = (0.0, 0.0), (20.0, 0.0)

@@ -73,19 +73,22 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         ),
         (("  type: spring_damper_wall\n", ""), "scene.yaml:12:3: environment.type: missing, expected one of:"),
         (
-            ("algorithm: direct", "algorithm: dirct"),
+            ("algorithm: unprotected", "algorithm: dirct"),
             "scene.yaml:15:24: passivity.algorithm: unknown passivity algorithm",
         ),
-        (("algorithm: direct", "algorithm: 5"), "scene.yaml:15:24: passivity.algorithm: got 5, expected one of:"),
+        (("algorithm: unprotected", "algorithm: 5"), "scene.yaml:15:24: passivity.algorithm: got 5, expected one of:"),
         (
-            ("{algorithm: direct}", "{algorithm: direct, moving_mass: -1}"),
-            "scene.yaml:15:45: passivity.moving_mass: got -1, expected 0 < moving_mass [kg]",
+            ("{algorithm: unprotected}", "{algorithm: unprotected, moving_mass: -1}"),
+            "scene.yaml:15:50: passivity.moving_mass: got -1, expected 0 < moving_mass [kg]",
         ),
         (
-            ("{algorithm: direct}", "{algorithm: direct, moving_mas: 1}"),
-            "scene.yaml:15:32: passivity.moving_mas: unknown key; did you mean 'moving_mass'?",
+            ("{algorithm: unprotected}", "{algorithm: unprotected, moving_mas: 1}"),
+            "scene.yaml:15:37: passivity.moving_mas: unknown key; did you mean 'moving_mass'?",
         ),
-        (("passivity: {algorithm: direct}\n", ""), "scene.yaml:1:1: passivity: missing; give it here or in the axis"),
+        (
+            ("passivity: {algorithm: unprotected}\n", ""),
+            "scene.yaml:1:1: passivity: missing; give it here or in the axis",
+        ),
         (("rpdo: event", "rpdo: evnt"), "scene.yaml:2:46: bus.rpdo: got 'evnt', expected 'synchronous' or 'event'"),
         (("rate: 1 kHz", "rate: 1 s"), "scene.yaml:2:33: bus.rate: got '1 s', unit 's' does not fit; expected [Hz]"),
         (("rate: 1 kHz, ", ""), "scene.yaml:2:6: bus.rate: missing, expected 1 <= rate <= 20000 [Hz]"),
@@ -140,8 +143,8 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         (("bus: {", "bus: [] #"), "scene.yaml:2:6: bus: got an empty list, expected at least one bus"),
         (("bus: {", "bus: 5 #"), "scene.yaml:2:6: bus: got 5, expected a mapping of keys and values, or a list of"),
         (
-            ("{algorithm: direct}", "direct"),
-            "scene.yaml:15:12: passivity: got 'direct', expected a mapping of algorithm",
+            ("{algorithm: unprotected}", "unprotected"),
+            "scene.yaml:15:12: passivity: got 'unprotected', expected a mapping of algorithm",
         ),
     ],
 )
@@ -246,7 +249,7 @@ def test_an_axis_lays_its_own_keys_over_the_shared_ones(tmp_path: Path) -> None:
         "stiffness": 500.0,
         "damping": 10.0,
     }
-    assert axis.passivity.name == "direct"
+    assert axis.passivity.name == "unprotected"
     assert axis.loop.moving_mass == 0.2
 
 
@@ -337,7 +340,7 @@ def test_a_scene_can_be_made_of_plain_values() -> None:
             }
         ],
         "environment": {"type": "spring_damper_wall", "stiffness": "1 N*m/rad"},
-        "passivity": {"algorithm": "direct"},
+        "passivity": {"algorithm": "unprotected"},
         "simulation": {"plant": {"mass": 1e-3}},
     }
     assert scene_from_mapping(values).axes[0].parameters.unit == "rad"

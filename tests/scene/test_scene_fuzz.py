@@ -21,7 +21,7 @@ SCALARS = (
     | st.floats()
     | st.text(max_size=12)
     | st.sampled_from(
-        ["100 N/m", "1 kHz", "-1", "1e400", "m", "rad", "virtual", "direct", "cia402_servo.eds", "\0", "1 N*m"]
+        ["100 N/m", "1 kHz", "-1", "1e400", "m", "rad", "virtual", "unprotected", "cia402_servo.eds", "\0", "1 N*m"]
     )
 )
 VALUES = st.recursive(

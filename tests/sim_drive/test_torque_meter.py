@@ -80,7 +80,7 @@ def test_in_a_scene_the_measured_torque_is_that_of_the_current_loop(lag: float) 
         "axes.0.read_back=actual",
         "bus.rpdo=event",
         "environment={type: free_space}",
-        "passivity={algorithm: direct}",
+        "passivity={algorithm: unprotected}",
     ]
     scene = load_scene(DEMO, overrides)
     with build(scene) as experiment:

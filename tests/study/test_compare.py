@@ -55,7 +55,7 @@ def account(scene, algorithm, **options):
     return result["axes"]["handle"]["algorithms"][algorithm]
 
 
-@pytest.mark.parametrize("algorithm", ["direct", "internal_dissipation", "guarded"])
+@pytest.mark.parametrize("algorithm", ["unprotected", "internal_dissipation", "guarded"])
 @pytest.mark.parametrize("delay", [0, 1])
 def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, delay):
     chosen = scene("bus.rpdo=" + ("synchronous" if delay else "event"))
@@ -125,16 +125,16 @@ def test_there_are_at_least_ten_hard_scenes():
 
 def test_a_wall_that_rings_out_of_the_room_is_reported_as_diverged(scene):
     chosen = scene("environment.damping=600", "axes.0.torque_limit=1e5", "bus.rpdo=synchronous")
-    found = account(chosen, "direct")
+    found = account(chosen, "unprotected")
     assert found["status"] == "diverged"
     assert 0.0 < found["diverged"] < 1.5
     assert found["force_variation"]["ratio"] is None
 
 
 def test_an_algorithm_that_lacks_something_is_told_the_plant_or_refused_with_its_reason(scene):
-    bare = scene("passivity={algorithm: direct}")
+    bare = scene("passivity={algorithm: unprotected}")
     assert "device_damping 0.1 of the plant" in account(bare, "energy_bounding", duration=0.1)["remark"]
-    frictionless = scene("passivity={algorithm: direct}", "simulation.plant.damping=0")
+    frictionless = scene("passivity={algorithm: unprotected}", "simulation.plant.damping=0")
     found = account(frictionless, "energy_bounding", duration=0.1)
     assert found["status"] == "refused"
     assert "device_damping" in found["remark"]
@@ -143,7 +143,7 @@ def test_an_algorithm_that_lacks_something_is_told_the_plant_or_refused_with_its
 def test_what_two_algorithms_have_in_common_is_kept(scene):
     axis = scene("passivity={algorithm: internal_dissipation, alpha: 200 s/m^2, velocity: windowed}").axes[0]
     assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0  # type: ignore[attr-defined]
-    assert with_algorithm(axis, "direct").passivity.parameters.velocity == "windowed"  # type: ignore[attr-defined]
+    assert with_algorithm(axis, "unprotected").passivity.parameters.velocity == "windowed"  # type: ignore[attr-defined]
     assert with_algorithm(axis, "internal_dissipation") is axis
     told = _with_known_plant(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})))
     assert (told.axis.loop.moving_mass, told.axis.loop.device_damping) == (0.2, 0.1)
@@ -151,20 +151,20 @@ def test_what_two_algorithms_have_in_common_is_kept(scene):
 
 def test_at_rest_the_stiffness_is_that_of_the_wall_and_nothing_cycles(scene):
     leaning = scene("simulation.user={damping: 10, push: -5}", "duration=4 s")
-    found = account(leaning, "direct")
+    found = account(leaning, "unprotected")
     assert found["stiffness_at_rest"]["value"] == pytest.approx(1000.0, rel=1e-4)
     assert found["stiffness_at_rest"]["share"] == pytest.approx(1.0, rel=1e-4)
     assert found["limit_cycle"] < 1e-7
-    assert account(scene(), "direct")["stiffness_at_rest"] is None  # a hand that moves has no rest
+    assert account(scene(), "unprotected")["stiffness_at_rest"] is None  # a hand that moves has no rest
 
 
 def test_a_run_that_stops_has_a_code_and_its_reason_is_a_remark(scene):
     fine = "axes.0.counts_per_unit=1e6", "bus.rpdo=synchronous", "axes.0.speed_limit=0.01 m/s"
-    found = account(scene(*fine, "axes.0.rated_torque=10 N"), "direct", duration=0.5, over_can=True)
+    found = account(scene(*fine, "axes.0.rated_torque=10 N"), "unprotected", duration=0.5, over_can=True)
     assert found["status"] == "stopped"
     assert "faster than the speed limit" in found["remark"]
     assert found["position_error"]["max"] > 0.0
-    found = account(scene(*fine), "direct", duration=0.5, over_can=True)  # never starts: the rated torque is 1 mN
+    found = account(scene(*fine), "unprotected", duration=0.5, over_can=True)  # never starts: the rated torque is 1 mN
     assert found["status"] == "stopped"
     assert "torque limit" in found["remark"]
     assert "position_error" not in found
@@ -174,7 +174,7 @@ def test_another_rate_may_be_beyond_the_bus_but_not_over_can(scene):
     assert account(scene(), "guarded", rate=8000.0, duration=0.6)["position_error"]["rms"] < 2e-5
     assert at_rate(scene(), 8000.0).axes[0].loop.sample_time == 125e-6
     with pytest.raises(InputError, match="without a bus"):
-        compare(scene(), ["direct"], rate=8000.0, over_can=True)
+        compare(scene(), ["unprotected"], rate=8000.0, over_can=True)
     with pytest.raises(ParameterError, match="rate"):
         at_rate(scene(), 1e6)
 
@@ -194,20 +194,20 @@ def test_without_a_continuous_reference_the_errors_are_left_out(scene):
     own = scene()
     wall = ComponentSpec("ledge", Ledge(**own.axes[0].environment.parameters.model_dump()))
     own = replace(own, axes=(replace(own.axes[0], environment=wall),))
-    result = compare(own, ["direct"], duration=0.6, repeats=0).result
+    result = compare(own, ["unprotected"], duration=0.6, repeats=0).result
     axis = result["axes"]["handle"]
     assert axis["reference"]["method"].startswith("none: environment: got Ledge, for which there is no continuous run")
-    assert axis["algorithms"]["direct"]["position_error"] is None
-    assert axis["algorithms"]["direct"]["interaction"] > 0.0
+    assert axis["algorithms"]["unprotected"]["position_error"] is None
+    assert axis["algorithms"]["unprotected"]["interaction"] > 0.0
     assert "position error" not in text_of(result)
 
 
 def test_a_plant_that_switches_has_a_reference_in_any_environment(scene):
     nonlinear = "environment={type: hardening_wall, stiffness: 200, hardening: 1e7}"
     friction = "simulation.effects=[{type: coulomb_friction, kinetic: 0.1, static: 0.2}]"
-    axis = compare(scene(nonlinear, friction), ["direct"], duration=0.3, repeats=0).result["axes"]["handle"]
+    axis = compare(scene(nonlinear, friction), ["unprotected"], duration=0.3, repeats=0).result["axes"]["handle"]
     assert axis["reference"]["method"].startswith("DOP853")
-    assert axis["algorithms"]["direct"]["position_error"]["max"] < 1e-3
+    assert axis["algorithms"]["unprotected"]["position_error"]["max"] < 1e-3
 
 
 def text_of(result, width=100):
@@ -232,10 +232,10 @@ def test_table_and_json_show_every_algorithm(scene):
 
 
 def test_a_picture_that_cannot_be_written_or_has_nothing_to_show_is_refused(scene, tmp_path):
-    comparison = compare(scene(), ["direct"], duration=0.1, repeats=0)
+    comparison = compare(scene(), ["unprotected"], duration=0.1, repeats=0)
     with pytest.raises(InputError, match="cannot be written"):
         draw_comparison(comparison, tmp_path / "no_folder" / "picture.png")
-    refused = compare(scene("simulation.plant.damping=0", "passivity={algorithm: direct}"), ["energy_bounding"])
+    refused = compare(scene("simulation.plant.damping=0", "passivity={algorithm: unprotected}"), ["energy_bounding"])
     with pytest.raises(InputError, match="nothing to draw"):
         draw_comparison(refused, tmp_path / "picture.png")
 
@@ -247,7 +247,7 @@ def test_two_axes_are_compared_each_with_its_own_reference(tmp_path):
     own = f"  axes: {{knob: {{plant: {{mass: 0.001}}, user: {hand}}}}}\n"
     text = SCENE.replace("environment:", f"  {second}environment:", 1) + own
     (tmp_path / "two.yaml").write_text(text)
-    comparison = compare(load_scene(tmp_path / "two.yaml"), ["direct"], duration=0.3, repeats=0)
+    comparison = compare(load_scene(tmp_path / "two.yaml"), ["unprotected"], duration=0.3, repeats=0)
     assert [axis.unit for axis in comparison.axes] == ["m", "rad"]
     assert comparison.axes[1].reference.travel > 0.1
     assert "mrad" in text_of(comparison.result)

@@ -24,7 +24,7 @@ def test_the_table_shows_that_the_original_fails_in_fig_5(capsys):
 
 def test_json_is_one_object_and_the_picture_is_written(capsys, tmp_path):
     picture = tmp_path / "picture.png"
-    arguments = ["--duration", "1.3 s", "--algorithms", "direct", "--set", "environment.stiffness=200", "--json"]
+    arguments = ["--duration", "1.3 s", "--algorithms", "unprotected", "--set", "environment.stiffness=200", "--json"]
     assert main(["compare", FIGURE, *arguments, "--png", str(picture), "--rate", "200 Hz"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["rate"], result["cycles"], result["path"]) == (200.0, 260, "direct")
@@ -32,7 +32,7 @@ def test_json_is_one_object_and_the_picture_is_written(capsys, tmp_path):
 
 
 def test_over_can_from_the_command_line(capsys):
-    assert main(["compare", FIGURE, "--duration", "1.2 s", "--algorithms", "direct", "--can", "--json"]) == 0
+    assert main(["compare", FIGURE, "--duration", "1.2 s", "--algorithms", "unprotected", "--can", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["path"] == "can"
 
 

@@ -62,7 +62,7 @@ def test_guarded_gives_out_nothing_to_users_within_the_declared_force(name, dela
 
 @pytest.mark.parametrize("name", ["sudden_pull", "adversary", "telegraph"])
 def test_the_same_users_take_energy_from_less_protection(name):
-    assert least("direct", name, 1e5, hand_force=20.0, seed=2)[0] < -1e-2
+    assert least("unprotected", name, 1e5, hand_force=20.0, seed=2)[0] < -1e-2
 
 
 def test_an_adversary_stronger_than_declared_takes_energy_from_guarded():

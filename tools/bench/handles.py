@@ -1,7 +1,8 @@
 """Two coupled handles for a minute on a bus that loses frames: passive together, and where are they at the end?
 
 `python -m tools.bench.handles`: `configs/two_handles.yaml` over the whole CAN path, 1 kHz, a sample of delay, 1 % of
-all frames lost, with `lost_frames` from 0 to 4, and once without a loss. Energies and positions are those of the plant.
+all frames lost, with `max_consecutive_losses` from 0 to 4, and once without a loss. Energies and positions are
+those of the plant.
 """
 
 import tempfile
@@ -33,10 +34,12 @@ class Coupled(NamedTuple):
     certificate: str
 
 
-def couple(lost_frames: int, drop: float) -> Coupled:
+def couple(max_consecutive_losses: int, drop: float) -> Coupled:
     """Runs the scene for a minute of its time."""
     bus = f"{{drop: {drop}}}" if drop else "{jitter: 1 us}"  # an ideal bus is named by no section at all
-    scene = load_scene(SCENE, [f"groups.0.passivity.lost_frames={lost_frames}", f"simulation.bus={bus}"])
+    scene = load_scene(
+        SCENE, [f"groups.0.passivity.max_consecutive_losses={max_consecutive_losses}", f"simulation.bus={bus}"]
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
         with build(scene, "free", path) as experiment:
@@ -65,9 +68,9 @@ def _judge(log: EnergyLog, longest: int, certificate: str) -> Coupled:
 def rows() -> list[Row]:
     """Returns the table."""
     table = []
-    for lost_frames, drop in ((0, 0.0), (0, 0.01), (1, 0.01), (2, 0.01), (4, 0.01)):
-        name = f"lost_frames {lost_frames}, " + ("1 % lost" if drop else "no loss")
-        found = couple(lost_frames, drop)
+    for max_consecutive_losses, drop in ((0, 0.0), (0, 0.01), (1, 0.01), (2, 0.01), (4, 0.01)):
+        name = f"max_consecutive_losses {max_consecutive_losses}, " + ("1 % lost" if drop else "no loss")
+        found = couple(max_consecutive_losses, drop)
         drift = 1e6 * found.drift
         note = f"certificate {found.certificate.replace('_', ' ')}"
         table += [

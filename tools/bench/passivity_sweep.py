@@ -25,7 +25,7 @@ Case = tuple[tuple[float, float], int, int, str, tuple[float, float], float, int
 def trial(case: Case) -> tuple[float, float]:
     """Returns the least true sum(h_i) and the least booked margin of (4) [J]."""
     wall, rate, delay, user, (count, quantum), share, seed = case
-    known = {"lost_frames": 2} if share else {}
+    known = {"max_consecutive_losses": 2} if share else {}
     controller = users.guarded(*wall, rate, delay, count=count, quantum=quantum, **known)
     truth = users.run(
         controller,

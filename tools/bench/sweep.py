@@ -1,4 +1,4 @@
-"""How many loops a second does a sweep judge, and does the border it finds for `direct` agree with Colgate's?
+"""How many loops a second does a sweep judge, and does the border it finds for `unprotected` agree with Colgate's?
 
 Every row is a whole loop: servo and hand, encoder, algorithm, delay, and the figures gathered on the way; no trajectory
 is kept. Rates are of one core's time, so that other work on the machine counts little. `five figures` are diverged,
@@ -90,7 +90,7 @@ def kinds_of(algorithm: str) -> dict[str, tuple[BatchCase, tuple[str, ...]]]:
         ERROR: (plain, (*FIVE, "position_error.rms")),
     }
     if algorithm == "guarded":
-        found[WITH_LOSSES] = stability_map(algorithm, SCENES, 1e-5, delay=1, lost_frames=2), FIVE
+        found[WITH_LOSSES] = stability_map(algorithm, SCENES, 1e-5, delay=1, max_consecutive_losses=2), FIVE
     return found
 
 
@@ -100,7 +100,7 @@ def rate_rows() -> list[Row]:
     peer = max(_in_core_time(rollout) for _ in range(3)) / 1e6 if rollout else None
     name = "MuJoCo rollout, one thread" if rollout else "MuJoCo rollout: peer absent"
     rows = []
-    for algorithm in ("direct", "guarded"):
+    for algorithm in ("unprotected", "guarded"):
         for kind, (case, metrics) in kinds_of(algorithm).items():
             rate = rate_of(case, metrics, 1 if kind == ERROR else REPEATS)
             target = TARGETS.get((algorithm, kind))
@@ -126,7 +126,7 @@ def _in_core_time(rollout: Callable[[], float]) -> float:
 def scalar_rows() -> list[Row]:
     """Returns cycles per second of the loop that runs one scene at a time."""
     rows = []
-    for algorithm in ("direct", "guarded"):
+    for algorithm in ("unprotected", "guarded"):
         case = standard_case(SpringDamperWall(stiffness=1000.0, damping=5.0), algorithm, RATE, USER_S)
         begin = process_time()
         run_case(case, CYCLES)
@@ -148,11 +148,11 @@ def colgate_rows() -> list[Row]:
         border = _border(stable.reshape(8, 8, -1), shares)
         worst = float(np.abs(border - 1.0).max()) * 100.0
         rows.append(
-            Row(f"border of direct, {name}: worst over 8 stiffnesses", worst, "%", "Colgate, b = k T / 2",
+            Row(f"border of unprotected, {name}: worst over 8 stiffnesses", worst, "%", "Colgate, b = k T / 2",
                 target="<= 3", met=worst <= 3.0)
         )  # fmt: skip
     agreement = float(np.mean((radii < 1.0) == ~marched)) * 100.0
-    rows.append(Row("border of direct: closed form and marching agree", agreement, "% of scenes"))
+    rows.append(Row("border of unprotected: closed form and marching agree", agreement, "% of scenes"))
     return [*rows, *_damped_border(mass, period)]
 
 
@@ -167,7 +167,7 @@ def _grows(mass: float, damping: Array, hand: Array, stiffness: Array) -> Array:
     wall = TwoSidedWall(stiffness=1.0, lower=0.0, upper=0.0)
     plant = PlantParameters(mass=mass, damping=0.1, initial_position=1e-3)
     user = UserParameters(stiffness=1.0)
-    case = standard_case(wall, "direct", RATE, user, plant=plant)
+    case = standard_case(wall, "unprotected", RATE, user, plant=plant)
     varied = {"simulation.plant.damping": damping, "simulation.user.stiffness": hand}
     arrays = loop_in_arrays(case, plant, user, {"environment.stiffness": stiffness}, varied)
     half, whole = (march(arrays, len(damping), n, "auto", ("travel",))["travel"] for n in (8000, 16000))
@@ -192,7 +192,7 @@ def _damped_border(mass: float, period: float) -> list[Row]:
         "condition does not apply to such hands but bounds them"
     )
     return [
-        Row("border of direct with B > 0, hands that are springs: largest share", max(shares), "of k T / 2 + B",
+        Row("border of unprotected with B > 0, hands that are springs: largest share", max(shares), "of k T / 2 + B",
             "Colgate, every passive hand", target="<= 1", met=max(shares) <= 1.0, note=note)
     ]  # fmt: skip
 
@@ -200,14 +200,14 @@ def _damped_border(mass: float, period: float) -> list[Row]:
 def memory_rows() -> list[Row]:
     """Returns the time of 10^5 scenes in one call, and by how much the memory rises with ten times the cycles."""
     count = 100_000
-    case = stability_map("direct", count)
+    case = stability_map("unprotected", count)
     march(case, count, 3, "auto", FIVE)
     before = _peak()
     begin = perf_counter()
     march(case, count, CYCLES, "auto", FIVE)
     seconds = perf_counter() - begin
     return [
-        Row(f"{count} scenes x {CYCLES} cycles, direct, one call, one core", seconds, "s"),
+        Row(f"{count} scenes x {CYCLES} cycles, unprotected, one call, one core", seconds, "s"),
         Row("the same: memory above that of 3 cycles", _peak() - before, "MiB"),
     ]
 

@@ -36,13 +36,13 @@ class GuardedGroupParameters(Parameters):
     """Largest force with which the hand pulls each motor axis, Coriolis forces included (`bound`); None: not used."""
     hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
     """Largest speed of every motor axis. None: the certificate is not used."""
-    credit: Annotated[float, quantity("J", ge=0.0)] = 0.0
-    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -credit."""
+    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
+    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
-    lead: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
+    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
     """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
-    lost_frames: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Consecutive cycles in which any axis may be without a new torque, or hold a part of it (`apart`); each costs
     stiffness. 0: all axes always apply together what was sent."""
     compiled: bool = False
@@ -71,8 +71,8 @@ class GuardedGroup:
                 "axis, nor hand_speed, expected one of them; without any no torque can be certified"
             )
         self._sample_time, self._delay, self._alpha = sample_time, delay, parameters.alpha
-        self._lead = parameters.lead + delay
-        self._holds = delay + 1 + parameters.lost_frames
+        self._lead = parameters.prediction_holds + delay
+        self._holds = delay + 1 + parameters.max_consecutive_losses
         self._caps = [min(_NO_CAP, damping_cap(delay, loop.moving_mass, sample_time)) for loop in loops]
         self._calm = _CALM / (sample_time * (0.5 + delay)) if known.by_hand else 0.0
         self._damped = [2.0 * b / (1 + delay) for b in known.damping] if known.by_damping else []
@@ -81,8 +81,13 @@ class GuardedGroup:
         self._quanta = [loop.torque_quantum for loop in loops]
         self._quantised = any(self._quanta)
         self._commands = GroupCommands(axes, delay, self._limits)
-        self.lost_frames, self._splits = parameters.lost_frames, parameters.lost_frames > 0
-        self._account = GroupAccount(known, self._commands, parameters.credit, parameters.lost_frames)
+        self.max_consecutive_losses, self._splits = (
+            parameters.max_consecutive_losses,
+            parameters.max_consecutive_losses > 0,
+        )
+        self._account = GroupAccount(
+            known, self._commands, parameters.energy_allowance, parameters.max_consecutive_losses
+        )
         self.reset()
 
     def reset(self) -> None:

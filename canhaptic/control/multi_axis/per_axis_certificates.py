@@ -2,9 +2,9 @@
 
 `bound` holds for torques that act together. Where a frame is lost, a link policy ramps, or a limiter or drive cuts one
 axis alone, the group's torque turns, and energy that one axis was to bring in is missing while another still gives it
-out. With `lost_frames` = L declared, the energy is certified axis by axis: in every hold from now on, axis i may have
-any torque between 0 and one of those sent for it, each of which may stay for L more holds. With D_ij the displacement
-of axis i in hold j, counted along such a torque f,
+out. With `max_consecutive_losses` = L declared, the energy is certified axis by axis: in every hold from now on, axis i
+may have any torque between 0 and one of those sent for it, each of which may stay for L more holds. With D_ij the
+displacement of axis i in hold j, counted along such a torque f,
 
     energy out <= sum over holds and axes of max over f of max(0, f D_ij),
     D_ij <= D_i0 + j sqrt(r_i) (N + h),        r_i = T^2 / m_i,

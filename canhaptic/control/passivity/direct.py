@@ -1,4 +1,4 @@
-"""`direct`: the sampled environment without protection, as most haptic loops run it. Shows what sampling creates."""
+"""`unprotected`: the sampled environment without protection, as most haptic loops run it: what sampling creates."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar

@@ -76,14 +76,14 @@ class GuardedParameters(Parameters):
     """Largest force with which the hand pulls along the torque: out of a wall, into it only where a damper makes it
     stick. None: the certificate is not used."""
     hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
-    """Largest speed of the hand. None: the certificate is not used. Alone it begins only with a credit."""
-    credit: Annotated[float, quantity("J", ge=0.0)] = 0.0
-    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -credit."""
+    """Largest speed of the hand. None: the certificate is not used. Alone it begins only with an energy allowance."""
+    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
+    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
-    lead: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
+    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
     """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
-    lost_frames: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Consecutive cycles without a new torque at the drive that the certificates survive; each costs stiffness."""
 
 
@@ -147,11 +147,11 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     cap = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time))
     return Settings(
         sample_time=sample_time,
-        credit=parameters.credit,
+        credit=parameters.energy_allowance,
         alpha=parameters.alpha,
         torque_limit=inf if loop.torque_limit is None else loop.torque_limit,
         quantum=loop.torque_quantum,
-        lead=parameters.lead + loop.delay,
+        lead=parameters.prediction_holds + loop.delay,
         cap=cap,
         damping=min(environment.damping, cap),
         lead_room=(_LEAD_ROOM - 1.0) * cap,
@@ -160,7 +160,14 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
         path=speed * sample_time * (1 + loop.delay),
         longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
         declared=Declared(
-            sample_time, loop.delay, parameters.lost_frames, by_hand_force, response, damping, speed, loop.encoder_count
+            sample_time,
+            loop.delay,
+            parameters.max_consecutive_losses,
+            by_hand_force,
+            response,
+            damping,
+            speed,
+            loop.encoder_count,
         ),
     )
 
@@ -425,7 +432,7 @@ class Guarded(SteppedController):
 
     def __init__(self, environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> None:
         super().__init__(environment, parameters, loop)
-        self.lost_frames = parameters.lost_frames
+        self.max_consecutive_losses = parameters.max_consecutive_losses
 
     def hold(self) -> EnergyBalance:
         """Repeats the last command for want of a position; see `Controller.hold`.

@@ -1,4 +1,4 @@
-"""`original`: the algorithm of ref. [12], dissipation fixed a priori (eqs. 5-7), on the same ledger.
+"""`a_priori_dissipation`: the algorithm of ref. [12], dissipation fixed a priori (eqs. 5-7), on the same ledger.
 
 The energy to be dissipated in a hold is T d v^2 with the velocity that was computed before it; what remains of stored
 and received energy gives the next state. Early in a contact that a-priori energy can exceed what the user has put in:

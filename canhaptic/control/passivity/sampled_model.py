@@ -1,7 +1,7 @@
 """The environment sampled as it is: state and velocity straight from the position, no protection.
 
-`direct` is this and nothing else; `passivity_observer` and `energy_bounding` act on its torque. What sampling creates
-is booked as `gen`, what it loses as `leak`, so that the account closes like every other.
+`unprotected` is this and nothing else; `passivity_observer` and `energy_bounding` act on its torque. What sampling
+creates is booked as `gen`, what it loses as `leak`, so that the account closes like every other.
 """
 
 from dataclasses import dataclass

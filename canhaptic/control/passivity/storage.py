@@ -1,4 +1,4 @@
-"""The storage of an environment as `original` and `internal_dissipation` keep it: a state whose energy is paid for.
+"""The storage of `a_priori_dissipation` and `internal_dissipation`: a state whose energy is paid for.
 
 What the two share is here: following the contact, the first-order start (eq. 14), the approximate step (eqs. 6, 7, 18)
 and the exit. Each rule moves the storage and returns its account of the hold.

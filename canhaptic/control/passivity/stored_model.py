@@ -1,4 +1,4 @@
-"""The environment at a state whose energy is paid for: what `original` and `internal_dissipation` have in common.
+"""The environment at a state whose energy is paid for: for `a_priori_dissipation` and `internal_dissipation`.
 
 They differ in how a hold changes the state. How a hold is opened, and which command follows from the state, is here.
 """

@@ -21,7 +21,7 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     """Returns the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
 
     The loop is closed by the environment as if it were touched all the time (a wall: of both sides), rendered by
-    `direct` with the velocity of the last hold, at the delay of the scene, without encoder steps and torque limits.
+    `unprotected` with the velocity of the last hold, at the delay of the scene, without encoder steps and limits.
 
     Args:
         scene: With a linear plant and hand, an environment with a linear stiffness, and one axis.

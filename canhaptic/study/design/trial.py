@@ -102,7 +102,7 @@ class Trial:
         self._tolerance = tolerance
         force = _LEAN * axis.parameters.torque_limit
         self.softest = force / _DEEPEST
-        self._allowance = float(getattr(axis.passivity.parameters, "credit", 0.0)) + PASSIVE_TOLERANCE
+        self._allowance = float(getattr(axis.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
         self._judged = "least_covered" if axis.loop.device_damping else "least_interaction"
         hand = _hand(axis)
         travel = 2.0 * force / hand["stiffness"]

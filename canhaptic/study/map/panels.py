@@ -96,7 +96,7 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
         )
         of_level = "" if level is None or y is None else f", {y.rpartition('.')[2]} {level:.3g}"
         lines.append(PanelCurve(f"measured{of_level}", places, _positive(kept[order]), "measured", colour))
-        if z == _STIFFNESS and field.algorithm == "direct":
+        if z == _STIFFNESS and field.algorithm == "unprotected":
             lines += _theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
     if border.open.any():
         note += f"; on top: all of the range, {field.values[z].max():.3g}, passes"

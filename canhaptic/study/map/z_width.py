@@ -60,7 +60,7 @@ def usual_judgement(field: MapField) -> str:
     of the loop; where that is not linear, damping and dry friction of the device must cover at any moment what the port
     gave out, which is what Abbott and Okamura ask. The others are held to what they promise.
     """
-    if field.algorithm == "direct":
+    if field.algorithm == "unprotected":
         if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
             return "stable"
         return next((name for name in ("covered", "settled") if field.has(_ENERGIES[name])), "passive")
@@ -74,7 +74,7 @@ def _passes(field: MapField, judgement: str) -> Mask:
     passed = field.judged()
     if field.has("diverged"):
         passed &= field.figure("diverged") == 0.0
-    if field.has(RADIUS) and field.algorithm == "direct":
+    if field.has(RADIUS) and field.algorithm == "unprotected":
         radius = field.figure(RADIUS)
         passed &= ~(radius >= 1.0)
     return passed

@@ -18,6 +18,7 @@ import numpy as np
 
 from canhaptic.errors import CanHapticError, InputError, WorkersLostError
 from canhaptic.scene.models import Scene
+from canhaptic.scene.old_names import algorithm_now
 from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import why_not_batchable
 from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
@@ -137,6 +138,7 @@ def _make_sweep(
     Raises:
         InputError: Anything is wrong.
     """
+    controllers = [algorithm_now(name, "controllers") for name in controllers]
     points = make_points([_varied(one) for one in vary], controllers, samples, seed)
     unknown = [name for name in metrics or () if name not in FIGURES]
     if unknown:

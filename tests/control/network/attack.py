@@ -45,7 +45,7 @@ class Attack:
     cuts: tuple | None = None  # not declared: a limiter after the controller
     lost_commands: float = 0.0  # chance of each axis, in each hold
     lost_samples: float = 0.0
-    lost_frames: int = 0
+    max_consecutive_losses: int = 0
     in_a_row: int = 0  # that are lost; 0: as many as declared
     own: dict = field(default_factory=dict)
     known: dict = field(default_factory=dict)
@@ -115,8 +115,8 @@ def group_of(attack):
         for i, mass in enumerate(attack.masses)
     ]  # fmt: skip
     own = {"hand_force": attack.hand_force, **attack.own}
-    if attack.lost_frames:
-        own["lost_frames"] = attack.lost_frames
+    if attack.max_consecutive_losses:
+        own["max_consecutive_losses"] = attack.max_consecutive_losses
     mechanism = Identity(axes=len(attack.masses))
     return build_group_controller(attack.environment, mechanism, "guarded", GuardedGroupParameters(**own), loops)
 
@@ -158,7 +158,7 @@ class Losses:
     """
 
     def __init__(self, attack, rng):
-        self._attack, self._rng, self._most = attack, rng, attack.in_a_row or max(1, attack.lost_frames)
+        self._attack, self._rng, self._most = attack, rng, attack.in_a_row or max(1, attack.max_consecutive_losses)
         self._without = [0] * len(attack.masses)  # cycles in a row, of each axis
         self._due = [True] * attack.delay  # whether the commands under way are new
 
@@ -309,5 +309,5 @@ def before_moving_wall(attack, rng):
 def dragged(attack, rng):
     """Returns an attack by a hand that moves the axes as it likes, up to a declared speed."""
     speed = 10.0 ** rng.uniform(-2, 0.5)
-    own = {"hand_speed": speed, "credit": 1e-3}  # without a credit no torque can be the first
+    own = {"hand_speed": speed, "energy_allowance": 1e-3}  # without a credit no torque can be the first
     return replace(attack, hand_force=None, own=own, velocity=(0.0, 0.0))

@@ -31,22 +31,22 @@ LOSSES = {"lost_commands": 0.3, "lost_samples": 0.1}
 KINDS = {
     "together": {},
     "counts, quanta and known limits": {"count": 1e-5, "quantum": 0.01, "limits": (0.5, 5.0)},
-    "a limiter cuts one axis": {"cuts": (0.3, 1e9), "lost_frames": 1},
-    "commands of one axis lost": {"lost_commands": 0.3, "lost_frames": 1},
-    "samples lost": {"lost_samples": 0.2, "lost_frames": 1},
-    "any frame lost": {**LOSSES, "lost_frames": 1, "delay": 1},
-    "both lost, twice in a row": {**LOSSES, "lost_frames": 2, "count": 1e-5},
+    "a limiter cuts one axis": {"cuts": (0.3, 1e9), "max_consecutive_losses": 1},
+    "commands of one axis lost": {"lost_commands": 0.3, "max_consecutive_losses": 1},
+    "samples lost": {"lost_samples": 0.2, "max_consecutive_losses": 1},
+    "any frame lost": {**LOSSES, "max_consecutive_losses": 1, "delay": 1},
+    "both lost, twice in a row": {**LOSSES, "max_consecutive_losses": 2, "count": 1e-5},
     "friction of one axis": {
         "friction": (5.0, 0.0), "declared_friction": 5.0, "coupling": ((0.0, 0.0), (0.0, 0.0)), "delay": 1,
     },
     "masses of 100 to 1, frames lost": {
-        **LOSSES, "lost_frames": 3, "masses": (0.02, 2.0), "coupling": ((0.0, 0.0), (0.0, 0.0)),
+        **LOSSES, "max_consecutive_losses": 3, "masses": (0.02, 2.0), "coupling": ((0.0, 0.0), (0.0, 0.0)),
     },
     "three axes": {},
-    "three axes, frames lost": {**LOSSES, "lost_frames": 2},
+    "three axes, frames lost": {**LOSSES, "max_consecutive_losses": 2},
     "a wall that moves": {},
-    "a wall that moves, frames lost": {**LOSSES, "lost_frames": 2},
-    "a hand of declared speed, frames lost": {**LOSSES, "lost_frames": 2},
+    "a wall that moves, frames lost": {**LOSSES, "max_consecutive_losses": 2},
+    "a hand of declared speed, frames lost": {**LOSSES, "max_consecutive_losses": 2},
 }  # fmt: skip
 MADE = {
     "three axes": in_space, "three axes, frames lost": in_space, "a wall that moves": before_moving_wall,
@@ -67,7 +67,7 @@ def search(kind, runs, cycles=150):
         rng = random.Random(f"{kind}{seed}")
         attack = attack_of(kind, rng, cycles)
         given, strongest = run(attack, rng)
-        least, rendered = min(least, given + attack.own.get("credit", 0.0)), rendered + (strongest > 0.1)
+        least, rendered = min(least, given + attack.own.get("energy_allowance", 0.0)), rendered + (strongest > 0.1)
     return least, rendered
 
 
@@ -104,7 +104,7 @@ def test_friction_of_one_axis_is_not_hidden_by_the_motion_of_another():
     rng = random.Random("friction76")
     attack = random_attack(
         rng, delay=1, hand_force=0.0, friction=(5.0, 0.0), declared_friction=5.0, masses=(1.0, 1.0),
-        coupling=((0.0, 0.0), (0.0, 0.0)), own={"credit": 1e-3},
+        coupling=((0.0, 0.0), (0.0, 0.0)), own={"energy_allowance": 1e-3},
     )  # fmt: skip
     least, _ = run(attack, rng)
     assert least >= -1e-3 - 1e-9
@@ -131,9 +131,9 @@ def test_axes_that_act_apart_give_out_energy_unless_that_is_declared(apart):
     for seed in range(12):
         rng = random.Random(seed)
         velocity = -rng.uniform(0.5, 3.0), rng.uniform(-2.0, 2.0)
-        for lost_frames in least:
-            attack = replace(SLIDING, velocity=velocity, lost_frames=lost_frames, **apart)
-            least[lost_frames] = min(least[lost_frames], run(attack, rng)[0])
+        for max_consecutive_losses in least:
+            attack = replace(SLIDING, velocity=velocity, max_consecutive_losses=max_consecutive_losses, **apart)
+            least[max_consecutive_losses] = min(least[max_consecutive_losses], run(attack, rng)[0])
         if seed >= 3 and least[0] < -1e-4:
             break
     assert least[0] < -1e-4
@@ -141,12 +141,12 @@ def test_axes_that_act_apart_give_out_energy_unless_that_is_declared(apart):
 
 
 def test_losses_of_either_kind_count_together():
-    """Three cycles in a row without a new torque, a sample and then two commands, are more than `lost_frames: 2`.
+    """Three cycles in a row without a new torque, a sample and then two commands, are more than two losses.
 
     Seed 535 of a search that counted samples and commands apart: the torque stayed for a fourth hold, for which nothing
     was stored any more, and 0.2 mJ came out.
     """
-    attack, longest = Attack(OBLIQUE, lost_frames=2, delay=1, lost_commands=0.5, lost_samples=0.5), 0
+    attack, longest = Attack(OBLIQUE, max_consecutive_losses=2, delay=1, lost_commands=0.5, lost_samples=0.5), 0
     for seed in range(40):
         losses, due, without = Losses(attack, random.Random(seed)), [True], [0, 0]
         for cycle in range(60):
@@ -168,7 +168,7 @@ def test_attacks_beyond_the_promise_succeed(beyond):
         if beyond == "force":
             attack = replace(attack, pulls=2.0)
         elif beyond == "losses":
-            attack = replace(attack, lost_frames=1, in_a_row=2, lost_commands=0.3, lost_samples=0.3)
+            attack = replace(attack, max_consecutive_losses=1, in_a_row=2, lost_commands=0.3, lost_samples=0.3)
         else:
             lighter = tuple(-0.4 * m for m in attack.masses)
             attack = replace(attack, coupling=((lighter[0], 0.0), (0.0, lighter[1])))
@@ -184,7 +184,7 @@ def test_lost_frames_cost_stiffness_and_nothing_when_not_declared():
     for losses in (0, 1, 2):
         attack = Attack(
             Box(stiffness=1e5, lower=(-0.01, -0.01), upper=(0.01, 0.01)), start=(0.009, 0.0), velocity=(0.5, 0.0),
-            lost_frames=losses, cycles=40,
+            max_consecutive_losses=losses, cycles=40,
         )  # fmt: skip
         held.append(run(attack, random.Random(0))[1])
     assert held[0] > held[1] > held[2] > 1.0
@@ -192,7 +192,7 @@ def test_lost_frames_cost_stiffness_and_nothing_when_not_declared():
 
 def test_a_group_of_too_many_losses_is_refused():
     with pytest.raises(ValueError, match="16"):
-        GuardedGroupParameters(lost_frames=17)
+        GuardedGroupParameters(max_consecutive_losses=17)
 
 
 # --- mechanisms -------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from canhaptic.control.port_hamiltonian.shapes.moving_wall import MovingWall
 T, MASS = 1e-3, 0.05
 
 
-def moved(seed, delay, lost_frames):
+def moved(seed, delay, max_consecutive_losses):
     """Returns (least sum of h_i [J], largest torque [N*m]) of a five-bar whose motors are bare masses, unheld."""
     rng = random.Random(seed)
     kinematics = FiveBar(base=0.1, proximal=(0.15, 0.15), distal=(0.2, 0.2), least_sine=0.15)
@@ -28,7 +28,7 @@ def moved(seed, delay, lost_frames):
         frequency=rng.uniform(1.0, 10.0),
     )  # fmt: skip
     loop = LoopProperties(sample_time=T, delay=delay, moving_mass=MASS)
-    own = GuardedGroupParameters(hand_force=0.0, lost_frames=lost_frames)
+    own = GuardedGroupParameters(hand_force=0.0, max_consecutive_losses=max_consecutive_losses)
     controller = build_group_controller(wall, kinematics, "guarded", own, [loop, loop])
     held, pending, booked, least, strongest = np.zeros(2), [np.zeros(2)] * delay, 0.0, 0.0, 0.0
     for _ in range(400):
@@ -44,10 +44,10 @@ def moved(seed, delay, lost_frames):
     return least, strongest
 
 
-@pytest.mark.parametrize("lost_frames", [0, 1])
+@pytest.mark.parametrize("max_consecutive_losses", [0, 1])
 @pytest.mark.parametrize("delay", [0, 1, 2])
-def test_nothing_comes_out_beyond_what_the_mover_gives_though_the_pose_changes(delay, lost_frames):
+def test_nothing_comes_out_beyond_what_the_mover_gives_though_the_pose_changes(delay, max_consecutive_losses):
     """Booked at the pose of the end of the hold, and certified at one before, 1.1 and 4.7 uJ came out (seed 42)."""
-    runs = [moved(seed, delay, lost_frames) for seed in (*range(20), 42)]
+    runs = [moved(seed, delay, max_consecutive_losses) for seed in (*range(20), 42)]
     assert min(least for least, _ in runs) >= -1e-9
     assert sum(strongest > 0.1 for _, strongest in runs) >= 5

@@ -51,9 +51,9 @@ def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
     [
         ({}, {}, math.inf),
         ({"hand_force": 5.0, "alpha": "100 s/m^2"}, {"device_damping_bound": 0.4}, math.inf),
-        ({"hand_speed": 0.5, "credit": 1e-3}, {"device_damping": 0.1}, math.inf),
+        ({"hand_speed": 0.5, "energy_allowance": 1e-3}, {"device_damping": 0.1}, math.inf),
         ({"hand_force": 2.0}, {"encoder_count": 1e-6, "torque_quantum": 1e-3}, math.inf),
-        ({"credit": 1e-3}, {}, 3.0),
+        ({"energy_allowance": 1e-3}, {}, 3.0),
     ],
 )
 def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, damping, own, known, clip):

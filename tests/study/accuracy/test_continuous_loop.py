@@ -24,7 +24,7 @@ ENVIRONMENTS = {
 @pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
 def test_the_continuous_axis_agrees_with_the_exact_machine(name):
     motion = "simulation.user.motion={amplitude: 0.15, frequency: 2}"
-    changes = [f"environment={ENVIRONMENTS[name]}", "passivity={algorithm: direct}", motion]
+    changes = [f"environment={ENVIRONMENTS[name]}", "passivity={algorithm: unprotected}", motion]
     scene = load_scene(FOLDER / "paper_wall.yaml", changes)
     axis, steps, step_ns = scene.axes[0], 400, 1_000_000
     found = continuous_loop(axis, step_ns, steps)
@@ -40,7 +40,7 @@ def test_the_continuous_axis_agrees_with_the_exact_machine(name):
 
 def test_detents_act_also_on_an_axis_that_starts_in_the_middle_of_one():
     environment = "environment={type: detents, pitch: 0.02, peak: 5}"
-    scene = load_scene(FOLDER / "paper_wall.yaml", [environment, "passivity={algorithm: direct}"])
+    scene = load_scene(FOLDER / "paper_wall.yaml", [environment, "passivity={algorithm: unprotected}"])
     found = continuous_loop(scene.axes[0], 1_000_000, 100)
     assert np.abs(found.position).max() < 0.005  # held in the first one
     assert np.abs(found.impulse).max() > 1e-3

@@ -70,7 +70,7 @@ def check(world: str, scenes: int, cycles: int, seed: int) -> int:
     """
     numbers, varied = drawn(world, scenes, seed)
     kind: Any = load(ENVIRONMENTS, world, "environment")
-    case = standard_case(kind(**BASES[world]), "direct", 1000.0, USER, plant=PLANT)
+    case = standard_case(kind(**BASES[world]), "unprotected", 1000.0, USER, plant=PLANT)
     batch = loop_in_arrays(case, PLANT, USER, numbers, varied)
     runs = ContinuousRuns(batch, batch.numbers, scenes, cycles, with_force=True)
     position, torque = runs.block(cycles - 1)
@@ -112,14 +112,14 @@ def test_a_graze_inside_of_one_hold_is_met():
     wall: Any = load(ENVIRONMENTS, "spring_damper_wall", "environment")(stiffness=1e5, damping=0.0)
     plant = PlantParameters(mass=0.1, damping=0.0, initial_position=5e-3, initial_velocity=-1.0)
     user = UserParameters(push=1e-9)
-    batch = loop_in_arrays(standard_case(wall, "direct", 50.0, user, plant=plant), plant, user, {})
+    batch = loop_in_arrays(standard_case(wall, "unprotected", 50.0, user, plant=plant), plant, user, {})
     position, _ = ContinuousRuns(batch, batch.numbers, 1, 3, with_force=False).block(2)
     # in contact for half a period of the spring, then back with the speed it came with
     left = 5e-3 + np.pi * np.sqrt(0.1 / 1e5)
     np.testing.assert_allclose(position[:, 0], [0.02 - left, 0.04 - left], rtol=1e-7)
 
 
-@pytest.mark.parametrize("algorithm", ["direct", pytest.param("guarded", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("algorithm", ["unprotected", pytest.param("guarded", marks=pytest.mark.slow)])
 def test_every_metric_of_a_batch_is_that_of_one_scene_beside_its_reference(algorithm):
     scene, varied = demo(algorithm), many(2)
     found = run_batch(scene, varied, 400, engine="python", metrics=list(ALL))
@@ -129,7 +129,7 @@ def test_every_metric_of_a_batch_is_that_of_one_scene_beside_its_reference(algor
             assert found[name][i] == pytest.approx(one[name], rel=1e-6, abs=1e-10, nan_ok=True), (i, name)
 
 
-@pytest.mark.parametrize("algorithm", ["direct", pytest.param("guarded", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("algorithm", ["unprotected", pytest.param("guarded", marks=pytest.mark.slow)])
 def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
     """A hand that leans on the wall: the axis comes to rest, so that stiffness and limit cycle are measured too."""
     scene = demo(algorithm, "simulation.user={stiffness: 0, damping: 30, push: -5}", "environment.stiffness=500")
@@ -155,7 +155,7 @@ def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
 def test_a_continuous_run_does_not_depend_on_those_beside_it():
     numbers, varied = drawn("two_sided_wall", 60, 9)
     kind: Any = load(ENVIRONMENTS, "two_sided_wall", "environment")
-    case = standard_case(kind(**BASES["two_sided_wall"]), "direct", 1000.0, USER, plant=PLANT)
+    case = standard_case(kind(**BASES["two_sided_wall"]), "unprotected", 1000.0, USER, plant=PLANT)
     found = []
     for rows in (np.arange(60), np.arange(0, 60, 7)):
         some = ({key: values[rows] for key, values in part.items()} for part in (numbers, varied))
@@ -165,7 +165,7 @@ def test_a_continuous_run_does_not_depend_on_those_beside_it():
 
 
 def test_without_a_closed_form_there_is_no_figure_and_the_others_stay():
-    case = in_arrays(scalar_case("detents", "direct"))
+    case = in_arrays(scalar_case("detents", "unprotected"))
     assert "closed form" in why_not_continuous(case)
     found = march(case, 1, 50, "python", ["position_error.rms", "limit_cycle", "interaction"])
     assert np.isnan(found["position_error.rms"]).all()
@@ -175,6 +175,6 @@ def test_without_a_closed_form_there_is_no_figure_and_the_others_stay():
 
 
 def test_scenes_too_fast_for_a_reference_have_none_and_the_others_keep_theirs():
-    case = in_arrays(scalar_case("spring_damper_wall", "direct"), {"environment.damping": np.array([5.0, 1e7])})
+    case = in_arrays(scalar_case("spring_damper_wall", "unprotected"), {"environment.damping": np.array([5.0, 1e7])})
     found = march(case, 2, 50, "python", ["position_error.max"])["position_error.max"]
     assert np.isfinite(found).tolist() == [True, False]

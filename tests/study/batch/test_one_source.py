@@ -35,7 +35,7 @@ def test_every_algorithm_is_the_scalar_class_to_the_last_bit(algorithm, delay):
 
 @pytest.mark.parametrize("world", [world for world in WORLDS if world != "spring_damper_wall"])
 def test_every_environment_is_the_scalar_class_to_the_last_bit(world):
-    for algorithm in ("direct", "guarded"):
+    for algorithm in ("unprotected", "guarded"):
         assert differences(scalar_case(world, algorithm, delay=1, hand_force=2.0)) == {}
 
 
@@ -50,12 +50,12 @@ def test_windows_over_the_encoder_are_the_scalar_class_to_the_last_bit(count, ha
 
 def test_every_choice_of_an_algorithm_is_the_scalar_class_to_the_last_bit():
     for algorithm, chosen in (
-        ("guarded", {"alpha": "200 s/m^2", "credit": 1e-3, "hand_speed": 0.5, "lead": 0.2}),
-        ("guarded", {"lost_frames": 1, "declared_damping": 0.1}),
+        ("guarded", {"alpha": "200 s/m^2", "energy_allowance": 1e-3, "hand_speed": 0.5, "prediction_holds": 0.2}),
+        ("guarded", {"max_consecutive_losses": 1, "declared_damping": 0.1}),
         ("internal_dissipation", {"alpha": "200 s/m^2"}),
-        ("original", {"alpha": "200 s/m^2", "rearm": "displacement"}),
+        ("a_priori_dissipation", {"alpha": "200 s/m^2", "rearm": "displacement"}),
         ("internal_dissipation", {"velocity": "windowed", "encoder_count": 1e-5}),
-        ("guarded", {"lost_frames": 2, "encoder_count": 1e-5, "hand_force": 3.0}),
+        ("guarded", {"max_consecutive_losses": 2, "encoder_count": 1e-5, "hand_force": 3.0}),
         ("passivity_observer", {"damping_limit": 20.0}),
     ):
         assert differences(scalar_case("spring_damper_wall", algorithm, delay=1, **chosen)) == {}, algorithm
@@ -72,7 +72,9 @@ def many(algorithm, scenes=300, **named):
 
 
 COMPILED = [
-    pytest.param(algorithm, world, marks=() if (algorithm, world) == ("direct", "two_sided_wall") else pytest.mark.slow)
+    pytest.param(
+        algorithm, world, marks=() if (algorithm, world) == ("unprotected", "two_sided_wall") else pytest.mark.slow
+    )
     for algorithm in ALGORITHMS
     for world in WORLDS
 ]
@@ -94,7 +96,7 @@ def drawn(algorithm, world, seed, cycles=200):
     }  # fmt: skip
     if algorithm == "guarded":
         named |= {"hand_force": rng.choice([0.0, 5.0]), "alpha": rng.choice([0.0, "200 s/m^2"])}
-        named |= {"lost_frames": rng.choice([0, 2]), "hand_speed": rng.choice([None, 0.5])}
+        named |= {"max_consecutive_losses": rng.choice([0, 2]), "hand_speed": rng.choice([None, 0.5])}
     elif named["encoder_count"] and rng.random() < 0.5:
         named["velocity"] = "windowed"
     return in_arrays(scalar_case(world, algorithm, environment=values, **named))
@@ -118,7 +120,7 @@ def test_numba_gives_the_bits_of_python(algorithm, world):
 
 def test_what_is_no_number_ends_a_compiled_loop_as_it_ends_an_interpreted_one():
     pytest.importorskip("numba")
-    case, _ = many("direct", 4)
+    case, _ = many("unprotected", 4)
     for stiffness, start in itertools.product((1e300, 1e3), (np.nan, np.inf, -np.inf, -1e-310, -0.0, -1e200)):
         numbers = {**case.numbers, "environment.stiffness": np.full(4, stiffness), "start.0": np.full(4, start)}
         spoilt = replace(case, numbers=numbers)
@@ -152,11 +154,11 @@ def test_the_figures_of_a_scene_that_diverges_are_those_until_it_did(engine):
     if engine == "numba":
         pytest.importorskip("numba")
     damping = np.array([1.0, 2000.0, 4000.0, 3.0])  # a sampled damper of more than 2 m / T diverges
-    batch = in_arrays(scalar_case("viscous_medium", "direct"), {"environment.damping": damping})
+    batch = in_arrays(scalar_case("viscous_medium", "unprotected"), {"environment.damping": damping})
     found = march(batch, 4, 400, engine, list(METRICS))
     assert found["diverged"].tolist() == [0.0, 1.0, 1.0, 0.0]
     for i, d in enumerate(damping.tolist()):
-        one = scalar_case("viscous_medium", "direct", environment={"damping": d})
+        one = scalar_case("viscous_medium", "unprotected", environment={"damping": d})
         cycles = int(found["cycles"][i])
         assert (cycles == 400) == (i in (0, 3))
         expected = with_floats(one, in_arrays(one), cycles)

@@ -58,7 +58,7 @@ class Talking(CenteringSpring):
 
 def batch(kind: Any, scenes: int) -> Any:
     """Returns a batch of scenes that differ in the stiffness."""
-    case = standard_case(kind(stiffness=100.0, damping=2.0), "direct", 1000.0, USER, plant=PLANT, delay=1)
+    case = standard_case(kind(stiffness=100.0, damping=2.0), "unprotected", 1000.0, USER, plant=PLANT, delay=1)
     return loop_in_arrays(case, PLANT, USER, {"environment.stiffness": np.linspace(50.0, 500.0, scenes)})
 
 

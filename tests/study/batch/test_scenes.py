@@ -30,7 +30,7 @@ DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo.yaml"
 CYCLES = 700
 
 
-def demo(algorithm: str = "direct", *overrides: str) -> Scene:
+def demo(algorithm: str = "unprotected", *overrides: str) -> Scene:
     scene = load_scene(DEMO, ["passivity.device_damping=0.1", "simulation.user.motion.frequency=1.5", *overrides])
     return replace(scene, axes=(with_algorithm(scene.axes[0], algorithm),))
 
@@ -56,7 +56,7 @@ def many(scenes: int) -> dict[str, np.ndarray]:
     }
 
 
-# `original` fails by limit cycles (Fig. 5), in which a last bit of the plant decides about a start within a second
+# `a_priori_dissipation` fails by limit cycles (Fig. 5), in which a last bit of the plant decides about a start
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_batch_gives_the_figures_of_one_scene_at_a_time(algorithm):
     scene, varied = demo(algorithm), many(5)
@@ -67,7 +67,7 @@ def test_a_batch_gives_the_figures_of_one_scene_at_a_time(algorithm):
             assert found[name][i] == pytest.approx(one[name], rel=1e-6, abs=1e-12, nan_ok=True), (i, name)
 
 
-@pytest.mark.parametrize("algorithm", ["direct", "guarded", "internal_dissipation"])
+@pytest.mark.parametrize("algorithm", ["unprotected", "guarded", "internal_dissipation"])
 def test_the_figures_are_those_of_the_comparison(algorithm):
     scene = demo(algorithm)
     case = loop_case(scene.axes[0], scene)
@@ -169,7 +169,7 @@ def test_bad_arguments_are_refused():
 def test_the_radius_is_that_of_the_loop_that_is_run():
     """Growth per cycle of a loop in contact all the time, measured on the marched travel."""
     ideal = {"axes.0.counts_per_unit": 1e12, "axes.0.rated_torque": 1e-6, "axes.0.torque_limit": 1e6}
-    scene = scene_with(demo("direct", "environment={type: viscous_medium, damping: 1}"), ideal)
+    scene = scene_with(demo("unprotected", "environment={type: viscous_medium, damping: 1}"), ideal)
     damping = np.array([50.0, 480.0, 620.0])
     radius = spectral_radius(scene, {"environment.damping": damping, "loop.delay": np.array([1.0, 0.0, 0.0])})
     mass, period, own = 0.25, 1e-3, 5.1
@@ -196,4 +196,4 @@ def test_the_radius_is_that_of_the_loop_that_is_run():
 
 def test_a_loop_without_a_radius_is_refused():
     with pytest.raises(ParameterError, match="no linear stiffness"):
-        spectral_radius(demo("direct", "environment={type: detents, peak: 1 N, pitch: 1 cm}"), {})
+        spectral_radius(demo("unprotected", "environment={type: detents, peak: 1 N, pitch: 1 cm}"), {})

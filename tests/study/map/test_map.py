@@ -28,7 +28,7 @@ def plain_wall(tmp_path_factory):
     path = tmp_path_factory.mktemp("map") / "plain.h5"
     scene = load_scene(DEMO, [SOFT_HAND, "bus.rpdo=event", "environment.damping=0"])
     vary = ["environment.stiffness=100:20000:log:161", "bus.rate=200,400,800", "simulation.plant.damping=1,2"]
-    sweep(scene, vary, path, controllers=["direct"], cycles=20, metrics=["spectral_radius"])
+    sweep(scene, vary, path, controllers=["unprotected"], cycles=20, metrics=["spectral_radius"])
     return path
 
 
@@ -46,7 +46,7 @@ def two_controllers(tmp_path_factory):
         "stiffness_rendered.share",
         "damping_rendered.mean",
     ]
-    sweep(scene, vary, path, controllers=["direct", "guarded"], duration=1.6, metrics=metrics)
+    sweep(scene, vary, path, controllers=["unprotected", "guarded"], duration=1.6, metrics=metrics)
     return path
 
 
@@ -71,7 +71,7 @@ def test_the_border_found_by_marching_is_that_of_colgate_within_three_per_cent(t
     vary = ["environment.stiffness=85:450:log:121", "bus.rate=100,200", "simulation.plant.damping=0.5,1"]
     travel = []
     for cycles in (1000, 2000):
-        sweep(scene, vary, tmp_path / f"{cycles}.h5", controllers=["direct"], cycles=cycles, metrics=["travel"])
+        sweep(scene, vary, tmp_path / f"{cycles}.h5", controllers=["unprotected"], cycles=cycles, metrics=["travel"])
         with SweepTable(tmp_path / f"{cycles}.h5") as table:
             [field] = fields_of(table)
             travel.append(field.figure("travel")[..., 0])
@@ -130,7 +130,7 @@ def test_the_border_beside_dry_friction_and_a_coarse_encoder_is_that_of_abbott_a
     path = tmp_path / "friction.h5"
     metrics = ["least_covered", "least_interaction", "diverged"]
     stiffnesses = "environment.stiffness=1000,1900,1950,2050,2100,3000"
-    sweep(load_scene(DEMO, overrides), [stiffnesses], path, controllers=["direct"], cycles=600, metrics=metrics)
+    sweep(load_scene(DEMO, overrides), [stiffnesses], path, controllers=["unprotected"], cycles=600, metrics=metrics)
     with SweepTable(path) as table:
         [field] = fields_of(table)
         assert theory_at(field, {}).abbott_okamura == pytest.approx(2000.0)

@@ -17,7 +17,7 @@ axes:
   - {{name: right, node_id: 2, eds: {REPOSITORY}/eds/cia402_servo.eds, unit: m, counts_per_unit: 1e6,
      rated_torque: 10, torque_limit: 20, environment: {{stiffness: 50}}}}
 environment: {{type: spring_damper_wall, stiffness: 100, damping: 1}}
-passivity: {{algorithm: direct}}
+passivity: {{algorithm: unprotected}}
 simulation:
   seed: 7
   plant: {{mass: 0.25, damping: 0.1}}

@@ -26,7 +26,7 @@ LONG = [
     "--cycles", "100", "--chunk", "1", "--engine", "python",
 ]  # fmt: skip
 CHUNKS = 30
-ONE: dict[str, Any] = {"cycles": 20, "metrics": ["travel"], "controllers": ["direct"]}
+ONE: dict[str, Any] = {"cycles": 20, "metrics": ["travel"], "controllers": ["unprotected"]}
 
 
 def begin(path, *options):

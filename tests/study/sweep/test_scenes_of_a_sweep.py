@@ -80,9 +80,9 @@ def test_more_reasons_than_a_chunk_keeps_are_said_to_be_more(demo, tmp_path):
 
 
 def test_an_algorithm_without_what_it_rests_on_is_told_of_the_plant_in_every_row(tmp_path):
-    scene = load_scene(DEMO, ["passivity={algorithm: direct}"])
+    scene = load_scene(DEMO, ["passivity={algorithm: unprotected}"])
     vary = ["simulation.plant.mass=0.1,0.4"]
-    with run(scene, vary, tmp_path / "a.h5", cycles=1200, controllers=["direct", "guarded"]) as table:
+    with run(scene, vary, tmp_path / "a.h5", cycles=1200, controllers=["unprotected", "guarded"]) as table:
         assert "told moving_mass" in table.remark(2)
         for row, mass in ((2, 0.1), (3, 0.4)):
             alone = load_scene(
@@ -101,7 +101,7 @@ def test_an_algorithm_without_what_it_rests_on_is_told_of_the_plant_in_every_row
 def test_controllers_judge_the_same_scene(tmp_path):
     strong = load_scene(DEMO, ["environment.stiffness=5000", "bus.rate=100"])
     [axis] = strong.axes
-    names = ["direct", "guarded"]
+    names = ["unprotected", "guarded"]
     with run(strong, [], tmp_path / "a.h5", cycles=150, controllers=names) as table:
         found = table.figure("handle", "least_interaction")
     by_hand = [run_scalar(replace(strong, axes=(with_algorithm(axis, name),)), 150) for name in names]

@@ -60,10 +60,10 @@ def test_what_cannot_be_read_is_named(text, message):
 
 
 def test_a_grid_has_every_combination_once_with_the_last_key_fastest():
-    points = make_points([parse_vary("a=1,2"), parse_vary("b=x,y,z")], ["direct", "guarded"])
+    points = make_points([parse_vary("a=1,2"), parse_vary("b=x,y,z")], ["unprotected", "guarded"])
     columns = points.columns(0, len(points))
     rows = list(zip(columns[CONTROLLER], columns["a"].tolist(), columns["b"], strict=True))
-    assert rows == [(c, a, b) for c in ("direct", "guarded") for a in (1.0, 2.0) for b in "xyz"]
+    assert rows == [(c, a, b) for c in ("unprotected", "guarded") for a in (1.0, 2.0) for b in "xyz"]
 
 
 @given(st.integers(1, 400), st.integers(0, 2**40), st.integers(0, 3))
@@ -89,7 +89,7 @@ def test_a_hypercube_is_the_same_for_ever_and_in_any_part():
 
 
 def test_every_controller_judges_the_same_points_of_a_hypercube():
-    points = make_points([parse_vary("a=0:1")], ["direct", "guarded"], samples=5)
+    points = make_points([parse_vary("a=0:1")], ["unprotected", "guarded"], samples=5)
     columns = points.columns(0, 10)
     assert columns["a"][:5].tolist() == columns["a"][5:].tolist()
 

@@ -17,7 +17,7 @@ from tests.study.sweep.dask_cluster import dask_cluster
 OPTIONS: dict[str, Any] = {
     "cycles": 40,
     "chunk": 4,
-    "controllers": ["direct"],
+    "controllers": ["unprotected"],
     "engine": "python",
     "metrics": ["travel", "margin", "spectral_radius"],
 }

@@ -1,0 +1,91 @@
+"""Keys and algorithms by their names of the first release: read as what they are called now, with a warning.
+
+Scenes, overrides, keys of a sweep and the scenes that logs keep may still have them, for one release.
+"""
+
+import warnings
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from multiprocessing import parent_process
+from typing import Any, Final
+
+from canhaptic.errors import OldNameWarning
+from canhaptic.scene.diagnostics import Diagnostics
+from canhaptic.scene.document import MarkedList, MarkedMapping
+
+OLD_KEYS: Final = {
+    "lead": "prediction_holds",
+    "credit": "energy_allowance",
+    "lost_frames": "max_consecutive_losses",
+}
+"""Key of `passivity` -> what it is called now."""
+OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipation"}
+"""Algorithm of one axis -> what it is called now."""
+_SECTION: Final = "passivity"
+_SELECTOR: Final = "algorithm"
+
+
+def algorithm_now(name: str, where: str) -> str:
+    """Returns what an algorithm is called now; warns where that is another name.
+
+    Args:
+        name: As given.
+        where: It was given, for the warning.
+    """
+    if name in OLD_ALGORITHMS:
+        _warn(where, f"algorithm {name!r}", OLD_ALGORITHMS[name])
+    return OLD_ALGORITHMS.get(name, name)
+
+
+def path_now(path: tuple[str, ...], where: str) -> tuple[str, ...]:
+    """Returns the path of a key by the names of now; warns where that is another one."""
+    if _SECTION not in path[:-1] or path[-1] not in OLD_KEYS:
+        return path
+    _warn(where, repr(path[-1]), OLD_KEYS[path[-1]])
+    return (*path[:-1], OLD_KEYS[path[-1]])
+
+
+def rename_old(scene: MarkedMapping, faults: Diagnostics) -> None:
+    """Gives keys and algorithms of a scene the names of now, in place; an old key beside its new one is a fault."""
+    for section, is_of_axis in _sections(scene):
+        for old in OLD_KEYS.keys() & section.keys():
+            new, at = OLD_KEYS[old], section.keys_at[old]
+            if new in section:
+                faults.add(at, f"is now called {new!r}, which is given too; leave out {old!r}")
+            else:
+                _warn(f"{at.where}: {'.'.join(at.path)}", repr(old), new)
+                section.put(new, section[old], at, section.values_at[old])
+            del section[old]
+        name = section.get(_SELECTOR)
+        if is_of_axis and isinstance(name, str):
+            at = section.values_at[_SELECTOR]
+            section[_SELECTOR] = algorithm_now(name, f"{at.where}: {'.'.join(at.path)}")
+
+
+def _sections(scene: MarkedMapping) -> Iterator[tuple[MarkedMapping, bool]]:
+    """Yields every section `passivity`, and whether its algorithm is one of an axis."""
+    owners: list[tuple[Any, bool]] = [(scene, True)]
+    for key in ("axes", "groups"):
+        entries = scene.get(key)
+        owners += [(entry, key == "axes") for entry in entries] if isinstance(entries, MarkedList) else []
+    for owner, is_of_axis in owners:
+        section = owner.get(_SECTION) if isinstance(owner, MarkedMapping) else None
+        if isinstance(section, MarkedMapping):
+            yield section, is_of_axis
+
+
+def in_old_names(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a configuration in effect by the names of the first release, as its logs have hashed it."""
+    old = deepcopy(dict(resolved))
+    keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
+    for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
+        section = {keys.get(key, key): value for key, value in owner[_SECTION].items()}
+        section[_SELECTOR] = algorithms.get(section[_SELECTOR], section[_SELECTOR])
+        owner[_SECTION] = section
+    return old
+
+
+def _warn(where: str, old: str, new: str) -> None:
+    if parent_process() is None:  # what a worker of a sweep reads, its parent has read and warned of
+        text = f"{where}: {old} is now called {new!r}; the old name works in this release and not in the next"
+        warnings.warn(text, OldNameWarning, stacklevel=2)
