@@ -13,9 +13,10 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 from pydantic_core import core_schema
 
 from canhaptic.errors import ParameterError
@@ -57,6 +58,10 @@ _BASE_UNITS: Final[dict[str, tuple[float, _Dimension]]] = {
 _PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
 _NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 _FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1)(?:\^(-?\d))?\s*")
+
+
+_LEAST, _MOST = 1e-30, 1e30
+"""Magnitudes beyond which no quantity in SI means anything, and products and quotients leave the numbers."""
 
 
 def effort_unit(motion: str) -> str:
@@ -172,7 +177,10 @@ class _Quantity:
         return core_schema.with_info_before_validator_function(self._read, schema)
 
     def _read(self, value: object, info: ValidationInfo) -> object:
-        return self.unit.read(value, info.context.motion if isinstance(info.context, UnitContext) else None)
+        number = self.unit.read(value, info.context.motion if isinstance(info.context, UnitContext) else None)
+        if isinstance(number, int | float) and (0.0 < abs(number) < _LEAST or _MOST < abs(number) != math.inf):
+            raise ValueError(f"expected 0 or a magnitude of {_LEAST:g} to {_MOST:g}")
+        return number
 
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> Any:
         schema = handler(core_schema)
@@ -210,6 +218,9 @@ def _describe(owner: str, error: ValidationError) -> str:
     return "\n".join(lines)
 
 
+_LONGEST_SHOWN: Final = 200  # bits
+
+
 def shown(value: object) -> str:
     """Returns a value as a message shows it: short, on one line."""
     if value is None:
@@ -218,8 +229,34 @@ def shown(value: object) -> str:
         return "a mapping"
     if isinstance(value, list | tuple):
         return "a list"
+    if isinstance(value, int) and value.bit_length() > _LONGEST_SHOWN:  # Python refuses to write the longest
+        return f"an integer of {value.bit_length()} bits"
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+_Text = TypeVar("_Text", str, Path)
+_IN_NAMES: Final = " _-+.()"
+
+
+def _check_name(name: str) -> str:
+    if not name[:1].isalnum() or not all(letter.isalnum() or letter in _IN_NAMES for letter in name):
+        raise ValueError(f"expected letters, digits, spaces and {' '.join(_IN_NAMES.strip())}, a letter or digit first")
+    return name
+
+
+def _check_printable(text: _Text) -> _Text:
+    if not str(text).isprintable():
+        raise ValueError("expected printable text, without control characters")
+    return text
+
+
+Name = Annotated[str, Field(min_length=1, max_length=40), AfterValidator(_check_name)]
+"""A name that appears in messages, tables, pages and logs: no markup, no control characters, no separators."""
+PrintableText = Annotated[str, AfterValidator(_check_printable)]
+"""A text that may appear on a terminal."""
+PrintablePath = Annotated[Path, AfterValidator(_check_printable)]
+"""A path that may appear on a terminal."""
 
 
 class Parameters(BaseModel, metaclass=_ParametersMeta):

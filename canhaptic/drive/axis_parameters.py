@@ -2,12 +2,12 @@
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from canhaptic.canopen.objects import PDO_COUNT, RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
 from canhaptic.host.realtime import RealtimeParameters
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Parameters, PrintableText, quantity
 
 _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x101, 0x57F  # free of NMT, SYNC, EMCY, SDO and heartbeat
 LARGEST_U16: Final = 0xFFFF
@@ -16,12 +16,23 @@ NodeId = Annotated[int, quantity("1", ge=1, le=127)]
 PdoNumber = Annotated[int, quantity("1", ge=1, le=PDO_COUNT)]
 
 
+def _number_of(key: object) -> object:
+    """Returns the number that a key of a scene means, which is a text: `0x1404`."""
+    try:
+        return int(key, 0) if isinstance(key, str) else key
+    except ValueError:
+        return key
+
+
+_Index = Annotated[int, BeforeValidator(_number_of)]
+
+
 class BusParameters(Parameters):
     """One CAN bus, its rate of SYNC, and what happens when frames go missing on it."""
 
-    interface: str = "virtual"
+    interface: PrintableText = "virtual"
     """python-can interface (`virtual`, `socketcan`, `udp_multicast`, ...)."""
-    channel: str | int | None = None
+    channel: PrintableText | int | None = None
     """Channel of the interface; None: the interface's own choice, and a private one for `virtual`."""
     bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] = 1_000_000
     """Bit rate of classic CAN; the bus budget is computed from it."""
@@ -112,7 +123,7 @@ class AxisParameters(TorqueAxisParameters):
     """RPDO to use instead of the one chosen from the dictionary."""
     tpdo_numbers: Annotated[tuple[PdoNumber, ...], Field(min_length=1, max_length=4)] | None = None
     """TPDOs to use instead of those chosen from the dictionary."""
-    pdo_cob_ids: dict[int, int] = Field(default_factory=dict)
+    pdo_cob_ids: dict[_Index, int] = Field(default_factory=dict)
     """COB-ID by index of the communication object (0x1404: 0x205); for PDOs beyond the fourth."""
 
     @model_validator(mode="after")

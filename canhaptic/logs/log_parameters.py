@@ -1,19 +1,18 @@
 """Where a run is written to, and what happens when it cannot be."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import model_validator
 
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Parameters, PrintablePath, quantity
 
 
 class LogParameters(Parameters):
     """Where a run is written to; paths are relative to the current folder, and options of `run` win over them."""
 
-    energy: Path | None = None
+    energy: PrintablePath | None = None
     """Energy log (HDF5)."""
-    bus: Path | None = None
+    bus: PrintablePath | None = None
     """Bus log: candump text; BLF, TRC or ASC by its suffix."""
     file_size: Annotated[int, quantity("1", ge=0, le=1e12)] = 0
     """Bytes after which the bus log is put aside and a new one begun; 0 for one file without limit."""

@@ -23,6 +23,8 @@ from canhaptic.units import shown
 def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     """Notes what is wrong between the sections of a scene whose sections are right on their own."""
     _check_unique(scene, sections["axes"], faults)
+    if len(faults):  # what follows takes its time for each axis, and a name or node ID may be that of thousands
+        return
     _check_buses(scene, sections, faults)
     _check_somebody_answers(scene, sections, faults)
     _check_effects(scene, sections, faults)
@@ -44,6 +46,8 @@ def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Diagnostic
     for key in ("name", "node_id"):
         values = [(getattr(a.parameters, key), a.bus if key == "node_id" else "") for a in scene.axes]
         for value, count in Counter(values).items():
+            if count == 1:
+                continue
             places = [entry.value_at(key) for entry, seen in zip(entries, values, strict=True) if seen == value]
             for place in places[1:count]:
                 faults.add(place, f"got {value[0]!r}, which is the {key} of another axis already ({places[0].where})")

@@ -253,8 +253,9 @@ def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
     if isinstance(value, Mapping):
         result = MarkedMapping(mark)
         for key, entry in value.items():
-            below = mark.below(str(key))
-            result.put(str(key), mark_plain(entry, source, below.path), below, below)
+            name = f"{key:#x}" if isinstance(key, int) and not isinstance(key, bool) else str(key)  # of an object
+            below = mark.below(name)
+            result.put(name, mark_plain(entry, source, below.path), below, below)
         return result
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         items = MarkedList(mark)

@@ -32,7 +32,7 @@ from canhaptic.sim.plant.mechanism import MECHANISMS
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.units import Parameters, UnitContext, quantity
+from canhaptic.units import Name, Parameters, PrintableText, UnitContext, quantity
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus.bus_effects import BusEffects
@@ -45,7 +45,7 @@ _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres whatever the motors move in."""
 
 UnitT = TypeVar("UnitT", bound=str | None)
-BusName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^\S+$")]
+BusName = Annotated[Name, Field(pattern=r"^\S+$")]
 Environment = Annotated[ComponentSpec, ComponentOf(ENVIRONMENTS, "environment")]
 Algorithm = Annotated[ComponentSpec, ComponentOf(ALGORITHMS, "passivity algorithm", "algorithm", LOOP_KEYS)]
 GroupAlgorithm = Annotated[ComponentSpec, ComponentOf(GROUP_ALGORITHMS, "group algorithm", "algorithm", LOOP_KEYS)]
@@ -91,9 +91,9 @@ class FurtherBus(Parameters):
 
     name: BusName
     """By which an axis's `bus` names it."""
-    interface: str | None = None
+    interface: PrintableText | None = None
     """python-can interface; None: that of the first bus."""
-    channel: str | int | None = None
+    channel: PrintableText | int | None = None
     """Channel of the interface; None: a private one for `virtual`."""
     bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] | None = None
     """Bit rate of classic CAN; None: that of the first bus."""
@@ -178,7 +178,7 @@ class GroupScene:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    name: Annotated[str, Field(min_length=1, max_length=40)]
+    name: Name
     axes: tuple[str, ...]
     kinematics: Annotated[ComponentSpec, ComponentOf(KINEMATICS, "kinematics")]
     network: Annotated[ComponentSpec, ComponentOf(NETWORKS, "network")]

@@ -10,6 +10,7 @@ from typing import Any, Final
 from canhaptic.scene.document import MarkedMapping
 
 _MILLI: Final = 1e-3
+_LARGEST_RATIO: Final = 1e9  # anything larger is a fault of the axis, noted there
 
 TWINS: Final[Mapping[str, Mapping[str, Any]]] = {
     "rated_torque_micro": {"rated_torque_resolution": 1e-6},
@@ -44,7 +45,9 @@ def twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
     if axis.get("demand_reported") == "after":
         twin["torque_read_back"] = "after_update"
     ratio = axis.get("transmission")
-    if isinstance(ratio, int | float) and not isinstance(ratio, bool):  # 0x6076 counts the motor's torque
+    if (
+        isinstance(ratio, int | float) and not isinstance(ratio, bool) and abs(ratio) < _LARGEST_RATIO
+    ):  # 0x6076 counts the motor's torque
         twin["rated_torque_resolution"] = ratio * twin.get("rated_torque_resolution", _MILLI)
     return twin
 

@@ -9,15 +9,15 @@ from canhaptic.units import Parameters, quantity
 class LoopProperties(Parameters):
     """What is known of the loop around the controller; optional values are None when unknown, never assumed."""
 
-    sample_time: Annotated[float, quantity("s", gt=0.0, le=1.0)]
+    sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Time T from SYNC to SYNC."""
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Whole holds between the computation of a torque and the hold in which it acts: 0 event RPDO, 1 synchronous."""
     moving_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)] | None = None
     """UNDER-estimate of the inertia rigid with the encoder."""
-    device_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0)] | None = None
+    device_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
     """Certain viscous damping of the device, an under-estimate."""
-    device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0)] | None = None
+    device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
     """Upper bound of the device damping (b_max of the hand-force certificate)."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Displacement of one encoder count; 0 for an ideal encoder."""

@@ -1,13 +1,12 @@
 """What a configuration says about one axis, for any fieldbus: every value in SI, with unit and range."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Name, Parameters, PrintablePath, quantity
 
 ReadBack = Literal["demand", "actual", "none"]
 """Torque in the process data of a drive: 0x6074, 0x6077, or none."""
@@ -16,9 +15,9 @@ ReadBack = Literal["demand", "actual", "none"]
 class TorqueAxisParameters(Parameters):
     """What the profile needs to know of an axis. Torques are those of the axis: N*m (rotary) or N (linear)."""
 
-    name: Annotated[str, Field(min_length=1, max_length=40)]
+    name: Name
     """Of the axis: in messages, tables and logs; no other axis has it."""
-    eds: Path
+    eds: PrintablePath
     """Object dictionary (EDS or DCF) of the drive."""
     quirks: tuple[str, ...] = ()
     """Named deviations of this drive from the standard (`canhaptic.drive.profile.quirks`)."""
@@ -30,7 +29,7 @@ class TorqueAxisParameters(Parameters):
     """-1 turns the sign of position and torque together."""
     rated_torque: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
     """Torque of the axis at 1000 per mille; needed when the drive does not state 0x6076."""
-    transmission: Annotated[float, quantity("1/m", "1", gt=0.0)] = 1.0
+    transmission: Annotated[float, quantity("1/m", "1", ge=1e-6, le=1e6)] = 1.0
     """Torque or force of the axis per torque of the motor (gear ratio, 1/pulley radius); scales 0x6076."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
     """Largest torque ever commanded; also written to 0x6072 where the drive has it."""

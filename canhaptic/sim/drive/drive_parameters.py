@@ -11,13 +11,17 @@ _PLACE: Final = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:(?:\.|sub)(?:0x)?([0-9a-f]
 
 
 def parse_place(key: str | int) -> tuple[int, int]:
-    """Returns (index, subindex) of `0x6502`, `"6502"`, `"0x1018.1"` or `"1018sub1"`; texts are hexadecimal.
+    """Returns (index, subindex) of `0x6502`, `"0x1018.1"` or `"1018sub1"`; texts are hexadecimal.
 
     Raises:
-        ValueError: The key names no object.
+        ValueError: The key names no object, or may name two: `4096` is 0x1000 as a number and 0x4096 as hexadecimal.
     """
     if isinstance(key, int):
         place = (key, 0)
+    elif key.strip().isdecimal():
+        number = int(key)
+        also = f" or 0x{number:04x}" if number <= 0xFFFF else ""
+        raise ValueError(f"{key!r} may be hexadecimal or decimal; write 0x{key.strip()}{also}")
     elif match := _PLACE.fullmatch(key.strip()):
         place = (int(match.group(1), 16), int(match.group(2) or "0", 16))
     else:
@@ -56,7 +60,7 @@ class SimulatedDriveParameters(Parameters):
 
     counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0, le=1e12)]
     rated_torque: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
-    rated_torque_resolution: Annotated[float, quantity("N", "N*m", gt=0.0, le=1.0)] = 1e-3
+    rated_torque_resolution: Annotated[float, quantity("N", "N*m", ge=1e-12, le=1e6)] = 1e-3
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
     objects: dict[str | int, int | float | str] = Field(default_factory=dict)
     encoder: Literal["round", "floor"] = "round"

@@ -22,7 +22,7 @@ class Cogging(Parameters):
     type: Literal["cogging"] = "cogging"
     amplitude: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
     """Largest detent force."""
-    pitch: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
+    pitch: Annotated[float, quantity("m", "rad", ge=1e-9, le=1e3)]
     """From one detent to the next."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
     """Of the sine at position 0."""

@@ -16,7 +16,7 @@ class EncoderQuantisation(Parameters):
     rank: ClassVar[int] = 2
 
     type: Literal["encoder_quantisation"] = "encoder_quantisation"
-    count: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
+    count: Annotated[float, quantity("m", "rad", ge=1e-15, le=1e3)]
     """Displacement of one count."""
 
     def add_to(self, scene: PlantModel) -> None:

@@ -28,7 +28,7 @@ class LuGreFriction(DryFriction):
     type: Literal["lugre_friction"] = "lugre_friction"
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
-    bristle_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
+    bristle_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=1e-6, le=1e9)]
     """Of the bristles before they slip."""
     bristle_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Of the bristles."""

@@ -22,7 +22,7 @@ class TorqueRipple(Parameters):
     type: Literal["torque_ripple"] = "torque_ripple"
     amplitude: Annotated[float, quantity("1", ge=0.0, lt=1.0)]
     """Part of the torque."""
-    pitch: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
+    pitch: Annotated[float, quantity("m", "rad", ge=1e-9, le=1e3)]
     """Period of the ripple."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
     """Of the sine at position 0."""
