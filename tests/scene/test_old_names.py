@@ -15,7 +15,7 @@ from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, OldNameWarning, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay.replayed_run import replay
+from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.load import load_scene, scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.scene.old_names import OLD_ALGORITHMS, OLD_KEYS
@@ -150,7 +150,7 @@ def test_an_old_energy_log_opens_and_its_scene_recomputes_to_the_bit(name: str, 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_old_bus_log_replays_frame_by_frame(name: str, tmp_path: Path) -> None:
-    assert replay(unpacked(f"{name}.log", tmp_path), old_scene(name))["status"] == "identical"
+    assert replay_bus_log(unpacked(f"{name}.log", tmp_path), old_scene(name))["status"] == "identical"
 
 
 @pytest.mark.parametrize("name", NAMES)
