@@ -6,8 +6,9 @@ import pytest
 
 from canhaptic.canopen.objects import NmtState
 from canhaptic.drive.profile.power_states import is_enabled
+from canhaptic.errors import StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import RATED_TORQUE, MakeBench, axis
+from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, MakeBench, axis
 
 VENDOR_FILES = ("elmo_gold.dcf", "zeroerr_erob.eds", "maxon_epos4.dcf", "kollmorgen_rgm.eds")
 
@@ -158,3 +159,32 @@ def test_a_small_difference_of_rated_torque_is_taken_as_rounding(bench: MakeBenc
     b = bench([axis(rated_torque=RATED_TORQUE * 1.0005)])
     b.rig.start()
     assert b.rig.drives[0].scaling.rated_torque == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("left", [1, 5000])
+def test_a_cycle_period_left_by_another_master_is_replaced_by_ours(bench: MakeBench, left: int) -> None:
+    b = bench(objects={0x1006: left})  # [us]; at 1 us the drive would miss its SYNCs and fault
+    b.rig.start()
+    b.run(50)
+    assert b.drives[0].store.read(0x1006, 0) == (1000).to_bytes(4, "little")
+
+
+@pytest.mark.parametrize("left", [0, 1000])
+def test_a_cycle_period_that_is_off_or_right_is_left_as_it_is(bench: MakeBench, left: int) -> None:
+    b = bench(objects={0x1006: left})
+    b.rig.start()
+    assert b.drives[0].store.read(0x1006, 0) == left.to_bytes(4, "little")
+    assert not [data for data in b.sent(0x605) if data[1:3] == b"\x06\x10" and data[0] != 0x40]
+
+
+def test_a_cycle_period_that_is_wrong_and_read_only_is_refused_with_both_values(
+    bench: MakeBench, tmp_path: Path
+) -> None:
+    eds = tmp_path / "read_only.eds"
+    text = OUR_EDS.read_text(encoding="utf-8")
+    head, tail = text.split("[1006]\n")
+    eds.write_text(f"{head}[1006]\n{tail.replace('AccessType=rw', 'AccessType=ro', 1)}", encoding="utf-8")
+    b = bench([axis(eds=eds)], objects={0x1006: 5000})
+    wanted = r"SYNC period: got 0x1006:00 .* = 5000 us, expected 1000 us or 0 \(off\); .*0x1006.*vendor's tool"
+    with pytest.raises(StartError, match=wanted):
+        b.rig.start()

@@ -9,10 +9,12 @@ from canhaptic.drive.axis_parameters import LARGEST_U16
 from canhaptic.drive.can.pdo_setup import rpdo_transmission_type, write_map
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
+from canhaptic.errors import SdoError
 
 _REMEDIES: Final = {
     "presence": "check power, node ID, bit rate and cable",
     "heartbeat": "the drive must produce heartbeats (0x1017); check that it accepts NMT commands",
+    "SYNC period": "set the drive's 0x1006 (communication cycle period) with the vendor's tool, or choose its rate",
     "PDO map": "compare the EDS with the drive's firmware, or choose other PDOs (rpdo_number, tpdo_numbers; quirks: "
     "demand_absent, manufacturer_event)",
     "NMT operational": "the drive stays out of OPERATIONAL; check its EMCY and its configuration",
@@ -53,7 +55,29 @@ class CanBringUp(BringUp):
             raise self.refusal("watchdog", f"{milliseconds} ms", f"at most {LARGEST_U16} ms (0x1016 is 16 bits)")
         self._write_confirmed("watchdog", od.CONSUMER_HEARTBEAT_TIME, 1, bus.consumer_heartbeat)
 
+    def _sync_period(self) -> None:
+        """Compares 0x1006 with the sample time: with a period that another master left the drive misses our SYNCs."""
+        drive, index = self._drive, od.COMMUNICATION_CYCLE_PERIOD
+        listed = drive.dictionary.get_variable(index)
+        if listed is None or not listed.readable:
+            return
+        with self.step("SYNC period"):
+            try:
+                seen = drive.sdo.read(index)
+            except SdoError as error:
+                if error.code is None:
+                    raise
+                return  # listed, but not in the drive: then it times no SYNC
+        wanted, rest = divmod(drive.sample_time_ns, 1000)
+        if seen == 0 or (seen == wanted and not rest):
+            return
+        if not listed.writable:
+            text = f"{drive.sdo.describe(index)} = {seen} us"
+            raise self.refusal("SYNC period", text, f"{drive.sample_time_ns / 1000:g} us or 0 (off)")
+        self._write_confirmed("SYNC period", index, 0, 0 if rest else wanted)
+
     def _map(self) -> None:
+        self._sync_period()
         drive = self._drive
         rpdo_type = rpdo_transmission_type(drive.bus, drive.axis)
         with self.step("PDO map"):
