@@ -13,11 +13,13 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable, datatypes
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
 from canhaptic.drive.profile.fitness import Finding, Verdict
+from canhaptic.drive.profile.object_use import ObjectUse, objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
@@ -299,10 +301,10 @@ def _resolution(dictionary: ObjectDictionary) -> list[SurveyRow]:
 
 def _watchdog(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
     rows = [_judged(dictionary, "watchdog", findings["0x1017"])]
-    if findings["0x1016"].verdict is Verdict.REFUSED and _variable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1):
-        verdict, text = Verdict.REFUSED, findings["0x1016"].text
-    elif _variable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1) is None:
-        text = "not listed: the drive cannot notice a killed master; only watchdog: false goes on, at your own risk"
+    refused = objection(dictionary, ObjectUse(od.CONSUMER_HEARTBEAT_TIME, 1, reads=True, writes=True))
+    if refused is not None:
+        state = "not listed" if refused == "missing" else refused
+        text = f"{state}: the drive cannot notice a killed master; only watchdog: false goes on, at your own risk"
         verdict = Verdict.UNKNOWN
     else:
         verdict, text = Verdict.FIT, "armed at the start: the drive notices a killed master"
@@ -354,7 +356,7 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
         (
             "watchdog: false",
             "the drive has no 0x1016; accept it knowingly or choose another drive",
-            lambda: _variable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1) is None,
+            lambda: not is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1),
         ),
         ("demand_reported", "before or after: whether the TPDO shows the hold that ended", lambda: True),
     )
