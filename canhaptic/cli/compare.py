@@ -5,6 +5,8 @@ import argparse
 from canhaptic.cli.arguments import check_picture, scene_of
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.cli.progress import run_progress
+from canhaptic.errors import InputError
+from canhaptic.scene.models import Scene
 from canhaptic.study.algorithms import chosen_algorithms
 from canhaptic.study.comparison import compare
 from canhaptic.study.scenes import cycles_of
@@ -18,6 +20,8 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an algorithm or a picture that cannot be used.
     """
     scene = scene_of(arguments)
+    if scene.groups:
+        return _compare_groups(scene, arguments)
     algorithms = chosen_algorithms(arguments.algorithms)
     if arguments.png is not None:
         check_picture(arguments.png)
@@ -44,4 +48,26 @@ def execute(arguments: argparse.Namespace) -> int:
 
         draw_comparison(comparison, arguments.png)
         note_file("picture", arguments.png)
+    return 0
+
+
+def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
+    from canhaptic.study.group_comparison import compare_groups, group_algorithms, group_comparison_report
+
+    if not all(axis.group for axis in scene.axes):
+        alone = ", ".join(axis.parameters.name for axis in scene.axes if not axis.group)
+        raise InputError(
+            f"{scene.source}: has groups and axes that render by themselves ({alone}); make a scene of each"
+        )
+    if arguments.rate is not None:
+        raise InputError("--rate: changes the loop of one axis without a bus; for groups use --set bus.rate=...")
+    if arguments.png is not None:
+        raise InputError("--png: draws axes beside their continuous run; draw a group with canhaptic run --png")
+    total = cycles_of(scene, arguments.duration) * len(group_algorithms(arguments.algorithms))
+    with run_progress(total, scene.bus.sample_time, "free") as progress:
+        result = compare_groups(scene, arguments.algorithms, duration=arguments.duration, progress=progress)
+    if arguments.json:
+        write_json(result)
+    else:
+        make_console().print(group_comparison_report(result))
     return 0

@@ -46,7 +46,7 @@ def test_an_emcy_is_told_in_words_with_what_to_do(capsys: pytest.CaptureFixture[
         ["run", "absent.yaml"],
         ["inspect", "absent.h5"],
         ["scope", "--config", DEMO],
-        ["compare", str(CONFIGS / "xy_box.yaml")],
+        ["design", str(CONFIGS / "xy_box.yaml")],
     ],
 )
 def test_no_fault_says_its_prefix_twice_or_names_a_class(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -141,7 +141,7 @@ def test_the_simulated_drive_asks_for_what_the_scene_says_of_its_thread(capsys: 
 
 
 @pytest.mark.parametrize("scene", ["xy_box", "two_handles", "five_bar_sphere"])
-@pytest.mark.parametrize("command", ["compare", "accuracy", "sweep", "design"])
+@pytest.mark.parametrize("command", ["accuracy", "sweep", "design"])
 def test_a_study_of_single_axes_says_what_to_do_with_a_group(
     command: str, scene: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,54 @@
+"""`canhaptic compare` on scenes with groups: every group algorithm, judged by what the plant gave."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.cli.main import main
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def printed(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
+    assert main([*words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("scene", "group"), [("xy_box", "stage"), ("two_handles", "coupling")])
+def test_the_account_under_the_scenes_own_algorithm_is_that_of_a_run(
+    scene: str, group: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(CONFIGS / f"{scene}.yaml"), "--duration", "1"]
+    compared = printed(capsys, "compare", *words)["groups"][group]["algorithms"]
+    ran = printed(capsys, "run", *words)
+    assert list(compared) == ["guarded", "step_scaling"]
+    for key in ("in", "out", "dissipated", "margin", "surplus", "least_interaction", "passive"):
+        assert compared["guarded"][key] == ran["ports"][group][key]
+    assert compared["guarded"]["truth"] == ran["truth"][group]
+    assert compared["guarded"]["truth"]["least_interaction"] >= -1e-9  # as promised
+    assert compared["step_scaling"]["in"] != compared["guarded"]["in"]
+
+
+def test_the_table_shows_the_algorithm_that_gives_energy(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", str(CONFIGS / "xy_box.yaml"), "--duration", "2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert next(line for line in lines if "passive" in line).split()[-2:] == ["yes", "no"]
+    guarded, _, scaled, _ = next(line for line in lines if "least true" in line).split()[3:]
+    assert (guarded, scaled[0]) == ("0", "-")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--algorithms", "direct"], "unknown group algorithm 'direct'"),
+        (["--rate", "100"], "for groups use --set bus.rate"),
+        (["--png", "a.png"], "draw a group with canhaptic run --png"),
+    ],
+)
+def test_what_groups_have_not_is_refused_in_words(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", str(CONFIGS / "xy_box.yaml"), *words]) == 2
+    assert message in capsys.readouterr().err
