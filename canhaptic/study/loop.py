@@ -89,7 +89,7 @@ class LoopRun(NamedTuple):
         return float(np.abs(np.diff(self.torque, prepend=0.0)).sum())
 
 
-class _DivergedError(ControlError):
+class DivergedError(ControlError):
     """The axis left every place where the user could have taken it."""
 
 
@@ -138,7 +138,7 @@ class Recorder:
         for column, value in zip(self._columns, row, strict=True):
             column.append(value)
         if not self._lowest < true_position < self._highest:
-            raise _DivergedError(f"the axis is at {true_position:g}, expected {self._lowest:g} to {self._highest:g}")
+            raise DivergedError(f"the axis is at {true_position:g}, expected {self._lowest:g} to {self._highest:g}")
 
     def run(self, ended: str = "", reason: str = "") -> LoopRun:
         """Returns everything taken so far.
@@ -185,7 +185,7 @@ def render(
     )
     try:
         rig.run(cycles)
-    except _DivergedError:
+    except DivergedError:
         return taken.run("diverged")
     except ControlError as error:
         return taken.run("stopped", str(error))

@@ -6,6 +6,7 @@ With the same quantisation (encoder counts, torque quantum) it gives the same fl
     delay 1  it acts from SYNC k+1 (synchronous RPDO)
 """
 
+from array import array
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
@@ -77,7 +78,7 @@ class DirectRig:
 
     def run(self, cycles: int) -> DirectRecord:
         """Runs SYNC 0 .. cycles-1 from the plant's initial state and returns what happened."""
-        rows = np.zeros((4, cycles))
+        flat = array("d")
         plant, period, step = self.plant, self._sample_time_ns, self._step
         plant.begin(0)
         held = waiting = 0.0
@@ -86,9 +87,10 @@ class DirectRig:
                 plant.advance_to(k * period, held)
             position = self._measure(plant.encoder_position)
             command = self._limited(step(position, held).torque)
-            rows[:, k] = position, plant.position, command, held
+            flat.extend((position, plant.position, command, held))
             quantised = self._quantise(command)
             held, waiting = (waiting, quantised) if self._delay else (quantised, 0.0)
+        rows = np.array(flat).reshape(cycles, 4).T.copy()
         return DirectRecord(rows[0], rows[1], rows[2], rows[3], plant.energy())
 
     def _measure(self, position: float) -> float:

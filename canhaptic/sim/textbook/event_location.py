@@ -101,7 +101,11 @@ def located_states(
 
 
 def states_at(
-    model: Model, times: Sequence[float], rtol: float, stop: Callable[[], bool] | None = None
+    model: Model,
+    times: Sequence[float],
+    rtol: float,
+    stop: Callable[[], bool] | None = None,
+    longest: float = _LONGEST_STEP,
 ) -> list[Floats]:
     """Returns every state without a torque at some times, by DOP853 with dense output.
 
@@ -110,6 +114,7 @@ def states_at(
         times: Ascending, from 0 [s].
         rtol: Relative tolerance; a thousandth of it is the absolute one, of each state in its own unit.
         stop: Asked now and then whether to give up.
+        longest: Step at whose ends guards are looked at, where modes may change [s].
 
     Raises:
         InputError: scipy is missing, the solver fails, or it was stopped.
@@ -118,7 +123,7 @@ def states_at(
         from scipy.integrate import solve_ivp
     except ImportError as error:
         raise InputError(_MISSING) from error
-    longest = _LONGEST_STEP if model.switches else math.inf
+    longest = longest if model.switches else math.inf
     solve = partial(solve_ivp, method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
     state, modes, found = list(model.start), model.first, [list(model.start)]
     wanted = iter(times[1:])

@@ -6,14 +6,15 @@ from math import inf
 
 import numpy as np
 
+from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.plain import plain
 from canhaptic.errors import ControlError
 from canhaptic.scene.models import Scene
-from canhaptic.sim.plant.plant import Plant
-from canhaptic.study.batch.closed_loop import LoopSettings, commanded, measured
+from canhaptic.sim.plant.direct_rig import DirectRig
+from canhaptic.study.batch.closed_loop import LoopSettings
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
 from canhaptic.study.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of
-from canhaptic.study.loop import FURTHEST, LoopCase
+from canhaptic.study.loop import FURTHEST, DivergedError, LoopCase
 from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
 from canhaptic.study.scenes import loop_case, plant_parts
 
@@ -66,26 +67,27 @@ def metered(case: LoopCase, cycles: int, continuous: Reference | None = None) ->
     """Returns the meter of a loop after its cycles, or when it diverged."""
     plant, controller, loop, meter = case.make_plant(), case.controller(), loop_settings(case, cycles), Meter()
     environment = plain(case.environment)
-    held = waiting = 0.0
-    plant.begin(0)
-    for k in range(cycles):
-        if k:
-            plant.advance_to(k * case.sample_time_ns, held)
+    expected = (
+        None if continuous is None else zip(continuous.position.tolist(), continuous.torque.tolist(), strict=True)
+    )
+
+    def step(position: float, held: float) -> EnergyBalance:
         true_position = plant.position
-        if continuous is not None:
-            compare(meter, true_position, held, float(continuous.position[k]), float(continuous.torque[k]))
-        position = measured(loop, plant.encoder_position)
-        try:
-            balance = controller.step(position, held)
-        except ControlError:
-            meter.diverged = 1.0
-            break
-        take(environment, loop.meter, meter, position, true_position, held, _interaction(plant), balance)
+        if expected is not None:
+            compare(meter, true_position, held, *next(expected))
+        balance = controller.step(position, held)
+        take(environment, loop.meter, meter, position, true_position, held, 0.0 - plant.energy().motor, balance)
         if not -loop.furthest < true_position < loop.furthest:
-            meter.diverged = 1.0
-            break
-        command = commanded(loop, balance.torque)
-        held, waiting = (waiting, command) if loop.delay else (command, 0.0)
+            raise DivergedError(f"the axis is at {true_position:g}")
+        return balance
+
+    rig = DirectRig(
+        plant, step, case.sample_time_ns, case.delay, case.counts_per_unit, case.torque_quantum, case.torque_limit
+    )
+    try:
+        rig.run(cycles)
+    except ControlError:
+        meter.diverged = 1.0
     return meter
 
 
@@ -96,7 +98,3 @@ def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
     return LoopSettings(
         case.delay, case.counts_per_unit or 0.0, case.torque_quantum or 0.0, case.torque_limit or inf, FURTHEST, meter
     )
-
-
-def _interaction(plant: Plant) -> float:
-    return 0.0 - plant.energy().motor

@@ -27,6 +27,10 @@ from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats
 from canhaptic.sim.textbook.reference_model import Model
 
 _ROUNDING: Final = 1e-12  # [m or rad]
+_BETWEEN_EVENTS: Final = 2.5e-4
+"""Step at whose ends friction, stops and flanks are looked at [s]."""
+_BETWEEN_SURFACES: Final = 2e-3
+"""The same where nothing but the environment switches: a handle crosses a surface and returns in no less [s]."""
 _SURFACES: Final[dict[type, tuple[str, ...]]] = {
     SpringDamperWall: ("position",),
     HardeningWall: ("position",),
@@ -65,9 +69,10 @@ def continuous_run(
     Raises:
         InputError: There are no equations for the environment, scipy is missing, the solver fails, or it was stopped.
     """
+    longest = _BETWEEN_EVENTS if model.switches else _BETWEEN_SURFACES
     force = EnvironmentForce(environment, model)
     model.add(force)
-    table = np.array(states_at(model, times, rtol, stop))
+    table = np.array(states_at(model, times, rtol, stop, longest))
     return ContinuousRun(*(table[:, place] for place in (POSITION, VELOCITY, force.impulse, force.interaction)))
 
 
