@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from canhaptic.scene.load import scene_from_mapping as scene_from_mapping
     from canhaptic.scene.load import scene_from_text as scene_from_text
     from canhaptic.scene.models import Scene as Scene
-    from canhaptic.signals import CycleTiming as CycleTiming
     from canhaptic.signals import PlantEnergy as PlantEnergy
     from canhaptic.signals import Sample as Sample
     from canhaptic.signals import Truth as Truth
@@ -61,7 +60,6 @@ _PUBLIC: Final = {
     "CanHapticError": "canhaptic.errors",
     "Certificate": "canhaptic.control.balance",
     "Cycle": "canhaptic.cycle",
-    "CycleTiming": "canhaptic.signals",
     "DirectRig": "canhaptic.sim.plant.direct_rig",
     "EnergyBalance": "canhaptic.control.balance",
     "EnergyLog": "canhaptic.logs.energy_reader",

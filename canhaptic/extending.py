@@ -12,6 +12,7 @@ Examples: docs/extending.md.
 from canhaptic.control.balance import AT_REST
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.own_environment import OwnEnvironment
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.mechanisms.kinematics import Kinematics, Limit, Pose
 from canhaptic.control.mechanisms.user_function import UserFunction
@@ -42,6 +43,7 @@ __all__ = [
     "Limit",
     "NetworkEnvironment",
     "NonlinearForce",
+    "OwnEnvironment",
     "Parameters",
     "PlantModel",
     "Pose",

@@ -251,6 +251,7 @@ def simulate(
     duration: float | None = None,
     progress: bool = True,
     check: bool = True,
+    allow_code: bool = False,
 ) -> SimulationResult:
     """Simulates a scene on the virtual bus, as fast as this machine allows, and returns what happened.
 
@@ -259,6 +260,7 @@ def simulate(
         changes: Values laid over the scene, by path: `{"environment.stiffness": "500 N/m"}`. Not for a loaded scene.
         duration: Length of the run [s]; by default the scene's.
         progress: Whether a progress bar is shown in a terminal or a notebook.
+        allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
         check: Whether a run that ends by itself before its time raises; otherwise the result carries its `error`.
 
     Raises:
@@ -271,7 +273,7 @@ def simulate(
         >>> result.account["handle"].passive  # doctest: +SKIP
         'yes'
     """
-    loaded = _scene(scene, changes or {})
+    loaded = _scene(scene, changes or {}, allow_code)
     if not loaded.simulated:
         raise InputError(
             f"{loaded.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`); "
@@ -294,7 +296,9 @@ def simulate(
     return SimulationResult(loaded, raw, error, folder)
 
 
-def _scene(scene: str | PathLike[str] | Mapping[str, object] | Scene, changes: Mapping[str, object]) -> Scene:
+def _scene(
+    scene: str | PathLike[str] | Mapping[str, object] | Scene, changes: Mapping[str, object], allow_code: bool
+) -> Scene:
     overrides = [f"{path}={json.dumps(value)}" for path, value in changes.items()]
     if isinstance(scene, Scene):
         if changes:
@@ -303,8 +307,8 @@ def _scene(scene: str | PathLike[str] | Mapping[str, object] | Scene, changes: M
             )
         return scene
     if isinstance(scene, Mapping):
-        return scene_from_mapping(scene, overrides=overrides)
-    return load_scene(Path(scene), overrides)
+        return scene_from_mapping(scene, overrides=overrides, allow_code=allow_code)
+    return load_scene(Path(scene), overrides, allow_code=allow_code)
 
 
 def _run(experiment: Experiment, cycles: int, progress: bool) -> tuple[dict[str, Any], CanHapticError | None]:

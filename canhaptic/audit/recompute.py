@@ -64,31 +64,33 @@ def _differ(left: float, right: float) -> bool:
     return _ONE.pack(left) != _ONE.pack(right)
 
 
-def recompute_all(log: EnergyLog, config: Path | None = None) -> list[dict[str, Any]]:
+def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> list[dict[str, Any]]:
     """Returns `{port, mismatch}` of every port, recomputed with the controllers of the run's own scene.
 
     Args:
         log: An open energy log that holds the run from its first cycle.
         config: The scene file; by default the one that the log names.
+        allow_code: Whether program files that the scene names may run.
 
     Raises:
         InputError: The scene cannot be read, or is not the one of the run.
     """
     from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
 
-    scene = scene_of(log, config)
+    scene = scene_of(log, config, allow_code=allow_code)
     controllers = GroupedControllers(build_axis_controllers(scene), build_axis_groups(scene))
     axes = [axis.parameters.name for axis in scene.axes]
     found = {mismatch.port: mismatch._asdict() for mismatch in recompute(log, axes, controllers)}
     return [{"port": name, "mismatch": found.get(name)} for name in log.ports]
 
 
-def scene_of(log: EnergyLog, config: Path | None = None) -> "Scene":
+def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> "Scene":
     """Returns the scene of the run that a log holds, with the overrides of that run.
 
     Args:
         log: An open energy log.
         config: The scene file; by default the one that the log names.
+        allow_code: Whether program files that the scene names may run.
 
     Raises:
         InputError: The scene cannot be read, or is not the one of the run.
@@ -99,7 +101,7 @@ def scene_of(log: EnergyLog, config: Path | None = None) -> "Scene":
     path = config or Path(str(log.attributes.get("config_source", "")))
     if not path.is_file():
         raise InputError(f"{log.path}: its scene {str(path)!r} is not there; name it with --config")
-    scene = load_scene(path, overrides)
+    scene = load_scene(path, overrides, allow_code=allow_code)
     if log.attributes.get("config_hash") not in (scene.config_hash(), scene.config_hash(old_names=True)):
         raise InputError(
             f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"

@@ -13,10 +13,19 @@ _PICTURES: Final = (".png", ".svg", ".pdf")
 """Suffixes of a picture."""
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """Declares the scene file and its overrides."""
+def add_scene(parser: argparse.ArgumentParser, *, runs: bool = True) -> None:
+    """Declares the scene file and its overrides, and for a command that runs the scene `--allow-code`."""
     parser.add_argument("config", metavar="CONFIG", type=Path, help="scene file (YAML)")
     add_overrides(parser)
+    if runs:
+        add_allow_code(parser)
+
+
+def add_allow_code(parser: argparse.ArgumentParser) -> None:
+    """Declares `--allow-code`."""
+    parser.add_argument(
+        "--allow-code", action="store_true", help="run the program files that the scene names (type: my_wall.py:MyWall)"
+    )
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +53,7 @@ def scene_of(arguments: argparse.Namespace) -> "Scene":
     """
     from canhaptic.scene.load import load_scene
 
-    return load_scene(arguments.config, arguments.overrides)
+    return load_scene(arguments.config, arguments.overrides, allow_code=getattr(arguments, "allow_code", False))
 
 
 def check_picture(path: Path) -> None:

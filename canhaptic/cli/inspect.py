@@ -60,11 +60,12 @@ def _judge(log: EnergyLog, result: dict[str, Any], arguments: argparse.Namespace
         with EnergyLog.open(arguments.compare) as other:
             result["comparison"] = compare(log, other)
     if arguments.recompute and not result["findings"]:  # controllers take finite numbers
-        result["recomputed"] = recompute_all(log, arguments.config)
+        result["recomputed"] = recompute_all(log, arguments.config, allow_code=arguments.allow_code)
     if arguments.bus_log is not None:
         from canhaptic.audit.rederive import rederive
 
-        result["rederived"] = rederive(arguments.bus_log, scene_of(log, arguments.config), log)
+        scene = scene_of(log, arguments.config, allow_code=arguments.allow_code)
+        result["rederived"] = rederive(arguments.bus_log, scene, log)
 
 
 def _is_good(result: dict[str, Any]) -> bool:
@@ -118,7 +119,7 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.config is None:
         raise InputError(f"{arguments.log}: is a bus log; name the scene of the run with --config")
     result: dict[str, Any] = {"status": f"derived from the frames of {arguments.log.name}"}
-    result |= rederive(arguments.log, load_scene(arguments.config))
+    result |= rederive(arguments.log, load_scene(arguments.config, allow_code=arguments.allow_code))
     result["checks"] = _checks(result, arguments)
     if arguments.json:
         write_json(result)

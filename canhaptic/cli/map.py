@@ -22,7 +22,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.html is not None:
         check_page(arguments.html)
     with SweepTable(arguments.file) as table:
-        fields = fields_of(table, arguments.axis)
+        fields = fields_of(table, arguments.axis, allow_code=arguments.allow_code)
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
         columns = panels_of(fields, chosen)
         caption = f"{table.note('source')}   {'  '.join(entry['given'] for entry in table.identity['varied'])}"

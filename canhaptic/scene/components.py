@@ -9,6 +9,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.own_code import OwnCode, names_own_code
 from canhaptic.units import Parameters, shown
 
 READY: Final = "ready"
@@ -20,6 +21,7 @@ class ComponentSpec(NamedTuple):
 
     name: str
     parameters: Parameters
+    own: type[Any] | None = None  # the user's own class; None for an entry of the table
 
     def as_plain(self, selector: str) -> dict[str, Any]:
         """Returns the section of a scene, defaults included, as plain values."""
@@ -48,14 +50,12 @@ class ComponentOf:
         return f"{self.selector} (one of {', '.join(sorted(self.table))}) and more"
 
     def model_of(self, section: Any) -> type[Parameters] | None:
-        """Returns the model that a section names; None when it names none."""
+        """Returns the model of the table that a section names; None when it names none, or a user's own code."""
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
         return self._model(name) if isinstance(name, str) and name in self.table else None
 
     def _model(self, name: str) -> type[Parameters]:
-        entry = load(self.table, name, self.kind)
-        model: type[Parameters] = getattr(entry, "parameters_type", entry)
-        return model
+        return _parameters_of(load(self.table, name, self.kind))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         plain = core_schema.plain_serializer_function_ser_schema(lambda spec: spec.as_plain(self.selector))
@@ -73,14 +73,15 @@ class ComponentOf:
             if not isinstance(name, str):
                 seen = "missing" if name is None else f"got {shown(name)}"
                 raise ParameterError(f"{seen}, expected one of: {', '.join(sorted(self.table))}")
-            model = self._model(name)
+            own = _permitted(info).load(name, self.kind) if names_own_code(name) else None
+            model = self._model(name) if own is None else _own_parameters(own, name)
         except ParameterError as error:
             raise self._refused(str(error)) from error
         except ImportError as error:
             text = f"got {name!r}, a {self.kind} that this installation lacks a module for ({error})"
             raise self._refused(text) from error
-        own = value.without(self.selector, *(key for key in self.apart if key not in model.model_fields))
-        return ComponentSpec(name, validated(model, own, info.context))
+        section = value.without(self.selector, *(key for key in self.apart if key not in model.model_fields))
+        return ComponentSpec(name, validated(model, section, info.context), own)
 
     def _refused(self, text: str) -> ValidationError:
         fault = InitErrorDetails(
@@ -128,6 +129,29 @@ class OnDemand:
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return handler(self.model_of().__pydantic_core_schema__)
+
+
+def _permitted(info: ValidationInfo) -> OwnCode:
+    context: Any = info.context
+    code: OwnCode = context.code
+    return code
+
+
+def _parameters_of(entry: Any) -> type[Parameters]:
+    model: type[Parameters] = getattr(entry, "parameters_type", entry)
+    return model
+
+
+def _own_parameters(own: Any, name: str) -> type[Parameters]:
+    """Returns the parameter model of a user's class.
+
+    Raises:
+        ParameterError: It has none.
+    """
+    model = _parameters_of(own)
+    if not (isinstance(model, type) and issubclass(model, Parameters)):
+        raise ParameterError(f"{name}: has no parameters; expected a subclass of Parameters, or `parameters_type`")
+    return model
 
 
 def validated(model: type[Parameters], section: MarkedMapping, context: Any) -> Parameters:

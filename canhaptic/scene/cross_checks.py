@@ -187,7 +187,7 @@ def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics
     for of, section in zip(
         scene.mechanisms, sections["simulation"]["mechanisms"] if scene.mechanisms else (), strict=True
     ):
-        (name, model), before, at = of.mechanism, len(faults), section.value_at("axes")
+        (name, model, _), before, at = of.mechanism, len(faults), section.value_at("axes")
         motion, members = cast(MechanismParameters, model).motion, [scene.axis(axis) for axis in of.axes]
         for axis in members:
             if axis.parameters.unit != motion:

@@ -19,30 +19,33 @@ from canhaptic.scene.layout import SECTIONS, laid_out
 from canhaptic.scene.models import Scene, SceneContext, scene_adapter
 from canhaptic.scene.old_names import rename_old
 from canhaptic.scene.overrides import apply_overrides
+from canhaptic.scene.own_code import OwnCode
 
 MAX_BYTES: Final = 1_000_000
 
 
-def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
+def load_scene(path: str | Path, overrides: Sequence[str] = (), *, allow_code: bool = False) -> Scene:
     """Returns the validated scene of a YAML file.
 
     Args:
         path: The scene file.
         overrides: Values laid over it, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
+        allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
 
     Raises:
         SceneError: The file cannot be read, or anything in it is wrong; lists every fault with its line.
     """
-    return scene_from_text(_text(Path(path), str(path)), str(path), overrides)
+    return scene_from_text(_text(Path(path), str(path)), str(path), overrides, allow_code=allow_code)
 
 
-def scene_from_text(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
+def scene_from_text(text: str, source: str, overrides: Sequence[str] = (), *, allow_code: bool = False) -> Scene:
     """Returns the validated scene of YAML text, such as the one that an energy log keeps.
 
     Args:
         text: The scene.
         source: The file it came from: named in faults, and the place that relative paths start from.
         overrides: As for `load_scene`.
+        allow_code: As for `load_scene`.
 
     Raises:
         SceneError: Anything in it is wrong; lists every fault with its line.
@@ -51,16 +54,18 @@ def scene_from_text(text: str, source: str, overrides: Sequence[str] = ()) -> Sc
     document = parse_yaml(text, source, faults)
     if len(faults) and not isinstance(document, MarkedMapping):
         faults.raise_if_any()
-    return _read(document, source, text, overrides, faults)
+    return _read(document, source, text, overrides, faults, allow_code)
 
 
-def scene_from_mapping(values: Mapping[str, Any], source: str = "scene", overrides: Sequence[str] = ()) -> Scene:
+def scene_from_mapping(
+    values: Mapping[str, Any], source: str = "scene", overrides: Sequence[str] = (), *, allow_code: bool = False
+) -> Scene:
     """Returns the validated scene of plain Python values with the keys of a scene file.
 
     Raises:
         SceneError: Anything in it is wrong; lists every fault.
     """
-    return _read(mark_plain(values, source), source, "", overrides, Diagnostics())
+    return _read(mark_plain(values, source), source, "", overrides, Diagnostics(), allow_code)
 
 
 def _text(path: Path, source: str) -> str:
@@ -81,7 +86,9 @@ def _text(path: Path, source: str) -> str:
         ) from error
 
 
-def _read(document: Any, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Scene:
+def _read(
+    document: Any, source: str, text: str, overrides: Sequence[str], faults: Diagnostics, allow_code: bool
+) -> Scene:
     top = SourceLocation(source, 1, 1, ()) if text else SourceLocation(source, 0, 0, ())
     if document is None:
         faults.add(top, f"empty, expected a mapping with {', '.join(SECTIONS)}")
@@ -92,7 +99,8 @@ def _read(document: Any, source: str, text: str, overrides: Sequence[str], fault
     rename_old(sections, faults)
     apply_overrides(sections, overrides, faults)
     rename_old(sections, faults)  # what overrides brought
-    scene = _validated(sections, laid_out(sections, source, text, overrides, faults), faults)
+    code = OwnCode(Path(source).parent, allow_code)
+    scene = _validated(sections, laid_out(sections, source, text, overrides, faults), faults, code)
     if scene is None or len(faults):
         raise faults.error()
     cross_check(scene, sections, faults)
@@ -100,10 +108,11 @@ def _read(document: Any, source: str, text: str, overrides: Sequence[str], fault
     return scene
 
 
-def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics) -> Scene | None:
+def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics, code: OwnCode) -> Scene | None:
     """Returns the scene; None when it has faults, which are all noted."""
     try:
-        return _completed(scene_adapter().validate_python(laid, context=SceneContext()))
+        scene = scene_adapter().validate_python(laid, context=SceneContext(code=code))
+        return _completed(replace(scene, own_code=code.hashes))
     except ValidationError as error:
         note_errors(Scene, laid, error, faults)
     except RecursionError:

@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, WrapValidator
@@ -26,6 +27,7 @@ from canhaptic.logs.log_parameters import LogParameters
 from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OnDemand
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.old_names import in_old_names
+from canhaptic.scene.own_code import OwnCode
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
@@ -61,6 +63,7 @@ class SceneContext(UnitContext):
     """Context of the validation of a scene."""
 
     bus: BusParameters | None = None  # once it is validated
+    code: OwnCode = field(default_factory=lambda: OwnCode(Path(), allowed=False))
 
 
 class RunParameters(Parameters):
@@ -228,6 +231,7 @@ class Scene:
     accuracy_choices: Mapping[str, Any] = field(default_factory=dict)  # axis -> what was chosen for it, and why
     groups: tuple[GroupScene, ...] = ()
     mechanisms: tuple[MechanismScene, ...] = ()
+    own_code: Mapping[str, str] = field(default_factory=dict)  # file -> SHA-256 of what ran
 
     @property
     def accuracy_tolerance(self) -> float | None:
@@ -273,6 +277,7 @@ class Scene:
             "simulation": simulation,
             **({"groups": groups} if groups else {}),
             **({"accuracy": auto} if self.auto_accuracy else {}),
+            **({"own_code": dict(self.own_code)} if self.own_code else {}),
         }
 
     def config_hash(self, *, old_names: bool = False) -> str:

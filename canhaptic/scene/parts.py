@@ -51,6 +51,9 @@ def build_axis_controller(axis: AxisScene) -> Controller:
             f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected one that renders by itself"
         )
     environment = cast(Environment, axis.environment.parameters)  # every class of ENVIRONMENTS is one
+    if axis.passivity.own is not None:
+        controller: Controller = axis.passivity.own(environment, axis.passivity.parameters, axis.loop)
+        return controller
     return build_controller(environment, axis.passivity.name, axis.passivity.parameters, axis.loop)
 
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from canhaptic.cli.arguments import add_json
+from canhaptic.cli.arguments import add_allow_code, add_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -11,6 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, help="an energy log (.h5), or a bus log together with --config")
     parser.add_argument("--from", dest="start", type=float, metavar="S", help="count from this time on [s]")
     parser.add_argument("--to", dest="stop", type=float, metavar="S", help="count up to this time [s]")
+    add_allow_code(parser)
     add_json(parser)
     parser.add_argument(
         "--check",

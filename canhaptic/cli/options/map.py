@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.arguments import add_json
+from canhaptic.cli.arguments import add_allow_code, add_json
 
 JUDGEMENTS: Final = ("stable", "passive", "margin", "settled", "covered")
 """As in `study.map.z_width`, which is imported when a map is drawn."""
@@ -20,4 +20,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--metric", metavar="NAME", help="one map of this figure, instead of the usual ones")
     parser.add_argument("--axis", metavar="NAME", help="of a scene with several; by default the first")
     parser.add_argument("--by", choices=JUDGEMENTS, help="what a wall must be to count; by default stable for direct")
+    add_allow_code(parser)
     add_json(parser)

@@ -7,5 +7,5 @@ from canhaptic.cli.arguments import add_json, add_scene
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `preflight`."""
-    add_scene(parser)
+    add_scene(parser, runs=False)
     add_json(parser)

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from canhaptic.cli.arguments import add_json, add_overrides
+from canhaptic.cli.arguments import add_allow_code, add_json, add_overrides
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,4 +16,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from-sync", action="store_true", help="leave the start of the drives out, even if it was recorded"
     )
     parser.add_argument("--account", action="store_true", help="print the energy account of the replayed run, too")
+    add_allow_code(parser)
     add_json(parser)

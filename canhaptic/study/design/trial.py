@@ -182,7 +182,7 @@ def _with_user(scene: Scene, user: dict[str, Any]) -> Scene:
     given = yaml.safe_dump(user, default_flow_style=True, width=1000).strip()
     overrides += [f"{place}={given}" for place in places["simulation.user"]]
     overrides += [f"{place}=0.002" for place in places[f"{plant}.initial_position"]]
-    return scene_from_text(scene.text, scene.source, overrides)
+    return scene_from_text(scene.text, scene.source, overrides, allow_code=bool(scene.own_code))
 
 
 def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:

@@ -201,7 +201,9 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
     values = {STIFFNESS: stiffness, DAMPING: damping}
     places = places_of(trial.scene, tuple(values))
     overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]
-    wall = scene_from_text(trial.scene.text, trial.scene.source, [*trial.scene.overrides, *overrides])
+    scene = trial.scene
+    allowed = bool(scene.own_code)
+    wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
     [axis] = wall.axes
     axes = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["axes"]
     run = axes[axis.parameters.name]["algorithms"][ALGORITHM]

@@ -27,6 +27,7 @@ class MapField:
         table: The file.
         axis: Name of the axis.
         controller: Name of the algorithm; "" for that of the scene where none was varied.
+        allow_code: Whether program files that the scene names may run.
 
     Attributes:
         keys: Numeric keys with more than one value, in the order given.
@@ -36,7 +37,7 @@ class MapField:
         algorithm: Its name.
     """
 
-    def __init__(self, table: SweepTable, axis: str, controller: str = "") -> None:
+    def __init__(self, table: SweepTable, axis: str, controller: str = "", *, allow_code: bool = False) -> None:
         self._table, self.axis = table, axis
         self.index = table.axes.index(axis)
         self.is_grid = not table.identity["samples"]
@@ -50,7 +51,7 @@ class MapField:
         numeric = {str(entry["key"]) for entry in varied if entry["numbers"]}
         self.keys = [key for key in names if key in numeric and self._is_varied(key)]
         self.values = {key: self._values(key) for key in self.keys}
-        self.scene = _scene(table, axis, controller)
+        self.scene = _scene(table, axis, controller, allow_code)
         self.algorithm = self.scene.axes[0].passivity.name
         self.unit = self.scene.axes[0].parameters.unit
 
@@ -94,12 +95,13 @@ class MapField:
         return cube.reshape(*cube.shape[: len(self.keys)], -1)
 
 
-def fields_of(table: SweepTable, axis: str | None = None) -> list[MapField]:
+def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = False) -> list[MapField]:
     """Returns one field per algorithm.
 
     Args:
         table: The file.
         axis: Name of the axis; the first by default.
+        allow_code: Whether program files that the scene names may run.
 
     Raises:
         InputError: No such axis, nothing is finished, or nothing numeric varies.
@@ -110,7 +112,7 @@ def fields_of(table: SweepTable, axis: str | None = None) -> list[MapField]:
     if not table.done().any():
         raise InputError(f"{table.path}: no chunk is finished yet, there is nothing to draw; let the sweep run on")
     controllers = list(dict.fromkeys(table.values(CONTROLLER))) if CONTROLLER in table.keys else [""]
-    fields = [MapField(table, name, str(controller)) for controller in controllers]
+    fields = [MapField(table, name, str(controller), allow_code=allow_code) for controller in controllers]
     if not fields[0].keys:
         raise InputError(f"{table.path}: no key with numbers was varied, there is no axis to draw along")
     return fields
@@ -121,9 +123,10 @@ def _levels(column: Any) -> list[Any]:
     return list(dict.fromkeys(values))
 
 
-def _scene(table: SweepTable, axis: str, controller: str) -> Scene:
+def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> Scene:
     """Returns the scene before anything varied, of one axis alone."""
-    scene = scene_from_text(table.note("scene"), table.note("source"), json.loads(table.note("overrides")))
+    overrides = json.loads(table.note("overrides"))
+    scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
     [chosen] = [one for one in scene.axes if one.parameters.name == axis]
     return replace(scene, axes=(with_algorithm(chosen, controller) if controller else chosen,))
 

@@ -47,6 +47,7 @@ class Recipe:
         engine: For scenes that fit a batch; chosen once, so that workers need not agree on it.
         beyond_bus: Whether a rate is judged that the bus could not carry.
         seed: From which every scene's own follows.
+        allow_code: Whether the program files that the scene names may run; so it was for the scene itself.
         alone: Why every scene runs by itself although it might fit a batch; "" where batches pay.
     """
 
@@ -63,6 +64,7 @@ class Recipe:
     beyond_bus: bool
     seed: int
     alone: str = ""
+    allow_code: bool = False
 
 
 class Built(NamedTuple):
@@ -119,6 +121,7 @@ def make_recipe(
         engine,
         beyond_bus,
         scene.simulation.seed if scene.simulation else 0,
+        allow_code=bool(scene.own_code),
     )
     for varied in recipe.varied:
         _try_alone(recipe, varied)
@@ -138,7 +141,7 @@ def scene_of(recipe: Recipe, row: Row) -> Built:
     if recipe.beyond_bus and isinstance(values.get(RATE), float):
         rate = values.pop(RATE)
     try:
-        scene = scene_from_text(recipe.text, recipe.source, [*recipe.overrides, *_overrides(recipe, values)])
+        scene = _read(recipe, _overrides(recipe, values))
         if rate is not None:
             scene = at_rate(scene, float(rate))
     except InputError as error:
@@ -196,11 +199,16 @@ def _try_alone(recipe: Recipe, varied: Varied) -> None:
     for value in varied.ends:
         texts = _overrides(recipe, {varied.key: value}, with_unit=True)
         try:
-            scene_from_text(recipe.text, recipe.source, [*recipe.overrides, *texts])
+            _read(recipe, texts)
         except SceneConflictError:
             continue  # other values may go with it
         except SceneError as error:
             raise SceneError([fault.replace("--set ", "--vary ", 1) for fault in error.faults]) from error
+
+
+def _read(recipe: Recipe, overrides: list[str]) -> Scene:
+    every = [*recipe.overrides, *overrides]
+    return scene_from_text(recipe.text, recipe.source, every, allow_code=recipe.allow_code)
 
 
 def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool = False) -> list[str]:

@@ -1,0 +1,72 @@
+"""Environments given by their force or potential alone, against the closed forms of the built-in ones."""
+
+import math
+from typing import Annotated, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canhaptic.control.environments.hardening_wall import HardeningWall
+from canhaptic.control.environments.own_environment import OwnEnvironment, integral, state_of
+from canhaptic.units import quantity
+
+STATES = st.floats(-0.1, 0.1)
+
+
+class Hardening(OwnEnvironment):
+    """The force of `HardeningWall`."""
+
+    stiffness: Annotated[float, quantity("N/m", ge=0.0)] = 300.0
+    hardening: Annotated[float, quantity("N/m^3", ge=0.0)] = 2e5
+
+    def effort(self, state: float) -> float:
+        return self.stiffness * state + self.hardening * state**3
+
+
+class Potential(OwnEnvironment):
+    """The potential of `HardeningWall`."""
+
+    def potential(self, state: float) -> float:
+        return 150.0 * state**2 + 5e4 * state**4
+
+
+CLOSED = HardeningWall(stiffness=300.0, hardening=2e5)
+
+
+@given(STATES)
+def test_the_energy_of_a_force_is_its_integral(state: float) -> None:
+    assert Hardening().stored_energy(state) == pytest.approx(CLOSED.stored_energy(state), rel=1e-12, abs=1e-300)
+
+
+@given(STATES)
+def test_the_force_of_a_potential_is_its_slope(state: float) -> None:
+    assert Potential().effort(state) == pytest.approx(CLOSED.effort(state), rel=1e-7, abs=1e-9)
+
+
+@given(st.floats(0.0, 10.0), st.sampled_from([-1.0, 1.0]))
+def test_the_state_of_an_energy_is_that_of_the_closed_form(energy: float, like: float) -> None:
+    own = Hardening().state_of_energy(energy, like * 0.01)
+    assert own == pytest.approx(CLOSED.state_of_energy(energy, like), rel=1e-10, abs=1e-12)
+
+
+@given(st.floats(0.001, 0.05), st.floats(0.1, 20.0), STATES)
+def test_a_force_with_a_jump_is_integrated_too(edge: float, level: float, state: float) -> None:
+    def step(x: float) -> float:
+        return math.copysign(level, x) if abs(x) > edge else 0.0
+
+    exact = level * max(0.0, abs(state) - edge)
+    assert integral(step, state) == pytest.approx(exact, abs=1e-9)
+
+
+def test_an_energy_that_no_state_stores_gives_the_farthest_state() -> None:
+    state = state_of(lambda x: 1.0 - math.exp(-x * x), lambda x: 2.0 * x * math.exp(-x * x), 2.0, -0.5)
+    assert state < -1e6
+
+
+@pytest.mark.parametrize(("side", "felt"), [("both", (1, 1, 1)), ("below", (1, 0, 0)), ("above", (0, 0, 1))])
+def test_it_is_felt_where_its_side_says(side: Literal["both", "below", "above"], felt: tuple[int, ...]) -> None:
+    wall = Hardening(position=0.02, side=side)
+    assert tuple(wall.contact(q) for q in (0.01, 0.02, 0.03)) == felt
+    assert wall.true_state(0.05, 0.0, 0.0) == pytest.approx(0.03)
+    assert wall.admissible(-0.01, 0.01) == (-0.01 if side == "both" else 0.0)
