@@ -65,7 +65,7 @@ class OwnEnvironment(Parameters):
 
     def contact(self, position: float) -> int:
         """Returns 1 where the environment is felt, else 0."""
-        return 1 if self.side == "both" else int(is_beyond(position, self.position, self.side))
+        return 1 if self.side == "both" else int(is_beyond(position, self.position, self.side == "below"))
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
         """Returns x = q - q_w [m or rad] (eq. 14)."""
