@@ -5,8 +5,8 @@ shows c[k-2] when the drive samples before the update (the hold that ended) and 
 hold that begins). With an event-driven RPDO nothing is updated at SYNC: either kind of drive shows c[k-1], the hold
 that ended.
 
-A torque that changes at every SYNC tells the two apart. The answer goes into `demand_reported` of the axis; with the
-wrong one every hold is booked with the torque of its neighbour.
+A torque that changes at every SYNC shows which of the two it is. The answer goes into `demand_reported` of the axis;
+with the wrong value the energy of every hold is computed with the torque of its neighbour.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ _REGISTER_TAPS: Final = 0b110000  # of x^6 + x^5 + 1: 63 steps until it repeats
 class ReadBackTiming(NamedTuple):
     """What the torques of one drive say of its timing."""
 
-    reported: Reported | None  # the value for `demand_reported`; None when it cannot be told
+    reported: Reported | None  # the value for `demand_reported`; None when it cannot be decided
     before_error: float  # mean |reported - expected|, as part of the mean change of torque; 0 fits exactly
     after_error: float
     changes: int  # SYNCs that could tell
@@ -106,7 +106,7 @@ def measure_read_back(rig: Rig, amplitude: float, cycles: int = 64) -> list[Read
     The rig stays enabled with its last torque at zero; the caller stops it.
 
     Args:
-        rig: Started; nobody else may be writing torques.
+        rig: Started; no controller may write torques meanwhile.
         amplitude: Of the probe [N*m or N]; the limits of each axis hold all the same.
         cycles: SYNCs to probe for.
 

@@ -1,11 +1,11 @@
-"""Several drives, one SYNC: start, cyclic exchange, stop. One thread; whoever calls `sync` pumps the bus.
+"""Several drives, one SYNC: start, cyclic exchange, stop. One thread: the caller of `sync` pumps the bus.
 
     rig.start()
     samples = rig.sync()               # SYNC out, position TPDOs in
     rig.write_torques(torques)         # RPDOs out
     rig.stop()
 
-Whatever goes wrong in here, zero torque is sent first, the drives are disabled second, the exception is raised third.
+On every error zero torque is sent first, then the drives are disabled, then the exception is raised.
 """
 
 from collections import deque
@@ -127,7 +127,7 @@ class Rig:
         The first call after `start` returns the samples of SYNC 0, which `start` has sent.
 
         Raises:
-            LinkError: A drive went unheard beyond the link policy, or the bus failed; the rig has stopped.
+            LinkError: More TPDOs were missed than the link policy allows, or the bus failed; the rig has stopped.
             DriveFaultError: A drive reported a fault or left its state; the rig has stopped.
         """
         if not self._is_running:
@@ -199,7 +199,7 @@ class Rig:
                 line.step()
 
     def sdo(self, axis: str | int) -> BackgroundSdo:
-        """Returns SDO access to the drive of an axis, by name or number, beside the running cycle and from any thread.
+        """Returns SDO access to the drive of an axis, by name or number, during the running cycle and from any thread.
 
         Raises:
             InputError: There is no such axis.
@@ -246,7 +246,7 @@ class Rig:
             )
 
     def _stopped(self, reason: StopReason, text: str, axis: str = "") -> RigError:
-        """Stops at once and returns the exception that tells why."""
+        """Stops at once and returns the exception with the reason."""
         self.stop_reason = reason
         self._is_running = False
         error = STOP_TABLE[reason].error

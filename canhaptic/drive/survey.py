@@ -1,7 +1,7 @@
-"""What one object dictionary says about a drive before there is a configuration: can it serve, and on which conditions.
+"""Judges one object dictionary before there is a configuration: fit, fit with conditions, or unfit.
 
-`fitness` judges a dictionary for an axis that is configured; here nothing is, so that whatever the configuration has to
-bring is a condition and no refusal. A refusal rests only on what the dictionary states.
+`dictionary_check` judges a dictionary for a configured axis. Here nothing is configured: a value that the configuration
+must supply is a condition, not a refusal. A refusal rests only on what the dictionary states.
 """
 
 from collections.abc import Callable
@@ -24,9 +24,9 @@ from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
 RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
-"""SYNCs per second for which the load of the bus is told [Hz]."""
+"""Rates of SYNC for which the bus load is computed [Hz]."""
 MOST_AXES: Final = 16
-"""Up to which it is tried how many axes fit the bus."""
+"""Largest number of axes for which the bus load is computed."""
 _BUS: Final = BusParameters(rate=1000.0)  # of values that depend on it: the defaults
 _SHOWN_IF_REFUSED: Final = ("0x60c2", "0x6074", "0x6077")
 _INTEGER_NAMES: Final = {
@@ -47,7 +47,7 @@ Group = Literal["identity", "torque", "read-back", "limits", "resolution", "watc
 
 
 class Suitability(Enum):
-    """Whether a drive can serve, as far as its dictionary tells."""
+    """Verdict on a drive from its dictionary alone."""
 
     FIT = "fit"
     CONDITIONAL = "fit with conditions"
@@ -65,7 +65,7 @@ class SurveyRow(NamedTuple):
 
 
 class ManualKey(NamedTuple):
-    """A key of the configuration that no dictionary can give."""
+    """A key of the configuration that no dictionary supplies."""
 
     key: str  # of an axis
     reason: str
@@ -78,11 +78,11 @@ class LoadRow(NamedTuple):
     periodic_load: float  # part of the bus, 0 to 1
     worst_cycle: float  # [s]
     fits: bool
-    axes: int  # of this kind that fit; `MOST_AXES` stands for that many or more
+    axes: int  # of this kind that fit; `MOST_AXES` means that many or more
 
 
 class Survey(NamedTuple):
-    """Everything that is known from one dictionary."""
+    """All that one dictionary says."""
 
     dictionary: ObjectDictionary
     path: Path
@@ -99,12 +99,12 @@ class Survey(NamedTuple):
 
     @property
     def reasons(self) -> list[SurveyRow]:
-        """What speaks against the drive."""
+        """Reasons for rejecting the drive."""
         return [row for row in self.rows if row.verdict is Verdict.REFUSED]
 
     @property
     def conditions(self) -> list[SurveyRow]:
-        """What has to be configured, or is decided by the drive itself at the start."""
+        """What must be configured, or is decided by the drive at the start."""
         return [row for row in self.rows if row.verdict is Verdict.UNKNOWN]
 
     @property
@@ -207,7 +207,7 @@ def _row(
 
 
 def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
-    """Returns the row of a finding of `fitness`; what a DCF was saved with speaks where there is no default."""
+    """Returns the row of a finding of `fitness`; the value saved in a DCF counts where there is no default."""
     index = int(finding.item[:6], 16)
     verdict, text = finding.verdict, finding.text
     saved = stated_value(dictionary, index)
@@ -219,7 +219,7 @@ def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding) -> Sur
 
 
 def _as_found(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
-    """Returns the row of a finding whose saved value tells nothing."""
+    """Returns the row of a finding as it is: a saved value does not change it."""
     return SurveyRow(
         group, finding.item, _describe(dictionary, int(finding.item[:6], 16)), finding.verdict, finding.text
     )

@@ -1,4 +1,4 @@
-"""SDO beside the running cycle, from any thread: what is asked goes out after the RPDOs, when the bus has room.
+"""SDO during the running cycle, from any thread: a request is sent after the RPDOs, when the bus has room.
 
     value = rig.sdo("handle").read(0x6079).result(timeout=1.0)
 
@@ -29,7 +29,7 @@ _MOST_WAITING: Final = 1000  # requests per bus
 _MOST_ANSWERS: Final = 16  # kept between two looks
 _OWNED: Final = frozenset(
     {
-        # of the cycle and of the start that confirmed them: written by nobody else while the rig runs
+        # of the cycle and of the start that confirmed them: not to be written from outside while the rig runs
         od.SYNC_COB_ID,
         od.COMMUNICATION_CYCLE_PERIOD,
         0x1010,  # store parameters
@@ -139,7 +139,7 @@ def _checked(index: int, subindex: int) -> tuple[int, int]:
 
 
 class SdoLine:
-    """The SDO traffic of one bus beside the cycle.
+    """The SDO traffic of one bus during the cycle.
 
     Args:
         link: The bus.
@@ -297,7 +297,7 @@ class SdoLine:
 
 
 def _hand_over(done: "SimpleQueue[tuple[_Request, Any] | None]") -> None:
-    """Sets results in a thread of its own, with whatever their owners hung on them."""
+    """Sets the results in a thread of its own, where their callbacks run."""
     while (entry := done.get()) is not None:
         request, result = entry
         if request.future.done() or not (request.future.running() or request.future.set_running_or_notify_cancel()):

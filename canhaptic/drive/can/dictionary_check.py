@@ -34,10 +34,10 @@ def check_dictionary(
 
 
 def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None) -> None:
-    """Returns when nothing in the dictionary speaks against cyclic torque.
+    """Returns if the dictionary gives no reason to refuse cyclic torque.
 
     Raises:
-        DictionaryError: Something does; lists every reason.
+        DictionaryError: It does; lists every reason.
     """
     refused = [finding for finding in check_dictionary(dictionary, axis, bus) if finding.verdict is Verdict.REFUSED]
     if refused:

@@ -1,7 +1,7 @@
 """One SYNC on every bus of a rig: the wait, the frame, the TPDOs that answer it, the next deadline.
 
 Deadlines are absolute. One that is missed is skipped and counted, never caught up: a burst of SYNCs would make drives
-sample and hold at intervals that nobody computed with.
+sample and hold at intervals other than the sample time.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """The master's end of one CAN bus: every frame it sends or receives passes here, in the caller's thread.
 
-There is no Notifier and no callback thread: whoever waits pumps the bus, and an exception in a handler reaches him.
+There is no Notifier and no callback thread: the caller that waits pumps the bus and gets the exceptions of handlers.
 """
 
 from collections.abc import Callable, Mapping
@@ -141,7 +141,7 @@ class Link:
         return True
 
     def pump(self, deadline: int) -> None:
-        """Handles frames until `deadline` [ns] and then whatever still waits.
+        """Handles frames until `deadline` [ns] and then those that still wait.
 
         Raises:
             LinkError: The bus failed, or what waits does not end.
@@ -175,7 +175,7 @@ class Link:
         return True
 
     def _put_aside(self, message: can.Message) -> None:
-        """Counts a frame that is for nobody here; the bus log still shows it."""
+        """Counts a frame without a handler; the bus log still shows it."""
         if message.is_error_frame:
             self.statistics.error_frames += 1
             return

@@ -42,7 +42,7 @@ class _Client:
         self.listen()
 
     def listen(self) -> None:
-        """Takes the answers of the drive from now on, in place of whoever took them before."""
+        """Receives the answers of the drive from now on, in place of the handler before."""
         self._link.subscribe(self._response_cob_id, self._take)
 
     @contextmanager
@@ -206,7 +206,7 @@ class SdoChannel:
         return f"{index:#06x}:{subindex:02x}" + (f" {variable.name}" if variable is not None else "")
 
     def listen(self) -> None:
-        """Takes the answers of the drive from now on; somebody else may have done so beside a cycle."""
+        """Receives the answers of the drive from now on, as after a transfer of `background_sdo`."""
         self._client.listen()
 
     def aborted(self, verb: str, index: int, subindex: int, code: int) -> SdoError:

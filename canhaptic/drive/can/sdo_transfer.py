@@ -74,7 +74,7 @@ def download(index: int, subindex: int, data: bytes) -> Transfer:
 
 
 def initiates(request: bytes) -> bool:
-    """Whether a request begins a transfer, and so may be repeated when nobody answers."""
+    """Whether a request begins a transfer, and so may be repeated when no answer comes."""
     return request[0] & _SPECIFIER in (_UPLOAD, _DOWNLOAD)
 
 

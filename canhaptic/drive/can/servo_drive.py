@@ -23,7 +23,7 @@ _DISABLE_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.DISABLE
 
 
 class SyncWindow:
-    """Which drives of one bus still owe a TPDO for the SYNC that was sent; open from SYNC to the TPDO timeout."""
+    """How many drives of one bus have not answered the last SYNC yet; open from SYNC to the TPDO timeout."""
 
     __slots__ = ("is_open", "pending")
 

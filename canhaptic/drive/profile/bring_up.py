@@ -237,7 +237,7 @@ class BringUp(ABC):
         return drive_state(self._sdo.read(od.STATUSWORD))
 
     def fault_text(self) -> str:
-        """Returns the state with the drive's own error code, as far as it tells."""
+        """Returns the state with the drive's own error code, where it has one."""
         text = self._state().value
         if od.ERROR_CODE in self._drive.dictionary:
             try:

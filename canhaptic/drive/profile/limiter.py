@@ -1,4 +1,4 @@
-"""The independent torque limiter: after the controller, before the bus. It trusts nobody and reports what it cut.
+"""The independent torque limiter: after the controller, before the bus. It limits every torque and reports what it cut.
 
 Each limit leaves an interval of torques that contains zero, so that what remains under all of them is an interval too,
 the order of the limits means nothing, and zero is never forbidden:

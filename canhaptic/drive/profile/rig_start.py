@@ -130,7 +130,7 @@ def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
 
 
 def _is_enabled(drive: TorqueAxis) -> bool:
-    """Whether a drive is enabled and, if it tells late that it follows its target, has told so."""
+    """Whether a drive is enabled and, if it reports bit 12 late (quirk late_following), has reported it."""
     follows = not drive.quirks.waits_for_following or drive.statusword & StatusBit.FOLLOWS_COMMAND
     return drive.state is PowerState.OPERATION_ENABLED and bool(follows)
 

@@ -57,8 +57,8 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     Args:
         exchange: The drives.
         trust: Without any, disable goes out by SDO right behind the zero torque: it needs neither RPDO nor SYNC to
-            arrive. Unless it is full, SDO and NMT pre-operational follow a few SYNCs later to whoever may still hold a
-            torque.
+            arrive. Unless it is full, SDO and NMT pre-operational follow a few SYNCs later to every drive that may
+            still hold a torque.
 
     Returns:
         What was not confirmed, one text per drive; empty when all is well.
@@ -85,7 +85,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
 
 
 def _write_zero(drives: Sequence[TorqueAxis]) -> None:
-    """Sends zero to every drive, whatever happens to the frames of the others."""
+    """Sends zero to every drive, even where the frame of another is refused."""
     failure: LinkError | None = None
     for drive in drives:
         try:

@@ -16,7 +16,7 @@ from can.interfaces.virtual import VirtualBus, channels_lock
 
 
 class _Frame(can.Message):
-    """A frame whose fields are all set by whoever makes it: the constructor of `Message` costs more than the rest."""
+    """A frame whose fields are all set after its creation: the constructor of `Message` costs more than the rest."""
 
     __slots__ = ()
     __init__ = object.__init__
@@ -65,8 +65,8 @@ class LeanVirtualBus(VirtualBus):
         channel: Who shares it shares the bus.
 
     Attributes:
-        waiting: Frames received and not taken yet. Whoever looks here need not ask an empty bus, and whoever takes here
-            is asked for no time and no filters.
+        waiting: Frames received and not taken yet. Looking here costs less than asking an empty
+            bus; taking here needs no timeout and applies no filters.
     """
 
     def __init__(self, channel: Any) -> None:

@@ -18,14 +18,14 @@ class Drives(Protocol):
     drives: tuple[SimulatedDrive, ...]
 
     def process(self, now: int) -> None:
-        """Lets all of them live up to `now` [ns]."""
+        """Handles all frames and timers of all drives up to `now` [ns]."""
 
     def next_due(self) -> int:
         """Returns when the next of them is due [ns]."""
 
 
 class DriveGroup:
-    """Drives that share a bus connection (a `FarSide`); they do not hear each other, as no drive needs to.
+    """Drives that share a bus connection (a `FarSide`); they do not receive each other's frames, as no drive needs to.
 
     Args:
         bus: The connection that the drives were made with.
@@ -33,7 +33,7 @@ class DriveGroup:
     """
 
     def __init__(self, bus: can.BusABC, drives: Sequence[SimulatedDrive]) -> None:
-        self._waiting: Sized = "unknown"  # empty only where the bus tells what waits
+        self._waiting: Sized = "unknown"  # empty only where the bus shows what waits
         self._take: Callable[[], can.Message | None] = partial(bus.recv, 0.0)
         if isinstance(waiting := getattr(bus, "waiting", None), deque):
             self._waiting, self._take = waiting, waiting.popleft

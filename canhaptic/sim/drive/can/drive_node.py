@@ -51,12 +51,12 @@ class SimulatedDrive:
         bus: Its connection to the bus.
         node_id: 1..127.
         dictionary: Path of its EDS or DCF, or the dictionary read from it.
-        motor: What it moves; stands still until the first SYNC that finds operation enabled.
-        parameters: What the dictionary does not tell.
+        motor: What it moves; at rest until the first SYNC that finds operation enabled.
+        parameters: What the dictionary does not state.
         sample_time_ns: Time between two SYNCs [ns]; a fault reaction or quick stop takes one and a half.
 
     Attributes:
-        nmt_state: As its heartbeat tells it.
+        nmt_state: As its heartbeat reports it.
         store: Its objects.
         servo: Its power stage.
         timers: What it does by itself, and when.
@@ -119,7 +119,7 @@ class SimulatedDrive:
         self.run_timers(now)
 
     def wake(self, now: int) -> None:
-        """Powers the drive on if this is its first moment; that comes before any frame."""
+        """Powers the drive on if it is not yet; called before any frame is handled."""
         if self.timers.earliest == 0:
             self.servo.now = now
             self.timers.fire(0)

@@ -67,7 +67,7 @@ class TorqueStage:
 
 
 def _largest(entry: Entry) -> float:
-    """Returns the largest value of the type of an object, whatever its limits are for writing."""
+    """Returns the largest value of the type of an object; limits for writing do not count."""
     return Entry(entry.index, entry.subindex, entry.data_type).high if entry.size else -1
 
 

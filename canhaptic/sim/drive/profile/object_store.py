@@ -50,7 +50,7 @@ class Entry:
         check: Called with a value before it is stored by SDO; returns the abort code or None.
         changed: Called after a value was stored by SDO.
         refresh: Called before a value is read by SDO.
-        refused: A value that SDO cannot store, whatever the range says; None for none.
+        refused: A value inside the range that SDO cannot store; None for none.
     """
 
     __slots__ = (

@@ -61,7 +61,7 @@ class Motor(Protocol):
         """True velocity [rad/s or m/s]."""
 
     def begin(self, now: int) -> None:
-        """Starts its clock at `now` [ns]; until then it stands still."""
+        """Starts its clock at `now` [ns]; until then it is at rest."""
 
     def advance_to(self, now: int, torque: float) -> None:
         """Moves to `now` [ns] under a torque [N*m or N] that was constant since the last call."""
@@ -75,7 +75,7 @@ class Servo:
 
     Args:
         store: The objects.
-        motor: Stands still until the first SYNC that finds operation enabled.
+        motor: At rest until the first SYNC that finds operation enabled.
         parameters: Scales and limits.
 
     Attributes:
@@ -156,7 +156,7 @@ class Servo:
         return self.machine.state in _POWERED
 
     def obey(self) -> None:
-        """Acts on controlword, mode and target torque as they now stand."""
+        """Acts on the present controlword, mode and target torque."""
         machine, word, mode = self.machine, self._controlword.value, self._mode.value
         before = machine.state
         if before is not _ENABLED or word != self._enabling_word:  # the word that enabled the operation keeps it so

@@ -9,7 +9,7 @@ _LARGEST: Final = 0x7FFF  # 0x6077 is INTEGER16
 
 
 class TorqueSource(Protocol):
-    """A motor; one that has `motor_torque` [N*m or N] besides tells what a current loop makes of the torque held."""
+    """A motor; an attribute `motor_torque` [N*m or N], if it has one, is the torque behind its current loop."""
 
     @property
     def position(self) -> float:
