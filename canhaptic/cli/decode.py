@@ -2,12 +2,13 @@
 
 import argparse
 import json
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from canhaptic.cli.output import write_line
-from canhaptic.logs.bus_reader import read_bus_log
+from canhaptic.cli.output import write_line, write_note
+from canhaptic.logs.bus_reader import SkippedKind, describe_skipped, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.load import load_scene
@@ -22,14 +23,21 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: The log or the scene cannot be used.
     """
     scene = None if arguments.config is None else load_scene(arguments.config)
-    for frame in _decode_log(arguments.bus_log, scene, arguments.start, arguments.stop):
+    skipped = Counter[SkippedKind]()
+    for frame in _decode_log(arguments.bus_log, scene, arguments.start, arguments.stop, skipped):
         if not arguments.only or frame["kind"].lower() in {kind.lower() for kind in arguments.only}:
             write_line(json.dumps(frame) if arguments.json else line(frame))
+    if skipped:
+        write_note(f"  frames left out: {describe_skipped(skipped)}")
     return 0
 
 
 def _decode_log(
-    path: Path, scene: Scene | None = None, start: float | None = None, stop: float | None = None
+    path: Path,
+    scene: Scene | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    skipped: Counter[SkippedKind] | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Yields `{time, channel, direction, id, data, kind, node, text}` of every frame between two times [s].
 
@@ -39,7 +47,7 @@ def _decode_log(
     nodes = [] if scene is None else describe_nodes(scene)
     place_of = None if scene is None else Channels(scene).place_of
     decoders: dict[str, BusDecoder] = {}
-    for frame in read_bus_log(path):
+    for frame in read_bus_log(path, skipped):
         decoder = decoders.get(frame.channel)
         if decoder is None:
             of_bus = [node for node in nodes if place_of is None or node.bus == place_of(frame)]

@@ -7,6 +7,7 @@ from rich.text import Text
 
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
+from canhaptic.logs.bus_reader import describe_skipped
 from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.view.energy_table import energy_report, make_console
 
@@ -42,12 +43,17 @@ def _replay_report(result: dict[str, Any]) -> list[Text]:
         ),
         Text(f" ended: {result['ended']}"),
     ]
+    if result["skipped"]:
+        lines.append(Text(f" frames left out: {describe_skipped(result['skipped'])}"))
     if difference is None:
         return [*lines, Text(" identical: the master sent every frame byte for byte as recorded", style="green")]
     place = f"line {difference['number']}, {difference['time']:.6f} s"
     lines.append(Text(f" different at {place}:", style="bold red"))
     lines.append(Text(f"   recorded  {_words(difference['recorded'])}"))
     lines.append(Text(f"   sent      {_words(difference['sent'])}"))
+    if difference["gap"] is not None:
+        text = f" the recording has a gap of {difference['gap']:.6g} s before this line: frames are missing from it"
+        lines.append(Text(text, style="bold"))
     lines.append(Text(" the last frames before, equal:", style="dim"))
     lines += [
         Text(f"   {frame['number']:>7} {frame['time']:12.6f} {frame['direction']} {_words(frame)}", style="dim")

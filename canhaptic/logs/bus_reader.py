@@ -1,18 +1,25 @@
 """Reads recorded frames: candump text by ourselves, to the microsecond; BLF, TRC and ASC through python-can."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import can
 
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.log_file import CONVERTIBLE, log_file
 
+_ERROR_FLAG: Final = 0x2000_0000  # of an identifier in candump text (CAN_ERR_FLAG of linux/can.h)
 _LINE: Final = re.compile(
     r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)(?:\s+([RTrt]))?\s*"
 )
+
+
+_FD_LINE: Final = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}##[0-9A-Fa-f]+(?:\s+[RTrt])?\s*")
+_REMOTE_LINE: Final = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}#[Rr]\d?(?:\s+[RTrt])?\s*")
+SkippedKind = Literal["CAN FD", "error", "remote"]
 
 
 class Frame(NamedTuple):
@@ -26,42 +33,66 @@ class Frame(NamedTuple):
     channel: str = ""  # the bus as the log calls it
 
 
-def read_bus_log(path: str | Path) -> Iterator[Frame]:
+def read_bus_log(path: str | Path, skipped: Counter[SkippedKind] | None = None) -> Iterator[Frame]:
     """Yields the data frames of a bus log in the order of the file.
 
-    Remote and error frames, which CANopen rigs do not use, are passed over.
+    Args:
+        path: The log.
+        skipped: Counts the frames that CANopen rigs do not use and that are left out: CAN FD, error, remote.
 
     Raises:
         LogFormatError: Missing, empty, or a line that is no frame; names file and line.
     """
-    path = log_file(path)
-    return _read_with_python_can(path) if path.suffix.lower() in CONVERTIBLE else _read_candump(path)
+    path, counts = log_file(path), Counter[SkippedKind]() if skipped is None else skipped
+    return (_read_with_python_can if path.suffix.lower() in CONVERTIBLE else _read_candump)(path, counts)
 
 
-def _read_candump(path: Path) -> Iterator[Frame]:
+def describe_skipped(skipped: Mapping[SkippedKind, int]) -> str:
+    """Returns what was left out as `2 CAN FD, 1 error`; empty for nothing."""
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(skipped.items()))
+
+
+def _read_candump(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:
     try:
         with path.open(encoding="ascii", errors="replace") as file:
             for number, line in enumerate(file, 1):
                 match = _LINE.fullmatch(line)
-                if match is not None and len(match[5]) % 2 == 0:
-                    nanoseconds = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
-                    is_rx = match[6] not in ("T", "t")
-                    yield Frame(nanoseconds, int(match[4], 16), bytes.fromhex(match[5]), is_rx, number, match[3])
-                elif line.strip() and "#R" not in line.upper():
-                    raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L")
+                if match is None or len(match[5]) % 2:
+                    if line.strip():
+                        skipped[_skipped_kind(path, number, line)] += 1
+                    continue
+                can_id = int(match[4], 16)
+                if can_id & _ERROR_FLAG:
+                    skipped["error"] += 1
+                    continue
+                nanoseconds = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+                is_rx = match[6] not in ("T", "t")
+                yield Frame(nanoseconds, can_id, bytes.fromhex(match[5]), is_rx, number, match[3])
     except OSError as error:
         raise LogFormatError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _read_with_python_can(path: Path) -> Iterator[Frame]:
+def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
+    """Returns what a line is that is no data frame of classic CAN; raises LogFormatError where it is no frame."""
+    if _FD_LINE.fullmatch(line):
+        return "CAN FD"
+    if _REMOTE_LINE.fullmatch(line):
+        return "remote"
+    raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L")
+
+
+def _read_with_python_can(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:
     binary = path.suffix.lower() == ".blf"
     try:
         with path.open("rb" if binary else "r") as file:  # python-can leaves a file open that it cannot read
             for number, message in enumerate(_reader(path.suffix.lower(), file), 1):
-                if not (message.is_error_frame or message.is_remote_frame):
-                    nanoseconds = round(message.timestamp * 1e6) * 1000
-                    can_id, data = message.arbitration_id, bytes(message.data)
-                    yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
+                if message.is_error_frame or message.is_remote_frame or message.is_fd:
+                    kind: SkippedKind = "error" if message.is_error_frame else "CAN FD" if message.is_fd else "remote"
+                    skipped[kind] += 1
+                    continue
+                nanoseconds = round(message.timestamp * 1e6) * 1000
+                can_id, data = message.arbitration_id, bytes(message.data)
+                yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
     except Exception as error:  # its readers raise whatever they stumble over in a damaged file
         raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
 

@@ -2,6 +2,7 @@
 
 from typing import Any, Final
 
+from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.logs.bus_reader import Frame
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.replay.recorded_side import RecordedSide
@@ -10,13 +11,16 @@ from canhaptic.scene.models import Scene
 from canhaptic.scene.node_names import describe_nodes
 
 _SHOWN_BEFORE: Final = 6  # frames
+_CYCLES_BACK: Final = 2
+_LONGEST_SILENCE: Final = 1.5  # sample times within a recording without gaps
 
 
 def describe(recording: Recording, side: RecordedSide, scene: Scene) -> dict[str, Any] | None:
     """Returns `{number, time, recorded, sent, before}`; None when the master sent all that was recorded.
 
     `number` is the line of a text, or the frame of a binary log; `time` counts from the beginning of the log [s]. Each
-    frame is `{channel, id, data, kind, node, text}`; `sent` is None when the master sent nothing any more. `before` are
+    frame is `{channel, id, data, kind, node, text}`; `sent` is None when the master sent nothing any more. `gap` is the
+    silence [s] of a recording that lacks frames, else None. `before` are
     the last frames that were still equal, each with its number, time and direction.
     """
     departure = side.departure
@@ -42,8 +46,26 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> dict[str
         **_place(recording, recorded),
         "recorded": _words(recorded, decoders[bus]),
         "sent": sent,
+        "gap": _gap(recording, index, scene.bus.sample_time),
         "before": before,
     }
+
+
+def _gap(recording: Recording, index: int, sample_time: float) -> float | None:
+    """Returns the longest silence of the recording in the two cycles before a frame [s]; None for an ordinary one.
+
+    Where a master departs after it, frames are missing from the recording: after SYNCs that it skipped itself, it sends
+    today what it sent then.
+    """
+    if recording.first_sync < 0:
+        return None
+    frames, syncs, silence = recording.frames, 0, 0.0
+    for place in range(index, recording.first_sync, -1):
+        silence = max(silence, (frames[place].timestamp_ns - frames[place - 1].timestamp_ns) * 1e-9)
+        syncs += frames[place].can_id == SYNC_FRAME_COB_ID
+        if syncs == _CYCLES_BACK:
+            break
+    return silence if silence > _LONGEST_SILENCE * sample_time else None
 
 
 def _place(recording: Recording, frame: Frame) -> dict[str, Any]:

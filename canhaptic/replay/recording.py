@@ -1,5 +1,6 @@
 """A recorded bus, prepared for a replay: who sent what, where the cycle begins, where the operator ended it."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Final
 
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.errors import LogFormatError
-from canhaptic.logs.bus_reader import Frame, read_bus_log
+from canhaptic.logs.bus_reader import Frame, SkippedKind, read_bus_log
 from canhaptic.replay.roles import Address, Roles
 from canhaptic.scene.channels import Channels
 
@@ -23,6 +24,7 @@ class Recording:
     Attributes:
         path: The log.
         frames: All other data frames, in the order of the log.
+        skipped: Frames that were left out, by kind.
         buses: For each frame, the place of its bus among those of the scene.
         heartbeat: COB-ID of the master's.
         is_master: For each frame, whether the master sent it.
@@ -36,7 +38,8 @@ class Recording:
     def __init__(self, path: str | Path, roles: Roles, channels: Channels) -> None:
         self.path = Path(path)
         self.heartbeat = roles.heartbeat
-        self.frames = [frame for frame in read_bus_log(path) if frame.can_id != roles.heartbeat]
+        self.skipped = Counter[SkippedKind]()
+        self.frames = [frame for frame in read_bus_log(path, self.skipped) if frame.can_id != roles.heartbeat]
         self.buses = [channels.place_of(frame) for frame in self.frames]
         self._addresses = [(bus, frame.can_id) for bus, frame in zip(self.buses, self.frames, strict=True)]
         self.is_master = [address in roles.master for address in self._addresses]

@@ -42,11 +42,12 @@ def replay_bus_log(
         from_sync: Leaves the start out even if it was recorded.
 
     Returns:
-        `{status: "identical" | "different", recording, start: "boot" | "sync", frames: {recorded, played, compared},
-        cycles, duration, elapsed, speed, ended, difference, account}`; `difference` as `difference.describe` gives it.
+        `{status: "identical" | "different", recording, start: "boot" | "sync", skipped (frames left out, by kind),
+        frames: {recorded, played, compared}, cycles, duration, elapsed, speed, ended, difference, account}`;
+        `difference` as `difference.describe` gives it.
 
     Raises:
-        InputError: The recording cannot be read, does not fit the scene, or has no SYNC to begin with.
+        InputError: The recording cannot be read, does not fit the scene, has no SYNC to begin with, or no whole cycle.
     """
     recording = Recording(bus_log, roles_of(scene), Channels(scene))
     joins = from_sync or not recording.has_boot
@@ -99,6 +100,11 @@ class _Replay:
             pass
         except RigError as error:
             ended = f"{type(error).__name__}: {error}"
+        if self._cycle.cycles == 0 and self._side.departure is None and self._side.unsent < 0:
+            raise InputError(
+                f"{self._recording.path}: holds no whole cycle (SYNC, TPDOs, RPDOs), so that nothing was compared that "
+                "a controller computed; record for longer, or from an earlier time"
+            )
         return self._result(ended, (self._wall.now() - begin) * 1e-9)
 
     def _result(self, ended: str, elapsed: float) -> dict[str, Any]:
@@ -109,6 +115,7 @@ class _Replay:
             "status": "identical" if difference is None else "different",
             "recording": str(recording.path),
             "start": "sync" if self._joins else "boot",
+            "skipped": dict(recording.skipped),
             "frames": {"recorded": len(recording.frames), "played": side.played, "compared": side.compared},
             "cycles": self._cycle.cycles,
             "duration": duration,

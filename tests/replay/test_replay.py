@@ -162,10 +162,13 @@ def test_a_frame_that_was_not_recorded_and_one_that_is_not_sent_are_told_apart(t
 
 def test_a_recording_that_was_cut_off_is_compared_as_far_as_it_goes(tmp_path: Path) -> None:
     lines = lines_of("paper_fig8_100hz")
-    for length in (len(lines) // 2, len(lines) // 3, 200, 40, 3):
+    for length in (len(lines) // 2, len(lines) // 3, 200):
         result = replay_lines(tmp_path, "paper_fig8_100hz", lines[:length])
         assert result["difference"] is None
         assert result["ended"] == "at the end of the recording"
+    for length in (40, 3):
+        with pytest.raises(InputError, match="holds no whole cycle"):
+            replay_lines(tmp_path, "paper_fig8_100hz", lines[:length])
 
 
 @pytest.mark.parametrize("suffix", [".blf", ".trc", ".asc"])
@@ -241,3 +244,58 @@ def test_a_whole_minute_is_replayed_frame_by_frame(tmp_path: Path) -> None:
     words = ["run", str(ROOT / "configs" / "demo.yaml"), "--pace", "free", "--duration", "60", "--json"]
     assert main([*words, "--bus-log", str(path)]) == 0
     assert replay_bus_log(path, scene_of("demo"))["status"] == "identical"
+
+
+# --- recordings that lack something -----------------------------------------------------------------------------------
+
+
+def test_a_recording_without_a_whole_cycle_is_not_identical_but_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = lines_of("demo")
+    first = next(n for n, line in enumerate(lines) if " 080#" in line)
+    path = tmp_path / "boot.log"
+    path.write_text("".join(lines[:first]))
+    assert main(["replay", str(path), "--config", str(ROOT / "configs" / "demo.yaml")]) == 2
+    assert "boot.log: holds no whole cycle" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shift", range(4))
+def test_a_gap_in_a_recording_is_named_as_such(shift: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Frames lost by the recorder, from any place in a cycle on, while the hand is in the wall."""
+    lines = lines_of("paper_fig8_100hz")
+    begin = len(lines) // 2 + shift
+    plan = RECORDINGS["paper_fig8_100hz"]
+    path = tmp_path / "gap.log"
+    path.write_text("".join(lines[:begin] + lines[begin + 90 :]))
+    words = ["replay", str(path), "--config", str(ROOT / plan.config)]
+    for override in plan.overrides:
+        words += ["--set", override]
+    assert main(words) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"the recording has a gap of 0\.[23]\d* s before this line: frames are missing", out)
+
+
+def test_a_difference_without_a_gap_names_none(tmp_path: Path) -> None:
+    lines = lines_of("paper_fig8_100hz")
+    at = next(n for n in range(len(lines) // 2, len(lines)) if " 201#" in lines[n])
+    lines[at] = flipped(lines[at], 20)
+    result = replay_lines(tmp_path, "paper_fig8_100hz", lines)
+    assert result["status"] == "different"
+    assert result["difference"]["gap"] is None
+
+
+def test_can_fd_error_and_remote_frames_are_left_out_and_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = lines_of("demo")
+    time = lines[100].split()[0]
+    odd = [f"{time} can0 181##1AABB R\n", f"{time} can0 20000080#0000000000000000 R\n", f"{time} can0 181#R\n"]
+    path = tmp_path / "odd.log"
+    path.write_text("".join([*lines[:101], *odd, odd[1], *lines[101:]]))
+    assert main(["replay", str(path), "--config", str(ROOT / "configs" / "demo.yaml")]) == 0
+    assert "frames left out: 1 CAN FD, 2 error, 1 remote" in " ".join(capsys.readouterr().out.split())
+    assert main(["decode", str(path)]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.count("\n") == len(lines)
+    assert "frames left out: 1 CAN FD, 2 error, 1 remote" in captured.err
