@@ -70,7 +70,7 @@ COMMANDS = {
     "compare": ["compare", "paper_fig5_100hz.yaml", "--duration", "1.5"],
     "compare long name": ["compare", "paper_fig5_100hz.yaml", "--duration", "0.1", "--set", f"axes.0.name={LONG}"],
     "sweep": ["sweep", "paper_fig5_100hz.yaml", "--vary", "environment.stiffness=1e2,1e4", "--duration", "1",
-              "--controllers", "guarded,direct", "--engine", "python", "--set", f"axes.0.name={LONG}"],
+              "--controllers", "guarded,unprotected", "--engine", "python", "--set", f"axes.0.name={LONG}"],
     "accuracy": ["accuracy", "paper_fig5_100hz.yaml", "--duration", "0.05", "--budget", "0"],
     "design": ["design", "paper_fig5_100hz.yaml", "--engine", "python", "--set", "axes.0.torque_limit=4"],
     "check": ["check", "two_handles.yaml"],
