@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from canhaptic.cli.interrupt import INTERRUPTED, PromptEnd, say_interrupted
+from canhaptic.cli.options import OPTIONS
 from canhaptic.cli.output import print_failure, write_note
 from canhaptic.errors import CanHapticError, OldNameWarning
 
@@ -43,9 +44,8 @@ _BROKEN_PIPE: Final = 1
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line and returns the exit status.
 
-    A subcommand has two modules of its name: `canhaptic.cli.options` declares its arguments with `add_arguments`, and
-    `canhaptic.cli` has `execute`, which takes them and returns the exit status. The second is imported once the
-    arguments are right.
+    `canhaptic.cli.options` declares the arguments of every subcommand. The module of its name has `execute`, which
+    takes them and returns the exit status; it is imported once the arguments are right.
     """
     try:
         words = list(sys.argv[1:] if arguments is None else arguments)
@@ -65,9 +65,8 @@ def _run(words: list[str], name: str) -> int:
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for known, text in _COMMANDS.items():
         subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
-        if known == name:  # only what is used is imported
-            options = importlib.import_module(f"canhaptic.cli.options.{_module_of(known)}")
-            options.add_arguments(subparser)
+        if known == name:
+            OPTIONS[known](subparser)
     with warnings.catch_warnings():
         _show_old_names()
         return _execute(parser.parse_args(words))

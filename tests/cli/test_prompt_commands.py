@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from canhaptic.cli import options
 from canhaptic.cli.main import _COMMANDS
-from canhaptic.cli.options import accuracy, commission, design
-from canhaptic.cli.options import map as map_options
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.drive.clock import WallClock
 from canhaptic.study.accuracy.study import DEFAULT_BUDGET
@@ -49,11 +48,11 @@ def test_help_takes_no_more_than_three_times_the_import_of_numpy() -> None:
 
 
 def test_defaults_in_the_help_are_those_of_the_code() -> None:
-    assert accuracy.BUDGET == DEFAULT_BUDGET
-    assert (design.MARGIN, design.TOLERANCE) == (MARGIN, TOLERANCE)
-    assert tuple(JUDGEMENTS) == map_options.JUDGEMENTS
+    assert options.BUDGET == DEFAULT_BUDGET
+    assert (options.MARGIN, options.TOLERANCE) == (MARGIN, TOLERANCE)
+    assert tuple(JUDGEMENTS) == options.JUDGEMENTS
     limits = CommissioningLimits()
-    assert (limits.torque, limits.travel, limits.speed) == (commission.TORQUE, commission.TRAVEL, commission.SPEED)
+    assert (limits.torque, limits.travel, limits.speed) == (options.TORQUE, options.TRAVEL, options.SPEED)
 
 
 def interrupted(program: str, *words: str) -> tuple[int, str, float]:

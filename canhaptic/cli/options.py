@@ -1,0 +1,349 @@
+"""The arguments of every subcommand; what runs it is in the module of its name, imported once they are right."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from canhaptic.cli.arguments import add_allow_code, add_json, add_overrides, add_scene, names, positive_number, seconds
+
+BUDGET: Final = 12.0
+"""Time for timings [s]; as `study.accuracy.study.DEFAULT_BUDGET`, which is imported when the study begins."""
+TORQUE: Final = 0.1
+TRAVEL: Final = 0.02
+SPEED: Final = 0.5
+"""As in `commission.laws.CommissioningLimits`, which is imported when commissioning begins."""
+_FASTEST: Final = 1e6  # [Hz]
+TOLERANCE: Final = 0.05
+MARGIN: Final = 0.2
+"""As in `study.design.wall`, which is imported when the search begins."""
+JUDGEMENTS: Final = ("stable", "passive", "margin", "settled", "covered")
+"""As in `study.map.z_width`, which is imported when a map is drawn."""
+_LAST_PORT: Final = 65_535
+
+
+def _accuracy(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `accuracy`."""
+    add_scene(parser)
+    parser.add_argument(
+        "--tolerance",
+        metavar="X",
+        type=_length,
+        help="largest error of the position, as in '1 um' or 1e-6 [m or rad]; by default a tenth of an encoder count",
+    )
+    parser.add_argument("--axis", metavar="NAME", help="which axis; by default the first")
+    parser.add_argument(
+        "--duration",
+        metavar="S",
+        type=seconds,
+        help="length of the comparison [s]; by default 1000 sample times at most",
+    )
+    parser.add_argument(
+        "--budget", metavar="S", type=_budget, default=BUDGET, help="time to spend on timing [s]; 0: none"
+    )
+    parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the study (.png, .svg, .pdf)")
+    parser.add_argument("--html", metavar="FILE", type=Path, help="page with hover and zoom")
+    parser.add_argument("--markdown", metavar="FILE", type=Path, help="the tables as Markdown")
+    add_json(parser)
+
+
+def _check(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `check`."""
+    add_scene(parser, runs=False)
+    parser.add_argument("--resolved", action="store_true", help="print every value in effect, as YAML")
+    add_json(parser)
+
+
+def _check_eds(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `check-eds`."""
+    parser.add_argument("file", metavar="FILE", type=Path, help="object dictionary of the drive (EDS or DCF)")
+    add_json(parser)
+
+
+def _commission(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `commission`."""
+    add_scene(parser)
+    parser.add_argument(
+        "--yes", action="store_true", help="agree to every step; only where all drives are simulated in this process"
+    )
+    parser.add_argument(
+        "--torque", metavar="PART", type=float, default=TORQUE,
+        help=f"largest torque, as a part of the rated torque; {TORQUE:g} by default, 0.3 at most",
+    )  # fmt: skip
+    parser.add_argument(
+        "--travel", metavar="X", type=float, default=TRAVEL,
+        help=f"distance [m or rad] after which a torque is taken away; {TRAVEL:g} by default",
+    )  # fmt: skip
+    parser.add_argument(
+        "--speed", metavar="V", type=float, default=SPEED,
+        help=f"speed [m/s or rad/s] after which a torque is taken away; {SPEED:g} by default",
+    )  # fmt: skip
+    parser.add_argument("--duration", metavar="S", type=seconds, default=10.0, help="length of the timing test [s]")
+    parser.add_argument("--out", metavar="FILE.yaml", type=Path, help="write the values to paste to a file as well")
+    add_json(parser)
+
+
+def _compare(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `compare`."""
+    add_scene(parser)
+    parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
+    parser.add_argument("--duration", metavar="S", type=seconds, help="length of each run [s]; by default the scene's")
+    parser.add_argument(
+        "--rate", metavar="HZ", type=_rate, help="another rate than the scene's, also beyond what a bus could carry"
+    )
+    parser.add_argument("--can", action="store_true", help="over the whole CAN path instead of without a bus")
+    parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the comparison (.png, .svg, .pdf)")
+    add_json(parser)
+
+
+def _configs(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `configs`."""
+    parser.add_argument(
+        "--copy", metavar="FOLDER", type=Path, help="put configs/ and eds/ into FOLDER; nothing there is overwritten"
+    )
+    add_json(parser)
+
+
+def _decode(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `decode`."""
+    parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
+    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file, for names, units and dictionaries")
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="from this time on [s]")
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="up to this time [s]")
+    parser.add_argument("--only", action="append", metavar="KIND", help="NMT, SYNC, EMCY, SDO, TPDO1, heartbeat, ...")
+    add_json(parser, "one JSON object per line")
+
+
+def _design(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `design`."""
+    add_scene(parser)
+    parser.add_argument(
+        "--margin", metavar="PART", type=float, default=MARGIN, help="part by which both could be larger; default 0.2"
+    )
+    parser.add_argument(
+        "--tolerance", metavar="PART", type=float, default=TOLERANCE, help="between asked and rendered; default 0.05"
+    )
+    parser.add_argument("--engine", choices=("auto", "numba", "python"), default="auto", help="of the trials")
+    add_json(parser)
+
+
+def _drive(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `drive`."""
+    add_scene(parser)
+    parser.add_argument("--duration", metavar="S", type=seconds, help="how long to live [s]; by default until stopped")
+
+
+def _inspect(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `inspect`."""
+    parser.add_argument("log", type=Path, help="an energy log (.h5), or a bus log together with --config")
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="count from this time on [s]")
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="count up to this time [s]")
+    add_allow_code(parser)
+    add_json(parser)
+    parser.add_argument(
+        "--check",
+        action="append",
+        default=[],
+        metavar="EXPRESSION",
+        help="exit with 1 unless it holds: 'passive', 'margin >= -1 uJ', 'handle.deficit == 0', 'compute.p99 < 50 us'",
+    )
+    parser.add_argument(
+        "--compare",
+        type=Path,
+        metavar="OTHER",
+        help="exit with 1 unless the other log is the same; pictures show both",
+    )
+    for option, what in (("--csv", "a table of every row"), ("--parquet", "the same"), ("--mat", "the same")):
+        parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
+    for option in ("--png", "--svg"):
+        parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write one self-contained interactive page")
+    parser.add_argument(
+        "--recompute",
+        action="store_true",
+        help="feed the logged inputs to the controllers again; exit with 1 unless every output is equal bit for bit",
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="CONFIG", help="scene of the run; by default the one the log names"
+    )
+    parser.add_argument(
+        "--bus-log",
+        type=Path,
+        metavar="FILE",
+        help="derive the account again from the frames alone; exit with 1 unless it is that of the log bit for bit",
+    )
+    parser.add_argument("--repair", type=Path, metavar="FILE", help="save all that can be read into a clean log")
+
+
+def _map(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `map`."""
+    parser.add_argument("file", metavar="FILE.h5", type=Path, help="of canhaptic sweep, finished or not")
+    parser.add_argument("--png", metavar="FILE", type=Path, help="picture (.png, .svg, .pdf)")
+    parser.add_argument("--html", metavar="FILE", type=Path, help="self-contained page")
+    parser.add_argument("--x", metavar="KEY", help="across; by default the rate, or the first key that was varied")
+    parser.add_argument("--y", metavar="KEY", help="upwards, or one line per value")
+    parser.add_argument("--metric", metavar="NAME", help="one map of this figure, instead of the usual ones")
+    parser.add_argument("--axis", metavar="NAME", help="of a scene with several; by default the first")
+    parser.add_argument("--by", choices=JUDGEMENTS, help="what a wall must be to count; by default stable for direct")
+    add_allow_code(parser)
+    add_json(parser)
+
+
+def _new(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `new`."""
+    parser.add_argument("file", metavar="EDS", type=Path, help="object dictionary of the drive (EDS or DCF)")
+    parser.add_argument(
+        "--out",
+        metavar="FILE.yaml",
+        type=Path,
+        help="write the scene there, with the path of the EDS as seen from there; by default it is printed, with the "
+        "whole path",
+    )
+    parser.add_argument(
+        "--simulate", action="store_true", help="with a simulated drive, motor and hand, so that it runs at once"
+    )
+
+
+def _preflight(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `preflight`."""
+    add_scene(parser, runs=False)
+    add_json(parser)
+
+
+def _replay(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `replay`."""
+    parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
+    parser.add_argument("--config", type=Path, metavar="CONFIG", required=True, help="scene of the recorded run")
+    add_overrides(parser)
+    parser.add_argument("--realtime", action="store_true", help="keep the pace of the recording")
+    parser.add_argument(
+        "--from-sync", action="store_true", help="leave the start of the drives out, even if it was recorded"
+    )
+    parser.add_argument("--account", action="store_true", help="print the energy account of the replayed run, too")
+    add_allow_code(parser)
+    add_json(parser)
+
+
+def _run(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `run`."""
+    add_scene(parser)
+    parser.add_argument("--duration", metavar="S", type=seconds, help="length of the run [s]; by default the scene's")
+    parser.add_argument(
+        "--pace",
+        choices=("real", "free"),
+        help="wall-clock pace, or as fast as the machine allows in lock-step; by default free where all is simulated",
+    )
+    parser.add_argument("--log", metavar="FILE.h5", type=Path, help="energy log (HDF5)")
+    parser.add_argument("--bus-log", metavar="FILE.log", type=Path, help="bus log (candump text)")
+    parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the run (.png, .svg, .pdf)")
+    parser.add_argument(
+        "--strict", action="store_true", help="exit with 1 unless every account says that the run was passive"
+    )
+    add_json(parser)
+
+
+def _schema(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `schema`: none."""
+
+
+def _scope(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `scope`."""
+    parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="energy log that a run writes or will write")
+    parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file that names the log (log.energy)")
+    parser.add_argument("--port", type=_port, default=5006, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds shown")
+    parser.add_argument("--open", action="store_true", help="open the page in a browser")
+
+
+def _sweep(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `sweep`."""
+    add_scene(parser)
+    parser.add_argument(
+        "--vary",
+        metavar="KEY=VALUES",
+        action="append",
+        default=[],
+        help="LOW:HIGH:N, LOW:HIGH:log:N or A,B,C of any key of the scene, as in environment.stiffness=1e2:1e6:log:40 "
+        "(every axis) or axes.0.torque_limit=5,10; repeatable",
+    )
+    parser.add_argument("--controllers", metavar="A,B,...", type=names, default=[], help="judge each scene under these")
+    parser.add_argument(
+        "--sample", metavar="lhs:N", type=_samples, default=0, help="N points of a Latin hypercube, no grid"
+    )
+    parser.add_argument("--seed", metavar="N", type=_count, default=0, help="of the hypercube")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--duration", metavar="S", type=seconds, help="of every scene [s]; by default the scene's")
+    length.add_argument("--cycles", metavar="N", type=_count, help="SYNCs of every scene, whatever its rate")
+    parser.add_argument(
+        "--metrics",
+        metavar="A,B,...",
+        type=names,
+        help="fewer are faster; by default all that need no continuous run beside each scene; a wrong name lists all",
+    )
+    parser.add_argument(
+        "--engine", choices=("auto", "numba", "python"), default="auto", help="of scenes that fit a batch"
+    )
+    parser.add_argument("--beyond-bus", action="store_true", help="judge rates that the bus could not carry, too")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", metavar="N", type=_count, default=1, help="processes on this machine")
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, as in tcp://10.0.0.5:8786")
+    parser.add_argument("--chunk", metavar="N", type=_count, help="scenes that are finished together")
+    parser.add_argument("--out", metavar="FILE.h5", type=Path, help="results; each chunk is there once it is finished")
+    again = parser.add_mutually_exclusive_group()
+    again.add_argument("--resume", action="store_true", help="go on with FILE.h5 where it was stopped or killed")
+    again.add_argument("--force", action="store_true", help="replace FILE.h5")
+    add_json(parser)
+
+
+def _length(text: str) -> float:
+    return positive_number(text, ("m", "rad"), "tolerance", 1.0)
+
+
+def _budget(text: str) -> float:
+    return 0.0 if text.strip() == "0" else seconds(text)
+
+
+def _rate(text: str) -> float:
+    return positive_number(text, ("Hz", "Hz"), "rate", _FASTEST)
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdigit()) or int(text) > _LAST_PORT:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a number from 0 to {_LAST_PORT}")
+    return int(text)
+
+
+def _samples(text: str) -> int:
+    kind, _, number = text.partition(":")
+    if kind != "lhs" or not number.isdigit() or not 1 <= int(number) <= 100_000_000:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected lhs:N with N from 1 to 10^8")
+    return int(number)
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit()) or not 0 <= int(text) <= 1_000_000_000:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number from 0 to 10^9")
+    return int(text)
+
+
+OPTIONS: Final[dict[str, Callable[[argparse.ArgumentParser], None]]] = {
+    "accuracy": _accuracy,
+    "check": _check,
+    "check-eds": _check_eds,
+    "commission": _commission,
+    "compare": _compare,
+    "configs": _configs,
+    "decode": _decode,
+    "design": _design,
+    "drive": _drive,
+    "inspect": _inspect,
+    "map": _map,
+    "new": _new,
+    "preflight": _preflight,
+    "replay": _replay,
+    "run": _run,
+    "schema": _schema,
+    "scope": _scope,
+    "sweep": _sweep,
+}
+"""Subcommand -> what declares its arguments."""

@@ -1,1 +1,0 @@
-"""The arguments of each subcommand, one file each, apart from what it does: `--help` imports nothing else."""

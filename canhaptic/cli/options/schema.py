@@ -1,7 +1,0 @@
-"""Arguments of `canhaptic schema`."""
-
-import argparse
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `schema`: none."""
