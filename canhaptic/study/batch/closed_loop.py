@@ -12,6 +12,13 @@ from typing import Any
 from canhaptic.control.environments.environment import Environment
 from canhaptic.kernels import Buffer
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
+from canhaptic.study.batch.reference_kernel import (
+    Reference,
+    ReferenceMemory,
+    ReferenceSettings,
+    begin_reference,
+    follow_hold,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +64,9 @@ def run_loop(
     flow: Sequence[Sequence[float]],
     plant: Buffer,
     moved: Buffer,
-    continuous_position: Sequence[float],
-    continuous_torque: Sequence[float],
+    continuous: ReferenceSettings,
+    reference: Reference,
+    reference_memory: ReferenceMemory,
     cycles: int,
 ) -> None:
     """Runs a loop until its last SYNC or until it diverges, which a number that is not finite does too.
@@ -73,18 +81,23 @@ def run_loop(
         flow: Of the plant over one hold, shape (states, states + 2).
         plant: [states..., torque, 1] at the start; the first state is the position [m or rad].
         moved: Room for the states, shape (states,).
-        continuous_position: In the continuous environment at every SYNC [m or rad]; empty without a reference.
-        continuous_torque: Of that, its mean over the hold that ended [N or N*m].
+        continuous: Environment that the loop is compared with, if there is one.
+        reference: Its run, before it begins.
+        reference_memory: Of that, at the start.
         cycles: SYNCs.
     """
     held = waiting = interaction = before = 0.0
-    compares = len(continuous_position) > 0
     for cycle in range(cycles):
         if cycle:
             move(flow, plant, moved, held)
         true_position = plant[0]
-        if compares:
-            compare(meter, true_position, held, continuous_position[cycle], continuous_torque[cycle])
+        if continuous.exists:
+            mean = 0.0
+            if cycle:
+                mean = follow_hold(continuous, reference, reference_memory)
+            else:
+                begin_reference(continuous, reference, reference_memory)
+            compare(meter, true_position, held, reference_memory.state[0], mean)
         interaction -= held * (true_position - before)
         before = true_position
         position = measured(loop, true_position) if isfinite(true_position) else true_position

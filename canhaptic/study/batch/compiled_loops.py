@@ -13,8 +13,10 @@ from canhaptic.kernels import Buffer, Kernel
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, records_of
 from canhaptic.study.batch.batch_case import NotBatchableError
+from canhaptic.study.batch.batch_reference import ContinuousModes
 from canhaptic.study.batch.closed_loop import run_loop, step
 from canhaptic.study.batch.meter import Meter
+from canhaptic.study.batch.reference_kernel import TERMS, Reference, ReferenceMemory
 from canhaptic.study.batch.rows import SceneRow
 from canhaptic.study.loop import Array
 
@@ -29,8 +31,8 @@ def new_environment(*_numbers: float) -> Any:
 
 def run_loops(
     table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: Any, zeros: Array,
-    meters: Records, flows: Array, starts: Array, plant: Any, moved: Any, positions: Array, torques: Array,
-    cycles: int,
+    meters: Records, flows: Array, starts: Array, plant: Any, moved: Any, continuous: Records, references: Records,
+    mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Any, moved_state: Any, series: Any, cycles: int,
 ) -> None:  # fmt: skip
     """Runs one loop after the other; see `run_loop`."""
     for i in range(len(table)):
@@ -39,9 +41,13 @@ def run_loops(
         states[0] = rest[0]
         for place in range(len(plant)):
             plant[place] = starts[i % len(starts), place]
+        for place in range(len(state)):
+            state[place] = moved_state[place] = mode_starts[i % len(mode_starts), place]
+        modes = i % len(mode_flows)
         run_loop(
             environment, settings[i], loops[i], states[0], memory, meters[i], flows[i % len(flows)], plant, moved,
-            positions[i], torques[i], cycles,
+            continuous[i], references[i],
+            ReferenceMemory(mode_flows[modes], mode_rates[modes], state, moved_state, series), cycles,
         )  # fmt: skip
 
 
@@ -53,31 +59,34 @@ def compiled_loops(kind: Any, kernel: Kernel) -> Any:
 
 
 def run_compiled(
-    kernel: Kernel, rows: Sequence[SceneRow], flows: Array, starts: Array, positions: Array, torques: Array, cycles: int
-) -> Records:
-    """Returns the meter of every scene as records; see `run_interpreted` for the arguments."""
+    kernel: Kernel, rows: Sequence[SceneRow], flows: Array, starts: Array, modes: ContinuousModes, cycles: int
+) -> tuple[Records, Records]:
+    """Returns meters and references as records; see `run_interpreted` for the arguments."""
     settings, loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
-    rest, states = records_of([kernel.state()]), records_of([kernel.state()])
-    meters = np.repeat(records_of([Meter()]), len(rows))
+    rest, states, continuous = records_of([kernel.state()]), records_of([kernel.state()]), records_of(modes.settings)
+    meters, references = (np.repeat(records_of([kind()]), len(rows)) for kind in (Meter, Reference))
     kind = tuple_type(rows[0].environment)
     numbers = attrgetter(*kind._fields)
     table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
     run = compiled_loops(kind, kernel)
     plant, moved = np.empty(starts.shape[1]), np.empty(starts.shape[1] - 2)
+    size = modes.starts.shape[1]
+    state, moved_state, series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
     for some in _alike(kernel, rows):
         memory, zeros = _memory(kernel, rows[some[0]].settings)
-        part = meters[some]
+        part, compared = meters[some], references[some]
         try:
             run(
                 table[some], settings[some], loops[some], rest, states, memory, zeros, part, _of(flows, some),
-                _of(starts, some), plant, moved, positions[some], torques[some], cycles,
+                _of(starts, some), plant, moved, continuous[some], compared, _of(modes.flows, some),
+                _of(modes.rates, some), _of(modes.starts, some), state, moved_state, series, cycles,
             )  # fmt: skip
         except NumbaError as error:
             raise NotBatchableError(
                 f"numba cannot compile {kind.__name__} under this algorithm: {str(error).splitlines()[-1]}"
             ) from error
-        meters[some] = part
-    return meters
+        meters[some], references[some] = part, compared
+    return meters, references
 
 
 def _of(values: Array, some: Any) -> Array:

@@ -5,37 +5,45 @@ from types import FunctionType
 from typing import Any
 
 from canhaptic.kernels import Kernel, list_of_zeros
+from canhaptic.study.batch.batch_reference import ContinuousModes
 from canhaptic.study.batch.closed_loop import run_loop
 from canhaptic.study.batch.meter import Meter
+from canhaptic.study.batch.reference_kernel import TERMS, Reference, ReferenceMemory
 from canhaptic.study.batch.rows import SceneRow
 from canhaptic.study.loop import Array
 
 
 def run_interpreted(
-    kernel: Kernel, rows: Sequence[SceneRow], flows: Array, starts: Array, positions: Array, torques: Array, cycles: int
-) -> list[Meter]:
-    """Returns the meter of every scene.
+    kernel: Kernel, rows: Sequence[SceneRow], flows: Array, starts: Array, modes: ContinuousModes, cycles: int
+) -> tuple[list[Meter], list[Reference]]:
+    """Returns the meter of every scene, and what is remembered of its continuous run.
 
     Args:
         kernel: Of the algorithm.
         rows: The scenes.
         flows: Of the plants, shape (n, states, states + 2), n = 1 where all have the same.
         starts: Of the plants, shape (n, states + 2).
-        positions: In the continuous environment, shape (n_scenes, cycles); of no columns without references [m or rad].
-        torques: Of that [N or N*m].
+        modes: Of the continuous environments.
         cycles: SYNCs.
     """
     names = {**run_loop.__globals__, "step": kernel.step}
     run = FunctionType(run_loop.__code__, names)
-    meters = []
+    meters, references = [], []
     for i, row in enumerate(rows):
-        meter, memory = Meter(), kernel.memory(row.settings, list_of_zeros)
+        meter, reference, memory = Meter(), Reference(), kernel.memory(row.settings, list_of_zeros)
         flow: Any = flows[i % len(flows)].tolist()
         plant = starts[i % len(starts)].tolist()
         moved = [0.0] * (len(plant) - 2)
         run(
             row.environment, row.settings, row.loop, kernel.state(), memory, meter, flow, plant, moved,
-            positions[i].tolist(), torques[i].tolist(), cycles,
+            modes.settings[i], reference, reference_memory_of(modes, i), cycles,
         )  # fmt: skip
         meters.append(meter)
-    return meters
+        references.append(reference)
+    return meters, references
+
+
+def reference_memory_of(modes: ContinuousModes, row: int) -> ReferenceMemory:
+    """Returns the matrices and buffers of one scene as lists."""
+    flows, rates, starts = (values[row % len(values)].tolist() for values in modes[1:])
+    return ReferenceMemory(flows, rates, starts, list(starts), [[0.0] * len(starts) for _ in range(TERMS)])

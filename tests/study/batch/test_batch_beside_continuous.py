@@ -11,9 +11,11 @@ from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.study.batch import ALL, CONTINUOUS, METRICS, run_batch, run_scalar, scene_with
-from canhaptic.study.batch.batch_reference import ContinuousRuns, why_not_continuous
+from canhaptic.study.batch.batch_reference import continuous_modes, why_not_continuous
 from canhaptic.study.batch.cases import loop_in_arrays
+from canhaptic.study.batch.interpreted_loops import reference_memory_of
 from canhaptic.study.batch.marching import march
+from canhaptic.study.batch.reference_kernel import Reference, begin_reference, follow_hold
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import render
 from canhaptic.study.reference.continuous_reference import continuous_reference
@@ -58,6 +60,20 @@ def drawn(world: str, scenes: int, seed: int) -> tuple[dict[str, Any], dict[str,
     return {f"environment.{name}": values for name, values in places.items() if name in model}, plant
 
 
+def followed(batch, scenes: int, cycles: int) -> tuple[Any, Any, Any]:
+    """Returns positions and mean torques at every SYNC but the first, (cycles - 1, scenes), and variations."""
+    modes = continuous_modes(batch, batch.numbers, scenes, cycles, with_force=True)
+    position, torque, variation = np.empty((cycles - 1, scenes)), np.empty((cycles - 1, scenes)), np.empty(scenes)
+    for i in range(scenes):
+        reference, memory = Reference(), reference_memory_of(modes, i)
+        begin_reference(modes.settings[i], reference, memory)
+        for k in range(cycles - 1):
+            torque[k, i] = follow_hold(modes.settings[i], reference, memory)
+            position[k, i] = memory.state[0]
+        variation[i] = reference.variation
+    return position, torque, variation
+
+
 def of_one(numbers: dict[str, Any], prefix: str, row: int) -> dict[str, float]:
     return {k.removeprefix(prefix): float(v[row]) for k, v in numbers.items() if k.startswith(prefix)}
 
@@ -72,9 +88,7 @@ def check(world: str, scenes: int, cycles: int, seed: int) -> int:
     kind: Any = load(ENVIRONMENTS, world, "environment")
     case = standard_case(kind(**BASES[world]), "unprotected", 1000.0, USER, plant=PLANT)
     batch = loop_in_arrays(case, PLANT, USER, numbers, varied)
-    runs = ContinuousRuns(batch, batch.numbers, scenes, cycles, with_force=True)
-    position, torque = runs.block(cycles - 1)
-    variation = runs.sums()["continuous"]
+    position, torque, variation = followed(batch, scenes, cycles)
     calm = 0
     for i in range(scenes):
         environment = kind(**{**BASES[world], **of_one(numbers, "environment.", i)})
@@ -113,7 +127,7 @@ def test_a_graze_inside_of_one_hold_is_met():
     plant = PlantParameters(mass=0.1, damping=0.0, initial_position=5e-3, initial_velocity=-1.0)
     user = UserParameters(push=1e-9)
     batch = loop_in_arrays(standard_case(wall, "unprotected", 50.0, user, plant=plant), plant, user, {})
-    position, _ = ContinuousRuns(batch, batch.numbers, 1, 3, with_force=False).block(2)
+    position, _, _ = followed(batch, 1, 3)
     # in contact for half a period of the spring, then back with the speed it came with
     left = 5e-3 + np.pi * np.sqrt(0.1 / 1e5)
     np.testing.assert_allclose(position[:, 0], [0.02 - left, 0.04 - left], rtol=1e-7)
@@ -160,7 +174,7 @@ def test_a_continuous_run_does_not_depend_on_those_beside_it():
     for rows in (np.arange(60), np.arange(0, 60, 7)):
         some = ({key: values[rows] for key, values in part.items()} for part in (numbers, varied))
         batch = loop_in_arrays(case, PLANT, USER, *some)
-        found.append(ContinuousRuns(batch, batch.numbers, len(rows), 100, with_force=True).block(99)[0])
+        found.append(followed(batch, len(rows), 30)[0])
     np.testing.assert_array_equal(found[0][:, ::7], found[1])
 
 

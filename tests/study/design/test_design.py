@@ -14,6 +14,8 @@ from canhaptic.study.design.design_report import snippet
 from canhaptic.study.design.trial import Trial
 from canhaptic.study.design.wall import _ONE_BY_ONE, _rounded, design_wall
 
+pytest.importorskip("numba")  # without it fewer walls are tried
+
 DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
 RIG = [
     "bus.rate=100",
@@ -30,7 +32,7 @@ def told():
 
 @pytest.fixture(scope="module")
 def designed(told):
-    return design_wall(load_scene(DEMO, RIG), engine="python", progress=lambda *seen: told.append(seen))
+    return design_wall(load_scene(DEMO, RIG), engine="numba", progress=lambda *seen: told.append(seen))
 
 
 def test_a_progress_bar_rises_and_never_passes_its_end(designed, told):
@@ -63,7 +65,7 @@ def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_t
 
 
 def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
-    trial = Trial(load_scene(DEMO, RIG), 0.05, "python")
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "numba")
     verdict = trial.verdict(
         np.array([designed.stiffness, 1.3 * designed.stiffness, 20.0 * designed.stiffness]), np.zeros(3)
     )
@@ -74,12 +76,12 @@ def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
 
 
 def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
-    trial = Trial(load_scene(DEMO, RIG), 0.05, "python")
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "numba")
     places = np.linspace(0.8, 1.2, 201) * designed.stiffness
     verdict = trial.verdict(1.2 * places, np.zeros(len(places)))
     first = int(np.argmin(verdict.nearly))
     assert first > 0
-    assert designed.stiffness == pytest.approx(places[:first][verdict.passed[:first]].max(), rel=0.02)
+    assert designed.stiffness == pytest.approx(places[:first][verdict.passed[:first]].max(), rel=0.006)
     assert [damping > 0.0 for _, damping in designed.trade] == [False, True, True]
     for stiffness, damping in designed.trade[1:]:
         dampings = np.linspace(0.0, 1.3, 131) * damping
@@ -91,7 +93,7 @@ def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
 
 
 def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own():
-    trial = Trial(load_scene(DEMO, RIG), 0.05, "python")
+    trial = Trial(load_scene(DEMO, RIG), 0.05, "numba")
     verdict = trial.verdict(np.array([300.0, 600.0]), np.array([2.0, 0.0]))
     motion = "{type: sinusoid, amplitude: 0.16666666666666666, frequency: 1, phase: 1.5707963267948966}"
     for row, (stiffness, damping) in enumerate([(300.0, 2.0), (600.0, 0.0)]):
@@ -136,7 +138,7 @@ def test_what_cannot_be_designed_is_said():
 
 def test_a_rig_that_renders_no_wall_is_told_what_to_change():
     with pytest.raises(CheckFailedError, match=r"raise bus\.rate"):
-        design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="python")
+        design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="numba")
 
 
 def test_numbers_are_rounded_down():
