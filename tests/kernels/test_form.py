@@ -1,0 +1,85 @@
+"""Every function that a kernel reaches keeps to what `canhaptic.kernels` allows: else numba or the bits would fail.
+
+Compiling every algorithm with every environment takes minutes and is a slow test; this one reads the source.
+"""
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterator
+from types import FunctionType
+from typing import Any
+
+import pytest
+
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.registry import load
+from canhaptic.study.batch.closed_loop import run_loop
+
+FORBIDDEN = (
+    ast.Raise, ast.Try, ast.With, ast.Lambda, ast.ListComp, ast.GeneratorExp, ast.DictComp, ast.SetComp, ast.Dict,
+    ast.Yield, ast.Import, ast.ImportFrom, ast.Global, ast.Nonlocal, ast.ClassDef, ast.Pow, ast.Starred, ast.JoinedStr,
+)  # fmt: skip
+METHODS = ("contact", "true_state", "admissible", "stored_energy", "effort", "state_of_energy", "relaxed")
+
+
+def reached(function: Any, known: set[Any]) -> Iterator[Any]:
+    """Yields a function of this package and every one that it names."""
+    if function in known or not function.__module__.startswith("canhaptic."):
+        return
+    known.add(function)
+    yield function
+    for name in function.__code__.co_names:
+        value = function.__globals__.get(name)
+        if isinstance(value, FunctionType):
+            yield from reached(value, known)
+
+
+def faults(function: Any) -> list[str]:
+    """Returns what a kernel must not have."""
+    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+    assert isinstance(definition, ast.FunctionDef)
+    where = f"{function.__module__}.{function.__name__}"
+    found = []
+    for node in (part for statement in definition.body for part in ast.walk(statement)):
+        if isinstance(node, FORBIDDEN):
+            found.append(f"{where}: {type(node).__name__}")
+        elif isinstance(node, ast.FunctionDef):
+            found.append(f"{where}: a function inside")
+        elif isinstance(node, ast.Constant) and node.value is None:
+            found.append(f"{where}: None")
+        elif isinstance(node, ast.Name) and node.id in ("sum", "print", "getattr", "isinstance", "sorted"):
+            found.append(f"{where}: {node.id}")
+    return found
+
+
+def all_faults(function: Any) -> list[str]:
+    return [fault for part in reached(function, set()) for fault in faults(part)]
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_an_algorithm_keeps_to_the_form_of_kernels(algorithm: str) -> None:
+    kernel = load(ALGORITHMS, algorithm, "passivity algorithm").kernel
+    assert len(list(reached(kernel.step, set()))) >= 8
+    assert all_faults(kernel.step) == []
+
+
+@pytest.mark.parametrize("world", ENVIRONMENTS)
+def test_an_environment_keeps_to_the_form_of_kernels(world: str) -> None:
+    kind = load(ENVIRONMENTS, world, "environment")
+    assert [fault for method in METHODS for fault in all_faults(getattr(kind, method))] == []
+
+
+def test_the_loop_with_plant_reference_and_figures_keeps_to_the_form() -> None:
+    known = {load(ALGORITHMS, "unprotected", "passivity algorithm").kernel.step}
+    parts = [part for part in reached(run_loop, known) if part.__name__ != "step"]  # the place of an algorithm's
+    assert len(parts) >= 15
+    assert [fault for part in parts for fault in faults(part)] == []
+
+
+def test_a_fault_is_found() -> None:
+    def bad(x: float) -> float:
+        return sum([x**2])
+
+    assert {fault.rsplit(": ")[1] for fault in faults(bad)} == {"sum", "Pow"}
