@@ -19,6 +19,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.guesses import require_no_guesses
+from canhaptic.scene.log_places import logs_elsewhere
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
 
@@ -33,6 +34,8 @@ def execute(arguments: argparse.Namespace) -> int:
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         require_no_guesses(scene)
+        for text in logs_elsewhere(scene, energy=arguments.log is None, bus=arguments.bus_log is None):
+            write_note(f"  {text}")
         for note in require_preflight(scene):
             write_note(f"  {note.interface}: {note.item}: {note.seen}: {note.text}")
         stop = stack.enter_context(StopSignal())

@@ -242,3 +242,38 @@ def test_the_writer_imports_nothing_from_the_working_folder(tmp_path: Path, name
     assert done.returncode == 0, done.stderr
     with EnergyLog.open(tmp_path / "run.h5") as log:
         assert log.rows == 100
+
+
+# --- a scene from somebody else ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("key", ["energy", "bus"])
+def test_a_scene_replaces_no_file_outside_its_folder_and_says_where_it_writes(
+    tmp_path: Path, key: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    target, scene = tmp_path / "mine.log", tmp_path / "scenes" / "foreign.yaml"
+    eds = REPOSITORY / "eds" / "cia402_servo.eds"
+    text = Path(DEMO).read_text().replace("eds: cia402_servo.eds", f"eds: {eds}")
+    scene.write_text(f"{text}\nlog: {{{key}: ../mine.log}}\n")
+    target.write_text("mine")
+    words = ["run", str(scene), "--duration", "0.1"]
+    assert main(words) == 2
+    assert f"log.{key}: ../mine.log is there already, outside the folder of the scene" in capsys.readouterr().err
+    assert target.read_text() == "mine"
+    target.unlink()
+    assert main(words) == 0
+    assert "is outside its folder: ../mine.log" in capsys.readouterr().err
+    assert target.exists()
+    assert main([*words, "--log" if key == "energy" else "--bus-log", "../mine.log"]) == 0
+
+
+def test_a_log_in_the_folder_of_the_scene_or_the_current_one_is_replaced_as_ever(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert main(["run", DEMO, "--duration", "0.1", "--set", "log.energy=run.h5"]) == 0
+        assert "outside" not in capsys.readouterr().err

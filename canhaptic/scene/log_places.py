@@ -1,0 +1,37 @@
+"""Where a scene asks for logs: in its own folder or the one worked in; elsewhere it is named, and replaces nothing."""
+
+from pathlib import Path
+
+from canhaptic.errors import InputError
+from canhaptic.scene.models import Scene
+
+
+def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
+    """Returns notes on logs that a scene itself puts outside its folder and the current one, one line each.
+
+    A scene may come from somebody else: what it names there must not take the place of a file.
+
+    Args:
+        scene: The scene.
+        energy: Whether its energy log is used, and none that the user named.
+        bus: Whether its bus log is.
+
+    Raises:
+        InputError: A file is there already.
+    """
+    homes = (Path.cwd().resolve(), Path(scene.source).resolve().parent)
+    notes = []
+    for key, path in (
+        ("log.energy", scene.log.energy if energy else None),
+        ("log.bus", scene.log.bus if bus else None),
+    ):
+        if path is None or any(path.resolve().is_relative_to(home) for home in homes):
+            continue
+        if path.exists():
+            option = "--log" if key == "log.energy" else "--bus-log"
+            raise InputError(
+                f"{scene.source}: {key}: {path} is there already, outside the folder of the scene and the current one; "
+                f"give {option} {path} to replace it"
+            )
+        notes.append(f"{key} of {scene.source} is outside its folder: {path}")
+    return notes
