@@ -7,6 +7,7 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -127,7 +128,8 @@ def test_the_hint_installs_from_where_the_package_came(
     origin: dict[str, Any] | None, hint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = None if origin is None else json.dumps(origin)
-    monkeypatch.setattr(metadata.PathDistribution, "read_text", lambda *_: text)
+    installed = SimpleNamespace(read_text={"direct_url.json": text}.get)
+    monkeypatch.setattr(metadata, "distribution", lambda _: installed)
     assert install_hint("plot") == hint
 
 
