@@ -19,9 +19,9 @@ from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.logs.statusword import ENABLED, state_text
 from canhaptic.signals import Sample
 
-RATED_TORQUE_COUNTS: Final[Mapping[str, float]] = {"rated_torque_micro": 1e-6}
+_RATED_TORQUE_COUNTS: Final[Mapping[str, float]] = {"rated_torque_micro": 1e-6}
 """Quirk -> newton metres (or newtons) per count of 0x6076 instead of 1e-3."""
-TORQUE_COUNTS: Final[Mapping[str, float]] = {"torque_per_cent": 1e-2, "torque_per_ten_thousand": 1e-4}
+_TORQUE_COUNTS: Final[Mapping[str, float]] = {"torque_per_cent": 1e-2, "torque_per_ten_thousand": 1e-4}
 """Quirk -> part of the rated torque per count of 0x6074 and 0x6077 instead of 1e-3."""
 _TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
 _DISAGREES: Final = 0.01
@@ -125,7 +125,7 @@ class ListenedAxis:
         drive = self._drive
         rated = drive.rated_torque
         if self._rated_counts:
-            stated = self._rated_counts * _of(RATED_TORQUE_COUNTS, drive.quirks) * drive.transmission
+            stated = self._rated_counts * _of(_RATED_TORQUE_COUNTS, drive.quirks) * drive.transmission
             if rated is not None and abs(rated - stated) > _DISAGREES * stated:
                 raise InputError(
                     f"{drive.name}: the frames state a rated torque (0x6076) of {stated:g} and the scene {rated:g}; "
@@ -137,7 +137,7 @@ class ListenedAxis:
                 f"{drive.name}: neither the frames nor the scene say the rated torque; record the bring-up too, or "
                 "set rated_torque of the axis"
             )
-        of_1000_counts = rated * round(1000.0 * _of(TORQUE_COUNTS, drive.quirks), 9)
+        of_1000_counts = rated * round(1000.0 * _of(_TORQUE_COUNTS, drive.quirks), 9)
         return drive.direction * of_1000_counts / 1000.0
 
 

@@ -95,14 +95,14 @@ def _factor(expression: str, unit: str, found: Mapping[str, float], result: Mapp
     except ValueError as error:
         raise InputError(f"check {expression!r}: {error}") from error
     for path in found:
-        kept = unit_of(path, result)
+        kept = _unit_of(path, result)
         if parse_unit(kept)[1] != dimension:
             expected = "no unit: it is a pure number" if kept == "1" else f"{kept}, or that with a prefix"
             raise InputError(f"check {expression!r}: got {unit} for {path}, expected {expected}")
     return factor
 
 
-def unit_of(path: str, result: Mapping[str, Any]) -> str:
+def _unit_of(path: str, result: Mapping[str, Any]) -> str:
     """Returns the unit in which a figure is kept, "1" for a pure number.
 
     Args:

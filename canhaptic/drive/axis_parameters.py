@@ -12,8 +12,8 @@ from canhaptic.units import Parameters, PrintableText, quantity
 _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x101, 0x57F  # free of NMT, SYNC, EMCY, SDO and heartbeat
 LARGEST_U16: Final = 0xFFFF
 
-NodeId = Annotated[int, quantity("1", ge=1, le=127)]
-PdoNumber = Annotated[int, quantity("1", ge=1, le=PDO_COUNT)]
+_NodeId = Annotated[int, quantity("1", ge=1, le=127)]
+_PdoNumber = Annotated[int, quantity("1", ge=1, le=PDO_COUNT)]
 
 
 def _number_of(key: object) -> object:
@@ -42,7 +42,7 @@ class BusParameters(Parameters):
     """SYNCs per second."""
     rpdo: Literal["synchronous", "event"] = "synchronous"
     """When a torque acts: at the SYNC after its RPDO (exact energy, one sample late), or when the RPDO arrives."""
-    master_id: NodeId = 126
+    master_id: _NodeId = 126
     """Node ID of the master's heartbeat."""
     heartbeat_period: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.02
     """Of the drives and of the master, which sends at the nearest SYNC."""
@@ -117,11 +117,11 @@ class BusParameters(Parameters):
 class AxisParameters(TorqueAxisParameters):
     """One servo drive and the axis behind it. Torques are those of the axis: N*m where it turns, N where it slides."""
 
-    node_id: NodeId
+    node_id: _NodeId
     """CANopen node ID of the drive; unique on its bus."""
-    rpdo_number: PdoNumber | None = None
+    rpdo_number: _PdoNumber | None = None
     """RPDO to use instead of the one chosen from the dictionary."""
-    tpdo_numbers: Annotated[tuple[PdoNumber, ...], Field(min_length=1, max_length=4)] | None = None
+    tpdo_numbers: Annotated[tuple[_PdoNumber, ...], Field(min_length=1, max_length=4)] | None = None
     """TPDOs to use instead of those chosen from the dictionary."""
     pdo_cob_ids: dict[_Index, int] = Field(default_factory=dict)
     """COB-ID by index of the communication object (0x1404: 0x205); for PDOs beyond the fourth."""

@@ -33,7 +33,7 @@ _RECORDS_KEPT: Final = 1000
 _tuple: Final = tuple.__new__  # makes a record at half the cost of calling its class
 
 
-class CycleRecord(NamedTuple):
+class _CycleRecord(NamedTuple):
     """One cycle as kept for a fault report."""
 
     samples: list[Sample]
@@ -84,7 +84,7 @@ class Rig:
     def _reset(self) -> None:
         self.sync_index = -1
         self.stop_reason = StopReason.NONE
-        self.records: deque[CycleRecord] = deque(maxlen=_RECORDS_KEPT)
+        self.records: deque[_CycleRecord] = deque(maxlen=_RECORDS_KEPT)
         self._is_running = False
         self._first_samples: list[Sample] | None = None
         self._samples: list[Sample] = []
@@ -189,7 +189,7 @@ class Rig:
         except BaseException:
             self._stopped(StopReason.EXCEPTION, "")
             raise
-        self.records.append(_tuple(CycleRecord, (self._samples, commands)))
+        self.records.append(_tuple(_CycleRecord, (self._samples, commands)))
         woken, heard = exchange.woken, exchange.heard
         parts = (woken - exchange.deadline, heard - woken, computed - heard, self.clock.now() - computed)
         timing = self.timing  # at free pace time stands still within a cycle, and it is the same again

@@ -58,7 +58,7 @@ class BusSink:
         if restart and self._path.exists():
             self._recover()
             return
-        for old in aside_files(self._path) if self._file_size else []:
+        for old in _aside_files(self._path) if self._file_size else []:
             old.unlink()
         self._begin()
 
@@ -101,7 +101,7 @@ class BusSink:
         os.close(self._descriptor)
         number = max(_numbered(self._path), default=0) + 1
         self._path.rename(self._path.with_name(f"{self._path.stem}.{number:05d}{self._path.suffix}"))
-        for old in aside_files(self._path)[: -(self._files - 1) or None]:
+        for old in _aside_files(self._path)[: -(self._files - 1) or None]:
             old.unlink()
         self._begin()
 
@@ -129,7 +129,7 @@ def format_frames(frames: bytes, channels: Sequence[str]) -> bytes:
     return "".join(lines).encode()
 
 
-def aside_files(path: Path) -> list[Path]:
+def _aside_files(path: Path) -> list[Path]:
     """Returns the files put aside before `path`, oldest first."""
     return [file for _, file in sorted(_numbered(path).items())]
 

@@ -11,7 +11,7 @@ from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, LogSchema, PortDescription
 from canhaptic.logs.hdf5 import Dataset, Hdf5File
 
-RUNNING: Final = "running"
+_RUNNING: Final = "running"
 """Status of a log whose writer has not closed it: a kill can come between two columns of one chunk."""
 
 FoundColumns = Mapping[str, Dataset]
@@ -24,7 +24,7 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
         path: The log, for messages.
         file: The same, open.
         ports: Names of its ports.
-        status: Of the log: while it is `RUNNING`, columns may differ by a chunk.
+        status: Of the log: while it is `_RUNNING`, columns may differ by a chunk.
 
     Raises:
         LogFormatError: A column is missing, of another type, or shorter than the others; names it, with the rows found
@@ -32,7 +32,7 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
     """
     rows, events = found_columns(path, file, ports)
     for columns in (rows, events):
-        _require_one_length(path, columns, status == RUNNING)
+        _require_one_length(path, columns, status == _RUNNING)
     return min(len(dataset) for dataset in rows.values())
 
 

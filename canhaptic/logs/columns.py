@@ -36,7 +36,7 @@ class PortDescription(NamedTuple):
     state_unit: Motion | None = None  # of the storage's displacement; None: the same
 
 
-class LogColumn(NamedTuple):
+class _LogColumn(NamedTuple):
     """One quantity of the log."""
 
     path: str  # of its dataset; empty when the ring carries it but the file does not
@@ -78,16 +78,16 @@ class LogSchema:
     synchronise: bool  # after each chunk the file is forced to the disk
     attributes: dict[str, Attribute]
 
-    def columns(self) -> list[LogColumn]:
+    def columns(self) -> list[_LogColumn]:
         """Returns the columns in the order in which the ring's record holds them."""
-        columns = [LogColumn("timing/dropped_before", "1", "u4"), LogColumn("timing/sync_index", "1", "i8")]
-        columns += [LogColumn(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
+        columns = [_LogColumn("timing/dropped_before", "1", "u4"), _LogColumn("timing/sync_index", "1", "i8")]
+        columns += [_LogColumn(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
         for port in self.ports:
             columns += _sample_columns(port) + _balance_columns(port)
         if self.with_truth:
             for port in self.ports:
-                columns.append(LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
-                columns += [LogColumn(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
+                columns.append(_LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
+                columns += [_LogColumn(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
         return columns
 
     def ring(self, capacity: int) -> RingShape:
@@ -111,17 +111,17 @@ class LogSchema:
         return LogSchema(**fields)
 
 
-def _sample_columns(port: PortDescription) -> list[LogColumn]:
+def _sample_columns(port: PortDescription) -> list[_LogColumn]:
     units = {"position": port.unit, "torque_applied": effort_unit(port.unit)}
     return [
-        LogColumn("", "1", "i8")  # the SYNC index is in /timing, once for all ports
+        _LogColumn("", "1", "i8")  # the SYNC index is in /timing, once for all ports
         if name == "sync_index"
-        else LogColumn(f"ports/{port.name}/{name}", units.get(name, "1"), _INTEGERS.get(name, "f8"))
+        else _LogColumn(f"ports/{port.name}/{name}", units.get(name, "1"), _INTEGERS.get(name, "f8"))
         for name in Sample._fields
     ]
 
 
-def _balance_columns(port: PortDescription) -> list[LogColumn]:
+def _balance_columns(port: PortDescription) -> list[_LogColumn]:
     units = {
         "torque": effort_unit(port.unit),
         "damping_rendered": damping_unit(port.unit),
@@ -130,7 +130,7 @@ def _balance_columns(port: PortDescription) -> list[LogColumn]:
         "certificate": "1",
     }
     return [
-        LogColumn(
+        _LogColumn(
             f"ports/{port.name}/{_BALANCE_NAMES.get(name, name)}", units.get(name, "J"), _INTEGERS.get(name, "f8")
         )
         for name in EnergyBalance._fields

@@ -11,7 +11,7 @@ _BLOCK: Final = 16 * _PACKED_CHUNK  # rows copied at a time
 _EVENTS: Final = "events/"
 
 
-def whole_lengths(file: Hdf5File) -> tuple[int, int]:
+def _whole_lengths(file: Hdf5File) -> tuple[int, int]:
     """Returns (rows, events): how many of each every column of a file has."""
     found: tuple[list[int], list[int]] = ([], [])
     for path, dataset in file.datasets():
@@ -21,7 +21,7 @@ def whole_lengths(file: Hdf5File) -> tuple[int, int]:
 
 def trim(file: Hdf5File) -> tuple[int, int]:
     """Cuts all columns of a file to whole rows and events, and returns how many (rows, events) are left."""
-    rows, events = whole_lengths(file)
+    rows, events = _whole_lengths(file)
     for path, dataset in file.datasets():
         length = events if path.startswith(_EVENTS) else rows
         if len(dataset) > length:
@@ -49,7 +49,7 @@ def repack(source: Path, target: Path, attributes: dict[str, Any], lengths: tupl
     with Hdf5File(source, "live") as old, Hdf5File(temporary, "x") as new:
         for name, value in {**old.attributes, **attributes}.items():
             new.set_attribute(name, value)
-        rows, events = whole_lengths(old) if lengths is None else lengths
+        rows, events = _whole_lengths(old) if lengths is None else lengths
         for path, dataset in old.datasets():
             _copy_column(dataset, new, path, events if path.startswith(_EVENTS) else rows)
     os.replace(temporary, target)

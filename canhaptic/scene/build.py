@@ -39,7 +39,7 @@ from canhaptic.sim.plant.plant import Plant
 if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 
-Pace = Literal["real", "free"]
+_Pace = Literal["real", "free"]
 
 
 class Experiment:
@@ -55,7 +55,7 @@ class Experiment:
         bus_log: Where every frame is written; None for nowhere.
     """
 
-    def __init__(self, scene: Scene, pace: Pace, energy_log: Path | None, bus_log: Path | None) -> None:
+    def __init__(self, scene: Scene, pace: _Pace, energy_log: Path | None, bus_log: Path | None) -> None:
         self.scene = scene
         self.pace = pace
         self._log_failure = ""
@@ -129,7 +129,7 @@ class Experiment:
 
 
 def build(
-    scene: Scene, pace: Pace | None = None, energy_log: str | Path | None = None, bus_log: str | Path | None = None
+    scene: Scene, pace: _Pace | None = None, energy_log: str | Path | None = None, bus_log: str | Path | None = None
 ) -> Experiment:
     """Returns the scene built and ready to run; nothing is sent yet.
 
@@ -149,7 +149,7 @@ def build(
             f"{scene.source}: pace 'free' needs drives simulated in this process (bus.interface: virtual and a "
             "`simulation`); real drives run at pace 'real'"
         )
-    chosen: Pace = pace or ("free" if scene.simulated else "real")
+    chosen: _Pace = pace or ("free" if scene.simulated else "real")
     return Experiment(_with_accuracy(scene), chosen, _path(energy_log, scene.log.energy), _path(bus_log, scene.log.bus))
 
 
@@ -230,7 +230,7 @@ def _build_faulty_bus(scene: Scene, index: int, bus: can.BusABC, stack: ExitStac
     return faulty_bus
 
 
-def _build_clock(scene: Scene, pace: Pace, groups: Sequence[DriveGroup], faulty: "Mapping[int, FaultyBus]") -> Clock:
+def _build_clock(scene: Scene, pace: _Pace, groups: Sequence[DriveGroup], faulty: "Mapping[int, FaultyBus]") -> Clock:
     """Returns the clock, which drives the simulated drives, and the faults between them and the master if any."""
     peers: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
     clock: Clock = VirtualClock(peers) if pace == "free" else WallClock(peers, scene.bus.spin_margin)

@@ -13,7 +13,7 @@ import yaml
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.units import Motion
 
-MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
+_MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
 _TAG: Final = "tag:yaml.org,2002:"
 _MERGE: Final = _TAG + "merge"
 _SCALARS: Final = (
@@ -171,9 +171,9 @@ class _Builder:
         mark = self._mark(node, path)
         if any(node is outer for outer in self._open):
             self._faults.add(mark, "an alias that contains itself")
-        elif self._nodes == MAX_NODES:
-            self._faults.add(mark, f"more than {MAX_NODES} values after resolving aliases")
-        elif self._nodes > MAX_NODES:
+        elif self._nodes == _MAX_NODES:
+            self._faults.add(mark, f"more than {_MAX_NODES} values after resolving aliases")
+        elif self._nodes > _MAX_NODES:
             pass
         elif isinstance(node, yaml.ScalarNode):
             return self._scalar(node, mark)

@@ -8,7 +8,7 @@ from canhaptic.package_data import shipped
 from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedMapping
 
-SHIPPED: Final = shipped("eds")
+_SHIPPED: Final = shipped("eds")
 
 
 def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
@@ -21,7 +21,7 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
     if not isinstance(text, str):
         return section  # missing or of another type: noted by the model
     at = section.value_at("eds")
-    folders = (at.folder, SHIPPED)
+    folders = (at.folder, _SHIPPED)
     for folder in folders:
         if _is_file(folder / text):
             found = section.copy()

@@ -32,6 +32,6 @@ def _attributes(docstring: str) -> dict[str, str]:
     return {name.strip(): " ".join(text.split()) for name, text in pairs}
 
 
-def first_sentence(model: type[Parameters]) -> str:
+def _first_sentence(model: type[Parameters]) -> str:
     """Returns the first paragraph of what a model says of itself, on one line."""
     return " ".join((inspect.getdoc(model) or "").split("\n\n")[0].split())

@@ -66,7 +66,7 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     return scene
 
 
-def axis_names(written: MarkedMapping) -> list[str]:
+def _axis_names(written: MarkedMapping) -> list[str]:
     """Returns the names of all axes as written, right or wrong otherwise."""
     return [str(entry.get("name")) for entry in _entries(written.get("axes"))]
 
@@ -95,7 +95,7 @@ def _put_accuracy(scene: MarkedMapping, faults: Diagnostics) -> None:
 # --- buses --------------------------------------------------------------------------------------------------------
 
 
-def bus_names(written: MarkedMapping) -> tuple[str, ...]:
+def _bus_names(written: MarkedMapping) -> tuple[str, ...]:
     """Returns the names of the buses as written; an empty one for the only bus without a name."""
     value = written.get("bus")
     return tuple(str(bus.get("name")) for bus in _entries(value)) if isinstance(value, MarkedList) else ("",)
@@ -124,7 +124,7 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
         if "name" not in head:
             faults.add(head.value_at("name"), "missing; add it")
         scene.put("bus_name", head.get("name"), head.keys_at.get("name", head.mark), head.value_at("name"))
-    names = bus_names(written)
+    names = _bus_names(written)
     for index, entry in enumerate(entries):
         if entry is not None and len(entries) == len(names) and names[index] in names[:index]:
             faults.add(entry.value_at("name"), f"got {names[index]!r}, which is the name of another bus already")
@@ -165,7 +165,7 @@ def _axes(
     mechanisms: Sequence[Members],
     faults: Diagnostics,
 ) -> list[Any]:
-    at, buses = written.value_at("axes"), bus_names(written)
+    at, buses = written.value_at("axes"), _bus_names(written)
     entries = read_list(written.get("axes"), at, faults, "axes, each with name, node_id, eds, ...")
     if entries is not None and not entries:
         faults.add(at, "got an empty list, expected at least one axis")
@@ -183,7 +183,7 @@ def _axes(
             _put_far_side(axis, name, simulation, any(name in moved.axes for moved in mechanisms), faults)
         axes.append(axis)
     _check_names(written, simulation, groups, faults)
-    check_group_axes(groups, mechanisms, axis_names(written), faults)
+    check_group_axes(groups, mechanisms, _axis_names(written), faults)
     return axes
 
 
@@ -303,7 +303,7 @@ def _check_names(
     written: MarkedMapping, simulation: MarkedMapping | None, groups: Sequence[Members], faults: Diagnostics
 ) -> None:
     """Notes names of axes that are none, and shared sections that no axis reads because groups render on all."""
-    names = axis_names(written)
+    names = _axis_names(written)
     if groups and names and all(any(name in group.axes for group in groups) for name in names):
         for key in OWN_SECTIONS:
             if written.get(key) is not None:

@@ -15,7 +15,7 @@ from canhaptic.drive.survey import Survey, stated_value
 _EVENT_TIMER: Final = 5  # subindex: of an RPDO its deadline [ms]
 _DEVICE_TYPE: Final = 0x0002_0000 | od.CIA402_PROFILE  # servo drive
 
-Place = tuple[int, int]
+_Place = tuple[int, int]
 
 
 def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
@@ -32,13 +32,13 @@ def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
     }  # an object that is not listed, the drive does not have
 
 
-def _key(place: Place) -> str:
+def _key(place: _Place) -> str:
     return f"{place[0]:#06x}" + (f".{place[1]}" if place[1] else "")
 
 
-def _absent(found: Survey) -> dict[Place, int]:
+def _absent(found: Survey) -> dict[_Place, int]:
     """Returns values for objects that have none."""
-    needed: dict[Place, int] = {(od.DEVICE_TYPE, 0): _DEVICE_TYPE}
+    needed: dict[_Place, int] = {(od.DEVICE_TYPE, 0): _DEVICE_TYPE}
     if found.vendor_id is not None:
         needed[od.IDENTITY, 1] = found.vendor_id
     needed |= _cob_ids(found.dictionary)
@@ -48,9 +48,9 @@ def _absent(found: Survey) -> dict[Place, int]:
     return missing
 
 
-def _cob_ids(dictionary: ObjectDictionary) -> dict[Place, int]:
+def _cob_ids(dictionary: ObjectDictionary) -> dict[_Place, int]:
     """Returns the COB-ID of every PDO as delivered: that of the predefined connection set, or disabled."""
-    found: dict[Place, int] = {}
+    found: dict[_Place, int] = {}
     for first, bases in ((od.RPDO_COMMUNICATION, od.RPDO_BASE), (od.TPDO_COMMUNICATION, od.TPDO_BASE)):
         for index in _indices(dictionary, first):
             number = index - first
@@ -62,9 +62,9 @@ def _indices(dictionary: ObjectDictionary, first: int) -> Iterator[int]:
     return (index for index in dictionary if first <= index < first + od.PDO_COUNT)
 
 
-def _misleading(dictionary: ObjectDictionary, sample_time: float) -> dict[Place, int]:
+def _misleading(dictionary: ObjectDictionary, sample_time: float) -> dict[_Place, int]:
     """Returns values in place of those that are stated and belong to another rig."""
     period = round(sample_time * 1e6)
-    wanted: dict[Place, int] = {(od.SYNC_COB_ID, 0): od.SYNC_FRAME_COB_ID, (od.COMMUNICATION_CYCLE_PERIOD, 0): period}
+    wanted: dict[_Place, int] = {(od.SYNC_COB_ID, 0): od.SYNC_FRAME_COB_ID, (od.COMMUNICATION_CYCLE_PERIOD, 0): period}
     wanted |= {(index, _EVENT_TIMER): 0 for index in _indices(dictionary, od.RPDO_COMMUNICATION)}
     return {place: value for place, value in wanted.items() if stated_value(dictionary, *place) not in (None, 0, value)}

@@ -16,33 +16,35 @@ from canhaptic.scene.document import MarkedMapping, parse_yaml
 from canhaptic.scene.explain import read_mapping, refuse_unknown_keys
 from canhaptic.units import shown
 
-PROFILES: Final = shipped("configs") / "drives"
-PROFILE_KEY: Final = "drive"
+_PROFILES: Final = shipped("configs") / "drives"
+_PROFILE_KEY: Final = "drive"
 """Of an axis: its drive profile."""
 _OF_THE_RIG: Final = frozenset(
     ("name", "node_id", "eds", "unit", "counts_per_unit", "direction", "transmission", "rated_torque", "torque_limit")
 )
-PROFILE_KEYS: Final = tuple(sorted(AxisParameters.model_fields.keys() - _OF_THE_RIG))
+_PROFILE_KEYS: Final = tuple(sorted(AxisParameters.model_fields.keys() - _OF_THE_RIG))
 """Keys that a profile may have."""
 
 
-def profile_names() -> list[str]:
+def _profile_names() -> list[str]:
     """Returns the names of all profiles that come with the package."""
-    return sorted(path.stem for path in PROFILES.glob("*.yaml"))
+    return sorted(path.stem for path in _PROFILES.glob("*.yaml"))
 
 
 def with_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Returns an axis's section with its profile laid under it, and without the key that names the profile."""
-    name, at = section.get(PROFILE_KEY), section.value_at(PROFILE_KEY)
-    own = section.without(PROFILE_KEY)
+    name, at = section.get(_PROFILE_KEY), section.value_at(_PROFILE_KEY)
+    own = section.without(_PROFILE_KEY)
     if name is None:
         return own
     if not isinstance(name, str):
-        faults.add(at, f"got {shown(name)}, expected the name of a drive profile, one of: {', '.join(profile_names())}")
+        faults.add(
+            at, f"got {shown(name)}, expected the name of a drive profile, one of: {', '.join(_profile_names())}"
+        )
         return own
     path = _path(name, at)
     if path is None:
-        names = ", ".join(profile_names())
+        names = ", ".join(_profile_names())
         faults.add(at, f"got {name!r}, expected one of: {names}; or the path of a profile of your own (.yaml)")
         return own
     return own.over(_read(path, faults))
@@ -55,9 +57,9 @@ def profile_values(name: str) -> dict[str, Any]:
         SceneError: There is none of this name, or it cannot be read.
     """
     faults = Diagnostics()
-    if name not in profile_names():
-        raise SceneError([f"{name}: no such drive profile, expected one of: {', '.join(profile_names())}"])
-    profile = _read(PROFILES / f"{name}.yaml", faults)
+    if name not in _profile_names():
+        raise SceneError([f"{name}: no such drive profile, expected one of: {', '.join(_profile_names())}"])
+    profile = _read(_PROFILES / f"{name}.yaml", faults)
     faults.raise_if_any()
     return dict(profile)
 
@@ -66,12 +68,12 @@ def profile_of_vendor(vendor_id: int | None) -> str | None:
     """Returns the profile whose vendor ID (0x1018:01) this is; None when there is none."""
     if not vendor_id:
         return None
-    return next((name for name in profile_names() if profile_values(name).get("vendor_id") == vendor_id), None)
+    return next((name for name in _profile_names() if profile_values(name).get("vendor_id") == vendor_id), None)
 
 
 def _path(name: str, at: SourceLocation) -> Path | None:
     if not name.endswith((".yaml", ".yml")):
-        return PROFILES / f"{name}.yaml" if name in profile_names() else None
+        return _PROFILES / f"{name}.yaml" if name in _profile_names() else None
     path = at.folder / name
     return path if path.is_file() else None
 
@@ -89,5 +91,5 @@ def _read(path: Path, faults: Diagnostics) -> MarkedMapping:
     profile = MarkedMapping(top) if value is None else read_mapping(value, top, faults, "keys of an axis")
     if profile is None:
         return MarkedMapping(top)
-    refuse_unknown_keys(profile, PROFILE_KEYS, faults)
-    return profile.only(PROFILE_KEYS)
+    refuse_unknown_keys(profile, _PROFILE_KEYS, faults)
+    return profile.only(_PROFILE_KEYS)

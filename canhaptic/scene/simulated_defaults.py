@@ -12,7 +12,7 @@ from canhaptic.scene.document import MarkedMapping
 _MILLI: Final = 1e-3
 _LARGEST_RATIO: Final = 1e9  # anything larger is a fault of the axis, noted there
 
-TWINS: Final[Mapping[str, Mapping[str, Any]]] = {
+_TWINS: Final[Mapping[str, Mapping[str, Any]]] = {
     "rated_torque_micro": {"rated_torque_resolution": 1e-6},
     "rated_torque_absent": {"absent": ["0x6076"]},
     "rated_torque_written": {"rated_torque_stated": False},
@@ -31,7 +31,7 @@ TWINS: Final[Mapping[str, Mapping[str, Any]]] = {
 """Quirk -> keys of `simulation.drive`."""
 
 
-def twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
+def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the keys of the simulated drive that follow from an axis, as far as that is right.
 
     Args:
@@ -40,7 +40,7 @@ def twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
     twin: dict[str, Any] = {}
     names = axis.get("quirks")
     for name in names if isinstance(names, list | tuple) else ():
-        for key, value in TWINS.get(str(name), {}).items():
+        for key, value in _TWINS.get(str(name), {}).items():
             twin[key] = _joined(twin.get(key), value)
     if axis.get("demand_reported") == "after":
         twin["torque_read_back"] = "after_update"
@@ -54,7 +54,7 @@ def twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
 
 def mirror_quirks(drive: MarkedMapping, axis: MarkedMapping) -> None:
     """Adds to the section of a simulated drive what follows from its axis; its own keys win."""
-    for key, value in twin_of(axis).items():
+    for key, value in _twin_of(axis).items():
         if key not in drive:
             at = axis.value_at("quirks")
             drive.put(key, value, at, at)

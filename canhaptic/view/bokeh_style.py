@@ -61,7 +61,7 @@ def new_panel(title: str, unit: str, time: Any, height: int) -> Any:
         name=title,
     )
     panel.yaxis.axis_label = title
-    panel.yaxis.formatter = si_ticks(unit)
+    panel.yaxis.formatter = _si_ticks(unit)
     _plain(panel)
     return panel
 
@@ -77,7 +77,7 @@ def new_plane(title: str, unit: str, height: int) -> Any:
         min_border_left=90,
         name=title,
     )
-    panel.xaxis.formatter = panel.yaxis.formatter = si_ticks(unit)
+    panel.xaxis.formatter = panel.yaxis.formatter = _si_ticks(unit)
     panel.yaxis.axis_label = title
     _plain(panel)
     return panel
@@ -88,12 +88,12 @@ def _plain(panel: Any) -> None:
     panel.grid.grid_line_color = "#E6E6E6"
 
 
-def si_ticks(unit: str) -> Any:
+def _si_ticks(unit: str) -> Any:
     """Returns what writes the ticks of an axis with one SI prefix, chosen by the largest of them."""
     return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
 
 
-def si_hover(unit: str) -> Any:
+def _si_hover(unit: str) -> Any:
     """Returns what writes a value under the pointer with five digits and its SI prefix."""
     return CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
 
@@ -111,7 +111,7 @@ def add_hover(panel: Any, main: str, values: Mapping[str, tuple[str, str]], mode
     tooltips = [("time", "@time{0.0000} s")] + [
         (label, f"@{{{name}}}{{custom}}") for label, (name, _) in values.items()
     ]
-    formatters = {f"@{{{name}}}": si_hover(unit) for name, unit in values.values()}
+    formatters = {f"@{{{name}}}": _si_hover(unit) for name, unit in values.values()}
     tool = HoverTool(renderers=renderers, mode=mode, tooltips=tooltips, formatters=formatters, line_policy="nearest")
     panel.add_tools(tool)
 

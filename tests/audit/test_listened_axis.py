@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.audit.listened_axis import RATED_TORQUE_COUNTS, TORQUE_COUNTS, DeclaredDrive, ListenedAxis
+from canhaptic.audit.listened_axis import _RATED_TORQUE_COUNTS, _TORQUE_COUNTS, DeclaredDrive, ListenedAxis
 from canhaptic.canopen import objects as od
 from canhaptic.drive.profile.power_states import drive_state
-from canhaptic.drive.profile.quirks import QUIRKS, quirks_of
+from canhaptic.drive.profile.quirks import _QUIRKS, quirks_of
 from canhaptic.drive.profile.scaling import AxisScaling
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame
@@ -55,9 +55,9 @@ def test_every_statusword_means_the_same_to_the_log_and_to_the_master(high: int)
 
 
 def test_every_quirk_that_scales_is_known_to_the_audit() -> None:
-    scaled = {"rated_torque_resolution": RATED_TORQUE_COUNTS, "torque_resolution": TORQUE_COUNTS}
+    scaled = {"rated_torque_resolution": _RATED_TORQUE_COUNTS, "torque_resolution": _TORQUE_COUNTS}
     for field, table in scaled.items():
-        assert dict(table) == {name: changes[field] for name, changes in QUIRKS.items() if field in changes}
+        assert dict(table) == {name: changes[field] for name, changes in _QUIRKS.items() if field in changes}
 
 
 @given(
@@ -66,7 +66,7 @@ def test_every_quirk_that_scales_is_known_to_the_audit() -> None:
     st.floats(1e-2, 1e7),
     st.floats(1e-3, 1e4),
     st.sampled_from([1, -1]),
-    st.sampled_from(["", *TORQUE_COUNTS]),
+    st.sampled_from(["", *_TORQUE_COUNTS]),
 )
 def test_both_scalings_give_the_same_bits(
     counts: list[int], per_mille: int, counts_per_unit: float, rated: float, direction: int, quirk: str

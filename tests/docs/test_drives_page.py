@@ -2,8 +2,8 @@
 
 import re
 
-from canhaptic.drive.profile.quirks import QUIRKS
-from canhaptic.scene.profiles import profile_names
+from canhaptic.drive.profile.quirks import _QUIRKS
+from canhaptic.scene.profiles import _profile_names
 from tests.docs.documents import ROOT
 
 PAGE = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")
@@ -17,8 +17,8 @@ def names_below(heading: str) -> set[str]:
 
 
 def test_every_profile_is_listed() -> None:
-    assert names_below("Profiles") == set(profile_names())
+    assert names_below("Profiles") == set(_profile_names())
 
 
 def test_every_quirk_is_listed() -> None:
-    assert names_below("Quirks") == set(QUIRKS)
+    assert names_below("Quirks") == set(_QUIRKS)

@@ -3,7 +3,7 @@
 import pytest
 
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can.bus_budget import bus_budget, require_budget, worst_case_bits
+from canhaptic.drive.can.bus_budget import _worst_case_bits, bus_budget, require_budget
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.errors import BusBudgetError
 from tests.drive.drive_bench import OUR_EDS, axis, dictionary
@@ -26,7 +26,7 @@ def stuffed_length(bits: str) -> int:
 
 @pytest.mark.parametrize(("length", "bits"), [(0, 55), (1, 65), (2, 75), (4, 95), (6, 115), (8, 135)])
 def test_worst_case_bits_are_those_of_the_literature(length: int, bits: int) -> None:
-    assert worst_case_bits(length) == bits
+    assert _worst_case_bits(length) == bits
 
 
 @pytest.mark.parametrize("length", range(9))
@@ -34,7 +34,7 @@ def test_the_worst_bit_pattern_takes_exactly_the_worst_case(length: int) -> None
     """11111 0000 1111 0000 ... is the pattern that needs most stuff bits; 13 bits are never stuffed."""
     stuffable = 34 + 8 * length
     pattern = "11111" + "".join("0000" if k % 2 == 0 else "1111" for k in range(stuffable))
-    assert stuffed_length(pattern[:stuffable]) + 13 == worst_case_bits(length)
+    assert stuffed_length(pattern[:stuffable]) + 13 == _worst_case_bits(length)
 
 
 @pytest.mark.parametrize(("axes", "periodic"), [(1, 285), (2, 515), (3, 745), (4, 975)])

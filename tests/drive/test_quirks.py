@@ -11,9 +11,9 @@ import pytest
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Verdict
-from canhaptic.drive.profile.quirks import QUIRKS
+from canhaptic.drive.profile.quirks import _QUIRKS
 from canhaptic.errors import CommandLostError, DictionaryError, StartError
-from canhaptic.scene.simulated_defaults import TWINS, twin_of
+from canhaptic.scene.simulated_defaults import _TWINS, _twin_of
 from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, REPOSITORY, Bench, axis, dictionary
 
 Make = Callable[..., Bench]
@@ -39,7 +39,7 @@ ALONE: dict[str, str] = {
 
 def benched(bench: Make, twin: str, quirks: tuple[str, ...], **values: Any) -> Bench:
     bus = {"rpdo": "event"} if twin == "manufacturer_event" else {}
-    return bench([axis(quirks=quirks, **values)], bus, drive_values=twin_of({"quirks": [twin]}))
+    return bench([axis(quirks=quirks, **values)], bus, drive_values=_twin_of({"quirks": [twin]}))
 
 
 def pushed(made: Bench) -> float:
@@ -50,10 +50,10 @@ def pushed(made: Bench) -> float:
 
 
 def test_every_quirk_has_a_twin_and_a_test() -> None:
-    assert set(QUIRKS) == set(TWINS) == set(ALONE)
+    assert set(_QUIRKS) == set(_TWINS) == set(ALONE)
 
 
-@pytest.mark.parametrize("name", sorted(QUIRKS))
+@pytest.mark.parametrize("name", sorted(_QUIRKS))
 def test_a_drive_with_a_quirk_comes_up_and_gives_the_torque_that_was_asked_for(bench: Make, name: str) -> None:
     assert pushed(benched(bench, name, (name,))) == pytest.approx(1.0, rel=1e-9)
 
@@ -74,7 +74,7 @@ def test_all_quirks_that_go_together_come_up_together(bench: Make) -> None:
         *("rated_torque_micro", "rated_torque_written", "max_torque_absent", "demand_absent", "slow_enable"),
         *("late_following", "abort_quick_stop", "no_interpolation_period", "sdo_size_not_indicated"),
     )
-    made = bench([axis(quirks=names)], drive_values=twin_of({"quirks": list(names)}))
+    made = bench([axis(quirks=names)], drive_values=_twin_of({"quirks": list(names)}))
     assert pushed(made) == pytest.approx(1.0, rel=1e-9)
 
 
@@ -229,4 +229,4 @@ def test_the_rated_torque_of_the_bench_is_what_the_literal_bytes_above_assume() 
 
 def test_every_quirk_is_described() -> None:
     described = (REPOSITORY / "docs" / "drives.md").read_text(encoding="utf-8")
-    assert [name for name in QUIRKS if f"`{name}`" not in described] == []
+    assert [name for name in _QUIRKS if f"`{name}`" not in described] == []

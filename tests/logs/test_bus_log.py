@@ -8,7 +8,7 @@ import pytest
 from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import read_bus_log
-from canhaptic.logs.bus_sink import FRAME_RING, BusSink, aside_files
+from canhaptic.logs.bus_sink import FRAME_RING, BusSink, _aside_files
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import SharedArea, allocate, size_of
 
@@ -62,7 +62,7 @@ def test_a_series_of_files_never_exceeds_its_number_and_size_and_keeps_the_newes
     for k in range(100_000):
         log(k * 1000, 0x181, k.to_bytes(8, "little"), True)
     log.close()
-    files = [*aside_files(path), path]
+    files = [*_aside_files(path), path]
     assert len(files) == 3
     assert len(list(tmp_path.iterdir())) == 3
     lines = b"".join(file.read_bytes() for file in files).splitlines()
@@ -244,7 +244,7 @@ def test_a_writer_killed_in_a_later_file_of_a_series_doubles_no_line(tmp_path: P
     second.open(restart=True)
     second.drain([10], final=True)
     second.finish("complete")
-    lines = b"".join(file.read_bytes() for file in [*aside_files(path), path]).splitlines()
+    lines = b"".join(file.read_bytes() for file in [*_aside_files(path), path]).splitlines()
     assert lines == [f"(0000000000.{k:06d}) can0 181#{k:02X} R".encode() for k in range(10)]
     area.close()
     os.close(descriptor)

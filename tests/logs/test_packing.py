@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.logs import packing
 from canhaptic.logs.hdf5 import Hdf5File
-from canhaptic.logs.packing import repack, trim, whole_lengths
+from canhaptic.logs.packing import _whole_lengths, repack, trim
 
 LENGTHS = {"timing/sync_index": 9, "ports/handle/h_i": 7, "events/sync_index": 3, "events/text": 2}
 
@@ -32,7 +32,7 @@ def columns_of(path: Path) -> dict[str, list[int]]:
 
 def test_rows_and_events_are_whole_where_every_column_of_theirs_has_them(torn: Path) -> None:
     with Hdf5File(torn, "live") as file:
-        assert whole_lengths(file) == (7, 2)
+        assert _whole_lengths(file) == (7, 2)
 
 
 def test_what_is_longer_is_cut(torn: Path, tmp_path: Path) -> None:

@@ -8,12 +8,12 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
-from canhaptic.drive.profile.quirks import QUIRKS
+from canhaptic.drive.profile.quirks import _QUIRKS
 from canhaptic.errors import SceneError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.scene.profiles import PROFILES, profile_names, profile_of_vendor, profile_values
+from canhaptic.scene.profiles import _PROFILES, _profile_names, profile_of_vendor, profile_values
 from tests.scene.scene_text import REPOSITORY, faults, scene_file
 
 DEMO = REPOSITORY / "configs" / "demo.yaml"
@@ -33,19 +33,19 @@ def with_drive(folder: Path, drive: str, *lines: str) -> Scene:
 
 def test_there_is_a_profile_for_every_drive_of_the_list() -> None:
     names = "copley elmo_gold epos4 generic ingenia_everest kollmorgen_rgm nanotec_cl4e zeroerr_erob"
-    assert profile_names() == names.split()
+    assert _profile_names() == names.split()
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", _profile_names())
 def test_every_profile_states_what_is_verified_and_what_is_not(name: str) -> None:
-    text = (PROFILES / f"{name}.yaml").read_text(encoding="utf-8")
+    text = (_PROFILES / f"{name}.yaml").read_text(encoding="utf-8")
     comments = [line for line in text.splitlines() if line.startswith("#")]
     for words in ("# verified against a dictionary", "# verified against a manual", "# not verified:"):
         assert sum(line.startswith(words) for line in comments) == 1, words
-    assert set(profile_values(name)["quirks"]) <= set(QUIRKS)
+    assert set(profile_values(name)["quirks"]) <= set(_QUIRKS)
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", _profile_names())
 def test_every_profile_runs_whole_with_its_twin_on_our_dictionary(name: str) -> None:
     """The twin shows the vendor ID of the profile, as the real drive does; ours has none."""
     vendor_id = profile_values(name).get("vendor_id", 0)

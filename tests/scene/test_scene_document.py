@@ -6,7 +6,7 @@ import pytest
 
 from canhaptic.errors import SceneError
 from canhaptic.scene.diagnostics import Diagnostics
-from canhaptic.scene.document import MAX_NODES, MarkedMapping, parse_yaml
+from canhaptic.scene.document import _MAX_NODES, MarkedMapping, parse_yaml
 
 
 def read(text: str) -> object:
@@ -121,4 +121,4 @@ def test_what_is_not_plain_data_is_one_clear_fault(text: str, message: str) -> N
 def test_an_alias_bomb_is_refused_quickly() -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)]
-    assert f"more than {MAX_NODES} values" in fault_of("\n".join(lines))
+    assert f"more than {_MAX_NODES} values" in fault_of("\n".join(lines))

@@ -19,12 +19,12 @@ _BIT_RATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
 _ROUND_RATES: Final = tuple(m * 10**e for e in range(5) for m in (1, 1.25, 2, 2.5, 4, 5, 8))
 
 
-def worst_case_bits(length: int) -> int:
+def _worst_case_bits(length: int) -> int:
     """Returns the most bits that a frame of `length` data bytes can take on the wire, interframe space included."""
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
 
-class BudgetRow(NamedTuple):
+class _BudgetRow(NamedTuple):
     """One line of the arithmetic."""
 
     what: str
@@ -41,7 +41,7 @@ class BudgetRow(NamedTuple):
 class BusBudget:
     """The arithmetic of one cycle."""
 
-    rows: tuple[BudgetRow, ...]
+    rows: tuple[_BudgetRow, ...]
     bitrate: int  # [bit/s]
     compute_latency: float  # of the host [s]
     sample_time: float  # [s]
@@ -75,15 +75,15 @@ class BusBudget:
 
 def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """Returns the worst cycle of a bus that carries these axes."""
-    rows = [BudgetRow("SYNC", 1, worst_case_bits(0))]
+    rows = [_BudgetRow("SYNC", 1, _worst_case_bits(0))]
     for what, lengths in (
         ("TPDO", [tpdo.length for axis in maps for tpdo in axis.tpdos]),
         ("RPDO", [axis.rpdo.length for axis in maps]),
     ):
-        rows += [BudgetRow(what, lengths.count(n), worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]
-    rows.append(BudgetRow("blocking frame", 1, worst_case_bits(_LONGEST_DATA)))
-    rows.append(BudgetRow("heartbeat", len(maps) + 1, worst_case_bits(_HEARTBEAT_LENGTH)))
-    rows.append(BudgetRow("EMCY", bus.emcy_reserve, worst_case_bits(_LONGEST_DATA)))
+        rows += [_BudgetRow(what, lengths.count(n), _worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]
+    rows.append(_BudgetRow("blocking frame", 1, _worst_case_bits(_LONGEST_DATA)))
+    rows.append(_BudgetRow("heartbeat", len(maps) + 1, _worst_case_bits(_HEARTBEAT_LENGTH)))
+    rows.append(_BudgetRow("EMCY", bus.emcy_reserve, _worst_case_bits(_LONGEST_DATA)))
     return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)
 
 
@@ -98,7 +98,7 @@ def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
     The request takes the place of one EMCY, which would end the run, or needs room of its own. The answer has a lower
     priority than every PDO: it is the blocking frame that each cycle reserves.
     """
-    request = 0 if bus.emcy_reserve else worst_case_bits(_LONGEST_DATA)
+    request = 0 if bus.emcy_reserve else _worst_case_bits(_LONGEST_DATA)
     return budget.worst_cycle + request / budget.bitrate <= budget.sample_time * (1.0 + 1e-12)
 
 
@@ -141,5 +141,5 @@ def _without_read_back(budget: BusBudget, maps: Sequence[AxisMap]) -> float | No
     for axis in maps:
         if axis.read_back != "none" and len(axis.tpdos) == 1 and axis.tpdos[0].is_written:
             length = axis.tpdos[0].length
-            saved += worst_case_bits(length) - worst_case_bits(length - TORQUE_DEMAND.bits // 8)
+            saved += _worst_case_bits(length) - _worst_case_bits(length - TORQUE_DEMAND.bits // 8)
     return budget.worst_cycle - saved / budget.bitrate if saved else None

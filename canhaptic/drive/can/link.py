@@ -11,7 +11,7 @@ import can
 from canhaptic.drive.clock import Clock
 from canhaptic.errors import LinkError
 
-Handler = Callable[[bytearray], None]
+_Handler = Callable[[bytearray], None]
 Recorder = Callable[[int, int, bytes | bytearray, bool], None]
 """Called as recorder(timestamp [ns], COB-ID, data, is_rx) for every frame."""
 
@@ -19,7 +19,7 @@ _LARGEST_STANDARD_ID: Final = 0x7FF
 _MOST_FRAMES_AT_ONCE: Final = 10_000  # a bus that delivers this many frames at one instant is broken
 
 
-class LinkStatistics:
+class _LinkStatistics:
     """Counts of a link since it was made. Frames counted as anything but `received` never enter a ledger."""
 
     __slots__ = ("duplicate", "echoed", "error_frames", "foreign", "late", "received", "send_failures", "sent", "short")
@@ -58,11 +58,11 @@ class Link:
         self, bus: can.BusABC, clock: Clock, recorder: Recorder | None = None, *, echoes: bool = False
     ) -> None:
         self.clock = clock
-        self.statistics = LinkStatistics()
+        self.statistics = _LinkStatistics()
         self._bus = bus
         self._recorder = recorder
         self._echoes = echoes
-        self._handlers: dict[int, Handler] = {}
+        self._handlers: dict[int, _Handler] = {}
         self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
         self._not_returned: dict[int, int] = {}  # by COB-ID: frames sent that the interface has not given back
         self._own: Mapping[int, str] = {}
@@ -73,7 +73,7 @@ class Link:
         self._own = names
         self.intruder = ""
 
-    def subscribe(self, can_id: int, handler: Handler) -> None:
+    def subscribe(self, can_id: int, handler: _Handler) -> None:
         """Calls `handler(data)` for each frame of this COB-ID from now on, in place of the one before."""
         self._handlers[can_id] = handler
 

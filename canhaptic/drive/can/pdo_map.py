@@ -23,17 +23,17 @@ from canhaptic.errors import DictionaryError
 
 _MOST_TPDOS: Final = 3  # statusword, position and torque each in a TPDO of its own
 
-CONTROLWORD: Final = MappedObject(od.CONTROLWORD, 0, 16)
-TARGET_TORQUE: Final = MappedObject(od.TARGET_TORQUE, 0, 16, signed=True)
-STATUSWORD: Final = MappedObject(od.STATUSWORD, 0, 16)
-POSITION: Final = MappedObject(od.POSITION_ACTUAL, 0, 32, signed=True)
+_CONTROLWORD: Final = MappedObject(od.CONTROLWORD, 0, 16)
+_TARGET_TORQUE: Final = MappedObject(od.TARGET_TORQUE, 0, 16, signed=True)
+_STATUSWORD: Final = MappedObject(od.STATUSWORD, 0, 16)
+_POSITION: Final = MappedObject(od.POSITION_ACTUAL, 0, 32, signed=True)
 TORQUE_DEMAND: Final = MappedObject(od.TORQUE_DEMAND, 0, 16, signed=True)
-TORQUE_ACTUAL: Final = MappedObject(od.TORQUE_ACTUAL, 0, 16, signed=True)
-_SIGNED: Final = frozenset(o.index for o in (TARGET_TORQUE, POSITION, TORQUE_DEMAND, TORQUE_ACTUAL))
+_TORQUE_ACTUAL: Final = MappedObject(od.TORQUE_ACTUAL, 0, 16, signed=True)
+_SIGNED: Final = frozenset(o.index for o in (_TARGET_TORQUE, _POSITION, TORQUE_DEMAND, _TORQUE_ACTUAL))
 _WANTED: Final = frozenset(
-    o.entry for o in (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION, TORQUE_DEMAND, TORQUE_ACTUAL)
+    o.entry for o in (_CONTROLWORD, _TARGET_TORQUE, _STATUSWORD, _POSITION, TORQUE_DEMAND, _TORQUE_ACTUAL)
 )
-_RPDO_OBJECTS: Final = (CONTROLWORD, TARGET_TORQUE)
+_RPDO_OBJECTS: Final = (_CONTROLWORD, _TARGET_TORQUE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +93,13 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
     Raises:
         DictionaryError: No map carries what cyclic torque needs; names what is missing.
     """
-    for needed in (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION):
+    for needed in (_CONTROLWORD, _TARGET_TORQUE, _STATUSWORD, _POSITION):
         if dictionary.get_variable(needed.index, needed.subindex) is None:
             raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; cyclic torque cannot do without")
         if (text := objection(dictionary, ObjectUse(needed.index, 0, needed.data_type))) is not None:
             raise DictionaryError(f"{axis.name}: {axis.eds}: {needed} is {text}; correct the dictionary")
     read_back, torque = _read_back(dictionary, axis)
-    wanted = [STATUSWORD, POSITION] + ([torque] if torque else [])
+    wanted = [_STATUSWORD, _POSITION] + ([torque] if torque else [])
     rpdo = _choose_rpdo(dictionary, axis)
     tpdos = _choose_tpdos(dictionary, axis, wanted)
     plans, taken = [], set(axis.pdo_cob_ids.values())
@@ -129,11 +129,11 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
     asked, has_demand = axis.read_back, quirks_of(axis.quirks).maps_demand
     if asked in ("auto", "demand") and has_demand and _is_mappable(dictionary, TORQUE_DEMAND):
         return "demand", TORQUE_DEMAND
-    if asked in ("auto", "actual") and _is_mappable(dictionary, TORQUE_ACTUAL):
-        return "actual", TORQUE_ACTUAL
+    if asked in ("auto", "actual") and _is_mappable(dictionary, _TORQUE_ACTUAL):
+        return "actual", _TORQUE_ACTUAL
     if asked in ("auto", "none"):
         return "none", None
-    wanted = TORQUE_DEMAND if asked == "demand" else TORQUE_ACTUAL
+    wanted = TORQUE_DEMAND if asked == "demand" else _TORQUE_ACTUAL
     if asked == "demand" and not has_demand:
         raise DictionaryError(
             f"{axis.name}: read_back is 'demand', but its quirks have demand_absent; use read_back: auto"
@@ -206,7 +206,7 @@ def _choose_rpdo(dictionary: ObjectDictionary, axis: AxisParameters) -> PdoCapab
         if {entry.entry for entry in candidate.fixed or ()} == needed:
             return candidate
     raise DictionaryError(
-        f"{axis.name}: {axis.eds}: no RPDO{axis.rpdo_number or ''} can carry {CONTROLWORD} and {TARGET_TORQUE}; "
+        f"{axis.name}: {axis.eds}: no RPDO{axis.rpdo_number or ''} can carry {_CONTROLWORD} and {_TARGET_TORQUE}; "
         "the drive needs a writable mapping (0x1600..) or a fixed one with exactly these two" + unmappable
     )
 

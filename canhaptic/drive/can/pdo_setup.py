@@ -19,7 +19,7 @@ _COB_ID, _TRANSMISSION_TYPE, _EVENT_TIMER = 1, 2, 5  # subindices of the communi
 _NO_RTR: Final = 1 << 30  # bit 30 of a TPDO's COB-ID: some drives insist on it
 _IDENTIFIER: Final = 0x7FF
 
-Expect = Callable[[str, int, int], None]
+_Expect = Callable[[str, int, int], None]
 """Called as expect(object, seen, expected); raises when they differ."""
 
 
@@ -29,7 +29,7 @@ def rpdo_transmission_type(bus: BusParameters, axis: AxisParameters) -> int:
 
 
 def write_map(
-    sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: Expect, rpdo_deadline: int | None = None
+    sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: _Expect, rpdo_deadline: int | None = None
 ) -> None:
     """Configures the PDOs of one axis and switches all others off; every value is read back.
 
@@ -68,7 +68,7 @@ def _is_readable(sdo: SdoChannel, index: int) -> bool:
     return variable is not None and variable.readable
 
 
-def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline: int | None, expect: Expect) -> None:
+def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline: int | None, expect: _Expect) -> None:
     communication, mapping = plan.communication_index, plan.mapping_index
     present = sdo.read(communication, _COB_ID)
     cob_id = plan.cob_id | present & _NO_RTR
@@ -89,7 +89,7 @@ def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline:
         sdo.write(communication, _COB_ID, cob_id)
 
 
-def _compare_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, expect: Expect) -> None:
+def _compare_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, expect: _Expect) -> None:
     communication, mapping = plan.communication_index, plan.mapping_index
     cob_id = sdo.read(communication, _COB_ID)
     expect(f"{plan.name} {sdo.describe(communication, _COB_ID)}", cob_id & (COB_ID_INVALID | _IDENTIFIER), plan.cob_id)

@@ -8,7 +8,7 @@ from typing import Final
 
 ABORT: Final = 0x80  # command specifier of an abort, either way
 FRAME_LENGTH: Final = 8
-LARGEST: Final = 1 << 16  # [bytes] of one object; a server that goes on is broken
+_LARGEST: Final = 1 << 16  # [bytes] of one object; a server that goes on is broken
 _SPECIFIER: Final = 0xE0
 _TOGGLE: Final = 0x10
 _EXPEDITED: Final = 0x02
@@ -45,8 +45,8 @@ def upload(index: int, subindex: int) -> Transfer:
         data += answer[1 : 8 - (answer[0] >> 1 & 7)]
         if answer[0] & _LAST:
             break
-        if len(data) > LARGEST:
-            raise ProtocolError(f"more than {LARGEST} bytes")
+        if len(data) > _LARGEST:
+            raise ProtocolError(f"more than {_LARGEST} bytes")
         toggle ^= _TOGGLE
     if size is not None and size != len(data):
         raise ProtocolError(f"{len(data)} bytes came of {size} that were announced")

@@ -17,7 +17,7 @@ from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 
-REMEDIES: Final = {
+_REMEDIES: Final = {
     "identity": "this is not the drive of the configuration; check node_id, vendor_id and product_code",
     "device type": "only CiA 402 drives are supported; check node_id",
     "drive modes": "this drive has no cyclic synchronous torque mode; choose another drive or firmware",
@@ -59,7 +59,7 @@ class BringUp(ABC):
     def __init__(self, drive: TorqueAxis, remedies: Mapping[str, str]) -> None:
         self._drive = drive
         self._sdo = drive.sdo
-        self._remedies = {**REMEDIES, **remedies}
+        self._remedies = {**_REMEDIES, **remedies}
 
     def call(self) -> None:
         """Takes the drive from any state to pre-operational and lets it report its state; `configure` follows.

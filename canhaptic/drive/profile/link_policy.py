@@ -59,7 +59,7 @@ class Action(Enum):
     STOP = "zero and disable"
 
 
-class StopRule(NamedTuple):
+class _StopRule(NamedTuple):
     """One reason of a stop."""
 
     meaning: str
@@ -67,65 +67,65 @@ class StopRule(NamedTuple):
     remedy: str
 
 
-STOP_TABLE: Final[dict[StopReason, StopRule]] = {
-    StopReason.TPDO_LOST: StopRule(
+STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
+    StopReason.TPDO_LOST: _StopRule(
         "no TPDO for too many SYNCs",
         TpdoLostError,
         "check the cable and what else loads the bus, or raise bus.tpdo_timeout or bus.stop_cycles",
     ),
-    StopReason.HEARTBEAT_LOST: StopRule(
+    StopReason.HEARTBEAT_LOST: _StopRule(
         "the drive's heartbeat stopped",
         HeartbeatLostError,
         "check power and cable of the drive, or raise bus.heartbeat_timeout",
     ),
-    StopReason.SEND_FAILED: StopRule(
+    StopReason.SEND_FAILED: _StopRule(
         "a frame could not be sent, or none be read",
         BusFailedError,
         "check the cable, the bit rate and the length of the interface's queue",
     ),
-    StopReason.COMMAND_LOST: StopRule(
+    StopReason.COMMAND_LOST: _StopRule(
         "the drive holds an old torque, its RPDOs are lost",
         CommandLostError,
         "check the cable, the COB-ID of the RPDO and what else loads the bus",
     ),
-    StopReason.SECOND_MASTER: StopRule(
+    StopReason.SECOND_MASTER: _StopRule(
         "another master sends on the bus",
         SecondMasterError,
         "end the other program, or remove the other device, that sends SYNC, NMT, RPDOs or SDO requests",
     ),
-    StopReason.EMERGENCY: StopRule(
+    StopReason.EMERGENCY: _StopRule(
         "the drive sent an EMCY", EmergencyError, "look the code up in the drive's manual and remove its cause"
     ),
-    StopReason.DRIVE_FAULT: StopRule(
+    StopReason.DRIVE_FAULT: _StopRule(
         "the drive is in FAULT", DriveStateFaultError, "look its error code (0x603F) up and remove the cause"
     ),
-    StopReason.STATE_LEFT: StopRule(
+    StopReason.STATE_LEFT: _StopRule(
         "the drive left OPERATION ENABLED", StateLeftError, "check enable input, supply and limits of the drive"
     ),
-    StopReason.NMT_STATE_LEFT: StopRule(
+    StopReason.NMT_STATE_LEFT: _StopRule(
         "the drive left NMT OPERATIONAL", NmtStateLeftError, "look for a reset of the drive and for another NMT master"
     ),
-    StopReason.POSITION_JUMP: StopRule(
+    StopReason.POSITION_JUMP: _StopRule(
         "the position moved faster than the speed limit",
         PositionJumpError,
         "check the encoder and counts_per_unit, or raise speed_limit of the axis",
     ),
-    StopReason.NOT_FOLLOWING: StopRule(
+    StopReason.NOT_FOLLOWING: _StopRule(
         "the drive does not follow its target torque (bit 12 of the statusword)",
         NotFollowingError,
         "look for a limit, a halt or a safety input of the drive, and for another master that commands it",
     ),
-    StopReason.TORQUE_LIMITED: StopRule(
+    StopReason.TORQUE_LIMITED: _StopRule(
         "the drive limits its torque (bit 11 of the statusword), and none is read back",
         TorqueLimitedError,
         "map 0x6074 or 0x6077 (read_back), or lower torque_limit below the limits of the drive",
     ),
-    StopReason.CONTROLLER: StopRule(
+    StopReason.CONTROLLER: _StopRule(
         "the controller's torque is not finite",
         TorqueNotFiniteError,
         "check the parameters of environment and algorithm against the motion",
     ),
-    StopReason.EXCEPTION: StopRule("the cycle raised an exception", CycleFailedError, "see the error that caused it"),
+    StopReason.EXCEPTION: _StopRule("the cycle raised an exception", CycleFailedError, "see the error that caused it"),
 }
 
 

@@ -24,7 +24,7 @@ class PowerState(Enum):
     UNKNOWN = "UNKNOWN"
 
 
-STATE_TABLE: Final = (
+_STATE_TABLE: Final = (
     # (mask, value, state): IEC 61800-7-201, table 30
     (0x4F, 0x00, PowerState.NOT_READY_TO_SWITCH_ON),
     (0x4F, 0x40, PowerState.SWITCH_ON_DISABLED),
@@ -36,7 +36,7 @@ STATE_TABLE: Final = (
     (0x4F, 0x08, PowerState.FAULT),
 )
 
-ENABLE_TABLE: Final = {
+_ENABLE_TABLE: Final = {
     # state -> controlword of the next transition towards OPERATION ENABLED; a fault has no way there
     PowerState.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
     PowerState.READY_TO_SWITCH_ON: Controlword.SWITCH_ON,
@@ -63,7 +63,7 @@ ENABLED_VALUE: Final = 0x27
 
 
 def _state(statusword: int) -> PowerState:
-    for mask, value, state in STATE_TABLE:
+    for mask, value, state in _STATE_TABLE:
         if statusword & mask == value:
             return state
     return PowerState.UNKNOWN
@@ -84,4 +84,4 @@ def is_enabled(statusword: int) -> bool:
 
 def next_controlword(state: PowerState) -> Controlword | None:
     """Returns the controlword (0x6040) of the next step towards OPERATION ENABLED; None where only waiting helps."""
-    return ENABLE_TABLE.get(state)
+    return _ENABLE_TABLE.get(state)

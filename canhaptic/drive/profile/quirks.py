@@ -44,7 +44,7 @@ class Quirks(Parameters):
         return round(1000.0 * self.torque_resolution, 9)
 
 
-QUIRKS: Final[Mapping[str, Mapping[str, Any]]] = {
+_QUIRKS: Final[Mapping[str, Mapping[str, Any]]] = {
     # the rated torque, 0x6076
     "rated_torque_micro": {"rated_torque_resolution": 1e-6},  # in uN*m instead of mN*m
     "rated_torque_absent": {"reads_rated_torque": False},  # listed in the dictionary, not in the drive, or meaningless
@@ -74,7 +74,7 @@ def quirks_of(names: Sequence[str]) -> Quirks:
     """Returns the deviations of a drive; those of a plain CiA 402 drive for no names.
 
     Args:
-        names: A tuple of names of `QUIRKS`.
+        names: A tuple of names of `_QUIRKS`.
 
     Raises:
         ParameterError: No deviation of that name is known, or two contradict each other.
@@ -82,10 +82,10 @@ def quirks_of(names: Sequence[str]) -> Quirks:
     changes: dict[str, Any] = {}
     origins: dict[str, str] = {}
     for name in names:
-        if name not in QUIRKS:
-            known = f"{', '.join(sorted(QUIRKS))}{nearest(name, QUIRKS)}"
+        if name not in _QUIRKS:
+            known = f"{', '.join(sorted(_QUIRKS))}{nearest(name, _QUIRKS)}"
             raise ParameterError(f"quirks: got {name!r}, expected any of: {known}")
-        for key, value in QUIRKS[name].items():
+        for key, value in _QUIRKS[name].items():
             if changes.get(key, value) != value:
                 raise ParameterError(f"quirks: {origins[key]!r} and {name!r} contradict each other; keep one")
             changes[key], origins[key] = value, name

@@ -23,7 +23,7 @@ _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
 _FOLLOWS: Final = int(od.StatusBit.FOLLOWS_COMMAND)
 
 
-class ObjectAccess(Protocol):
+class _ObjectAccess(Protocol):
     """Reads and writes integer objects of one drive: SDO over CAN, or over the mailbox of EtherCAT (CoE).
 
     Every method raises SdoError where the drive aborts or does not answer.
@@ -100,7 +100,7 @@ class TorqueAxis(ABC):
         self,
         axis: TorqueAxisParameters,
         dictionary: Dictionary,
-        sdo: ObjectAccess,
+        sdo: _ObjectAccess,
         rules: CycleRules,
         read_back: ReadBack,
     ) -> None:

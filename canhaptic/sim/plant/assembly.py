@@ -84,7 +84,7 @@ class LinearPart:
         return ()
 
 
-class HandPart(Protocol):
+class _HandPart(Protocol):
     """What effects may ask of the hand."""
 
     name: str
@@ -96,7 +96,7 @@ class HandPart(Protocol):
         """Returns the mode of a further grasp."""
 
 
-class TorqueCommand(Protocol):
+class _TorqueCommand(Protocol):
     """Changes the torque of a hold before it reaches the motor."""
 
     state_names: tuple[str, ...]
@@ -108,7 +108,7 @@ class TorqueCommand(Protocol):
         """Returns the torque [N or N*m] that acts during the `duration` [s] to come."""
 
 
-class Encoder(Protocol):
+class _Encoder(Protocol):
     """Changes the position that the encoder reports."""
 
     def read(self, position: float, tick: int, seed: int) -> float:
@@ -148,13 +148,13 @@ class PlantModel:
     bodies: list[Body] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
     works: dict[str, Account] = field(default_factory=dict)  # name -> account, booked as integrals of a power
-    commands: list[TorqueCommand] = field(default_factory=list)
-    encoders: list[Encoder] = field(default_factory=list)
+    commands: list[_TorqueCommand] = field(default_factory=list)
+    encoders: list[_Encoder] = field(default_factory=list)
     efforts: list[NonlinearForce] = field(default_factory=list)
     schedule: list[tuple[float, str, str]] = field(default_factory=list)  # (time [s], part, mode)
     deflection: dict[str, float] = field(default_factory=dict)  # name -> factor: hand's deflection minus position
     slots: dict[str, str] = field(default_factory=dict)  # what may be there once -> the effect that is
-    hand: HandPart | None = None
+    hand: _HandPart | None = None
     shaft: tuple[float, float] | None = None  # stiffness and damping of the shaft
     motor_torque: str = "torque"  # state or input that drives the motor's body
 

@@ -28,7 +28,7 @@ from canhaptic.sim.plant.stepper import (
 )
 
 
-class Snapshot(NamedTuple):
+class _Snapshot(NamedTuple):
     """Everything that a hold changes."""
 
     state: Array
@@ -104,12 +104,12 @@ class HybridAutomaton:
         """Steps of flows tried since the start, a machine-independent price."""
         return int(self._counts[PRODUCTS])
 
-    def save(self) -> Snapshot:
+    def save(self) -> _Snapshot:
         """Returns a copy of everything that a hold changes."""
         counts = self._counts
-        return Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS])
+        return _Snapshot(self.state.copy(), counts[MODE], self.totals.copy(), counts[EVENTS])
 
-    def restore(self, saved: Snapshot) -> None:
+    def restore(self, saved: _Snapshot) -> None:
         """Goes back to a copy."""
         np.copyto(self.state, saved.state)
         np.copyto(self.totals, saved.totals)
@@ -283,7 +283,7 @@ class HybridAutomaton:
     def _add(self, mode: Mode) -> None:
         """Puts a mode at the end of the tables."""
         self._modes.append(mode)
-        self._stored.append(stored_by(mode.storage))
+        self._stored.append(_stored_by(mode.storage))
         resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
         bounds = mode.bounds
         row = ModeTables(
@@ -297,7 +297,7 @@ class HybridAutomaton:
             table.append(entry)
 
 
-def stored_by(storage: Array) -> Callable[[Array], float]:
+def _stored_by(storage: Array) -> Callable[[Array], float]:
     """Returns what gives the kinetic and elastic energy [J] of a state.
 
     A single body stores in one number, its speed; the product says the same bit for bit, at twenty times the price.

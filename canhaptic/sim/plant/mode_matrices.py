@@ -9,7 +9,7 @@ from canhaptic.sim.plant.assembly import PlantModel, Rows
 from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
 from canhaptic.sim.plant.propagator import LEVELS, Array, dyadic_flows
 
-Product = Callable[[Array, Array], object]
+_Product = Callable[[Array, Array], object]
 
 _LARGEST_PHASE: Final = 0.8  # [rad] of the fastest oscillation in one guarded step: guards are then near parabolas
 
@@ -27,8 +27,8 @@ class Mode(NamedTuple):
     """One mode as data."""
 
     key: tuple[str, ...]  # mode of each part
-    flows: list[Product]  # by level: z -> z after T / 2^level
-    works: list[Product]  # by level: z -> for each work [form times shifted z, unit row]; then the shifted z
+    flows: list[_Product]  # by level: z -> z after T / 2^level
+    works: list[_Product]  # by level: z -> for each work [form times shifted z, unit row]; then the shifted z
     base: int  # largest step whose guards are near parabolas, as a level
     guards: Array  # values and rates of the guards, and the scaled rates of the state as rows, shape (2 c + m, n)
     bounds: GuardBounds
@@ -59,7 +59,7 @@ def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
     return Mode(key, flows, works, base, guarded, bounds, exits, rows.storage)
 
 
-def _forms(rows: Rows, scene: PlantModel) -> tuple[list[Product], list[Product]]:
+def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product]]:
     """Returns the flows, and the works evaluated with the hand's deflection in the place of the position.
 
     In q and x_u the squares of a stiff hand would cancel: 1e6 N/m at 10 mm is 50 J, against the 0.1 J that flow.

@@ -43,7 +43,7 @@ def taylor_flow(rates: Array, step: float) -> Array:
     return total
 
 
-def taylor_work(rates: Array, power: Array, step: float) -> Array:
+def _taylor_work(rates: Array, power: Array, step: float) -> Array:
     """Returns Q with z'Qz = integral over h of the power z'Sz along the flow, by its Taylor series.
 
     Args:
@@ -88,7 +88,7 @@ def dyadic_flows(
     halvings = halvings_of(rates, sample_time, levels)
     step = sample_time * 0.5**halvings
     change = taylor_flow(rates, step)
-    works = [taylor_work(rates, power, step) for power in powers]
+    works = [_taylor_work(rates, power, step) for power in powers]
     flows: list[Array] = []
     forms: list[list[Array]] = []
     for level in range(halvings, -1, -1):

@@ -104,17 +104,17 @@ class Splitting:
             self._passed = ticks - move(ticks)
             self._duration = self._passed * self._tick_time
             travel = float(self._machine.state[self._travel])
-            self._held = mean_torque(begin, float(self._machine.state[self._torque]), float(state[-2]))
+            self._held = _mean_torque(begin, float(self._machine.state[self._torque]), float(state[-2]))
             return sum(e.force(self._start, travel, self._duration, self._held) for e in self._efforts) - force
 
-        force, self._slope, found = fixed_point(residual, self._force, self._slope)
+        force, self._slope, found = _fixed_point(residual, self._force, self._slope)
         if not found:
             move = self._machine.run
-            force, self._slope, _ = fixed_point(residual, self._force, -1.0)
+            force, self._slope, _ = _fixed_point(residual, self._force, -1.0)
         return force
 
 
-def mean_torque(begin: float, end: float, held: float) -> float:
+def _mean_torque(begin: float, end: float, held: float) -> float:
     """Returns the mean of a torque that goes from `begin` to `end` as a first-order lag behind `held` does."""
     gap, left = begin - held, end - held
     if left == gap or not left / gap > _SETTLED:
@@ -122,7 +122,7 @@ def mean_torque(begin: float, end: float, held: float) -> float:
     return held + (left - gap) / math.log1p((left - gap) / gap)
 
 
-def fixed_point(residual: Callable[[float], float], start: float, slope: float) -> tuple[float, float, bool]:
+def _fixed_point(residual: Callable[[float], float], start: float, slope: float) -> tuple[float, float, bool]:
     """Returns (root, slope near it, True) of a residual that falls; the root is the last argument that was evaluated.
 
     A bracketed secant. Where the residual jumps over zero, the side of the jump that errs less, and False.

@@ -54,11 +54,11 @@ def located(
     atol: float,
     stop: Callable[[], bool] | None = None,
 ) -> Motion:
-    """Returns the motion under the torques; arguments and errors as for `located_states`."""
-    return motion_of(located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
+    """Returns the motion under the torques; arguments and errors as for `_located_states`."""
+    return motion_of(_located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
 
 
-def located_states(
+def _located_states(
     model: Model,
     torques: Sequence[float],
     sample_time_ns: int,

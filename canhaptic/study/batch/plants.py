@@ -24,7 +24,7 @@ from canhaptic.study.loop import Array
 
 _IN_ARRAYS: Final = ("viscous_friction", "tremor")
 """Effects whose place in the equation of motion is known here."""
-Numbers = dict[str, Array | float]
+_Numbers = dict[str, Array | float]
 
 
 def why_not_linear(simulation: AxisSimulation) -> str:
@@ -51,7 +51,7 @@ def why_not_linear(simulation: AxisSimulation) -> str:
     return ""
 
 
-def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> Numbers:
+def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> _Numbers:
     """Returns start, flow and rates of many plants by the names of `BatchCase.numbers`; a coefficient of 0 is left out.
 
     Args:
@@ -73,11 +73,11 @@ def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, var
         flows = np.eye(rates.shape[-1]) + flow_changes(
             rates * np.reshape(np.asarray(sample_time_ns) * 1e-9, (-1, 1, 1))
         )
-    begin: Numbers = {f"start.{row}": _shared(start[:, row]) for row in range(flows.shape[-1] - 2)}
+    begin: _Numbers = {f"start.{row}": _shared(start[:, row]) for row in range(flows.shape[-1] - 2)}
     return begin | _named("flow", flows) | ({} if rates is None else _named("rate", rates))
 
 
-def _named(name: str, matrices: Array) -> Numbers:
+def _named(name: str, matrices: Array) -> _Numbers:
     """Returns the entries of the rows of the states that are not 0 everywhere."""
     size = matrices.shape[-1]
     places = [(row, column) for row in range(size - 2) for column in range(size)]

@@ -18,7 +18,7 @@ _SYNC_GENERATOR: Final = 1 << 30  # bit of 0x1005: the device produces SYNC, whi
 
 Content = bytes | bytearray
 Handler = Callable[[Content], None]
-Send = Callable[[int, Content], None]
+_Send = Callable[[int, Content], None]
 
 
 class ProcessData:
@@ -45,7 +45,7 @@ class ProcessData:
         timers: Timers,
         emergency: emcy.EmergencyProducer,
         parameters: SimulatedDriveParameters,
-        send: Send,
+        send: _Send,
         on_loss: Callable[[int], None],
         on_change: Callable[[], None],
     ) -> None:

@@ -12,7 +12,7 @@ from canhaptic.canopen.dictionary import Dictionary, Variable, variables
 from canhaptic.canopen.objects import DataType, SdoAbort
 from canhaptic.errors import ParameterError
 
-Value = int | float | bytes
+_Value = int | float | bytes
 
 _INTEGERS: Final[dict[int, tuple[int, bool]]] = {  # data type -> (bytes, signed); CiA 301, 7.4
     DataType.BOOLEAN: (1, False),
@@ -77,8 +77,8 @@ class Entry:
         is_dummy = index < 0x20  # a data type that an RPDO maps to skip bytes (CiA 301, 7.4.7)
         self.receivable = is_dummy or self.receivable
         self.transmittable = not is_dummy and is_mappable and access in ("ro", "rw", "rwr", "const")
-        self.initial: Value | None = None
-        self.value: Value | None = None
+        self.initial: _Value | None = None
+        self.value: _Value | None = None
         self.check: Callable[[int], SdoAbort | None] | None = None
         self.changed: Callable[[], None] | None = None
         self.refresh: Callable[[], None] | None = None
@@ -89,7 +89,7 @@ class Entry:
         """The value as an integer; 0 while there is none."""
         return self.value if isinstance(self.value, int) else 0
 
-    def encode(self, value: Value) -> bytes:
+    def encode(self, value: _Value) -> bytes:
         """Returns the bytes of a value on the bus.
 
         Raises:
@@ -104,7 +104,7 @@ class Entry:
         except (OverflowError, struct.error) as error:
             raise ValueError(f"{value} does not fit {self.size} bytes") from error
 
-    def decode(self, content: bytes) -> Value:
+    def decode(self, content: bytes) -> _Value:
         """Returns the value of bytes that have the right length."""
         if self.data_type in _REALS:
             return float(_REALS[self.data_type].unpack(content)[0])
@@ -245,7 +245,7 @@ def _refusal(entry: Entry, value: int | float) -> SdoAbort | None:
     return None if entry.check is None else entry.check(int(value))
 
 
-def _require(value: Value | None) -> Value:
+def _require(value: _Value | None) -> _Value:
     if value is None:
         raise ValueError("no value")
     return value
@@ -261,7 +261,7 @@ def _entry(variable: Variable) -> Entry:
     return entry
 
 
-def _typed(data_type: int, value: int | float | str | bytes | None) -> Value | None:
+def _typed(data_type: int, value: int | float | str | bytes | None) -> _Value | None:
     """Returns a value of a dictionary or scene as the store keeps it; None when it has another type."""
     if isinstance(value, str):
         value = value.encode("utf-16-le" if data_type == DataType.UNICODE_STRING else "latin-1", errors="replace")

@@ -31,7 +31,7 @@ class PowerCommand(IntEnum):
 
 _S, _C = DriveState, PowerCommand
 
-TRANSITIONS: Final = {
+_TRANSITIONS: Final = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
     (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): _S.SWITCHED_ON,  # 3
     (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 3, then 4 without another command
@@ -109,7 +109,7 @@ class StateMachine:
             if rising & _FAULT_RESET:
                 self.state = DriveState.SWITCH_ON_DISABLED  # 15; the other bits need a command of their own
         else:
-            self.state = TRANSITIONS.get((state, command_of(controlword)), state)
+            self.state = _TRANSITIONS.get((state, command_of(controlword)), state)
             if state is DriveState.QUICK_STOP_ACTIVE and self.state is DriveState.OPERATION_ENABLED:
                 self.state = self.state if quick_stop_option in _QUICK_STOP_STAYS else state
             elif self.state is DriveState.QUICK_STOP_ACTIVE and quick_stop_option == 0:
@@ -123,7 +123,7 @@ class StateMachine:
 
     def disable_voltage(self) -> None:
         """Does transition 7, 9, 10 or 12, as the abort connection option asks (0x6007 = 2)."""
-        self.state = TRANSITIONS.get((self.state, PowerCommand.DISABLE_VOLTAGE), self.state)
+        self.state = _TRANSITIONS.get((self.state, PowerCommand.DISABLE_VOLTAGE), self.state)
 
     def fault(self) -> None:
         """Begins the fault reaction (transition 13) from any state that is not yet a fault."""

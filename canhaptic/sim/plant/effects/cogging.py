@@ -29,10 +29,10 @@ class Cogging(Parameters):
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the effort."""
-        scene.efforts.append(Detent(self))
+        scene.efforts.append(_Detent(self))
 
 
-class Detent:
+class _Detent:
     """The effort of cogging."""
 
     state_names: tuple[str, ...] = ()

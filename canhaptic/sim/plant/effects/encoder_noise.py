@@ -28,10 +28,10 @@ class EncoderNoise(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the error of the reading."""
         scene.claim("encoder noise", self.type)
-        scene.encoders.append(Noise(self.deviation))
+        scene.encoders.append(_Noise(self.deviation))
 
 
-class Noise:
+class _Noise:
     """Gaussian noise, by seed and tick."""
 
     def __init__(self, deviation: float) -> None:
@@ -39,13 +39,13 @@ class Noise:
 
     def read(self, position: float, tick: int, seed: int) -> float:
         """Returns the reading with its error [m or rad]."""
-        base = mix(seed * _GAMMA + tick)
-        radius = math.sqrt(-2.0 * math.log((mix(base + _GAMMA) + 1) / (_MASK + 2)))
-        angle = 2.0 * math.pi * (mix(base + 2 * _GAMMA) / (_MASK + 1))
+        base = _mix(seed * _GAMMA + tick)
+        radius = math.sqrt(-2.0 * math.log((_mix(base + _GAMMA) + 1) / (_MASK + 2)))
+        angle = 2.0 * math.pi * (_mix(base + 2 * _GAMMA) / (_MASK + 1))
         return position + self._deviation * radius * math.cos(angle)
 
 
-def mix(value: int) -> int:
+def _mix(value: int) -> int:
     """Returns 64 well-mixed bits of an integer (the finaliser of splitmix64)."""
     value &= _MASK
     value = ((value ^ (value >> 30)) * 0xBF58476D1CE4E5B9) & _MASK

@@ -22,10 +22,10 @@ class EncoderQuantisation(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the rounding of the reading."""
         scene.claim("encoder quantisation", self.type)
-        scene.encoders.append(Steps(self.count))
+        scene.encoders.append(_Steps(self.count))
 
 
-class Steps:
+class _Steps:
     """The rounding of a reading."""
 
     def __init__(self, count: float) -> None:

@@ -38,10 +38,10 @@ class LuGreFriction(DryFriction):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the bristle as an effort."""
         scene.claim("friction model", self.type)
-        scene.efforts.append(Bristle(self))
+        scene.efforts.append(_Bristle(self))
 
 
-class Bristle:
+class _Bristle:
     """The mean bristle and its force."""
 
     state_names: tuple[str, ...] = ("bristle_deflection",)

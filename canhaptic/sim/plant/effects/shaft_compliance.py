@@ -36,7 +36,7 @@ class ShaftCompliance(Parameters):
         scene.add_state("load_velocity", scene.states["velocity"])
         scene.bodies.append(Body("load", self.load_mass, "load_velocity", (("position", 1.0), ("twist", -1.0))))
         scene.works[self.type] = "dissipated"
-        scene.parts.append(LinearPart("twist", write_twist))
+        scene.parts.append(LinearPart("twist", _write_twist))
         scene.parts.append(LinearPart(self.type, self._write))
 
     def _write(self, rows: Rows) -> None:
@@ -48,6 +48,6 @@ class ShaftCompliance(Parameters):
         rows.add_power(self.type, self.damping * rate, rate)
 
 
-def write_twist(rows: Rows) -> None:
+def _write_twist(rows: Rows) -> None:
     """Writes the rate of the twist."""
     rows.set_rate("twist", rows.velocity(MOTOR) - rows.velocity(LOAD))

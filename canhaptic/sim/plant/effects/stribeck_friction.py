@@ -31,10 +31,10 @@ class StribeckFriction(DryFriction):
         scene.works[self.type] = "dissipated"
         velocity = scene.states[scene.bodies[MOTOR].velocity]
         scene.parts.append(StickSlip(self.type, self, velocity))
-        scene.efforts.append(FallingFriction(self.static - self.kinetic, self.stribeck_velocity))
+        scene.efforts.append(_FallingFriction(self.static - self.kinetic, self.stribeck_velocity))
 
 
-class FallingFriction:
+class _FallingFriction:
     """The part of the friction that is gone once the body slides fast."""
 
     state_names: tuple[str, ...] = ()

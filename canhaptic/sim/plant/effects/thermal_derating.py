@@ -48,10 +48,10 @@ class ThermalDerating(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the limit."""
         scene.claim("thermal derating", self.type)
-        scene.commands.append(Winding(self))
+        scene.commands.append(_Winding(self))
 
 
-class Winding:
+class _Winding:
     """The winding's temperature and the torque that it allows."""
 
     state_names: tuple[str, ...] = ("winding_temperature",)

@@ -23,10 +23,10 @@ class TorqueQuantisation(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the rounding."""
         scene.claim("torque quantisation", self.type)
-        scene.commands.append(Rounding(self.quantum))
+        scene.commands.append(_Rounding(self.quantum))
 
 
-class Rounding:
+class _Rounding:
     """The rounding of a held torque."""
 
     state_names: tuple[str, ...] = ()

@@ -29,10 +29,10 @@ class TorqueRipple(Parameters):
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the effort."""
-        scene.efforts.append(Ripple(self))
+        scene.efforts.append(_Ripple(self))
 
 
-class Ripple:
+class _Ripple:
     """The effort of torque ripple."""
 
     state_names: tuple[str, ...] = ()

@@ -23,10 +23,10 @@ class TorqueSaturation(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the clip."""
         scene.claim("torque saturation", self.type)
-        scene.commands.append(Clip(self.limit))
+        scene.commands.append(_Clip(self.limit))
 
 
-class Clip:
+class _Clip:
     """The clip of a held torque."""
 
     state_names: tuple[str, ...] = ()

@@ -35,8 +35,8 @@ _DEEP: Final = 10  # halvings, after which a singular pose close by is why
 _DIVERGING: Final = 4.0  # times the last correction
 _NEAR: Final = 1e-3  # of the distal length, of the handle from the line of the elbows or of these from each other
 
-Angle = Annotated[float, quantity("rad", ge=-100.0, le=100.0)]
-Pair = tuple[float, float]
+_Angle = Annotated[float, quantity("rad", ge=-100.0, le=100.0)]
+_Pair = tuple[float, float]
 
 
 class ElbowStop(Parameters):
@@ -73,7 +73,7 @@ class FiveBarLinkage(Parameters):
     """Viscous friction of the bearings of each motor."""
     elbow_stop: ElbowStop | None = None
     """Springs between the elbows; None: none."""
-    initial_angles: tuple[Angle, Angle]
+    initial_angles: tuple[_Angle, _Angle]
     """Of the left and the right motor, from +x, counterclockwise."""
 
     @model_validator(mode="after")
@@ -135,7 +135,7 @@ class FiveBarMotion:
         self._hand = HandForce(hand) if hand is not None else None
         self._substeps = substeps
         self._place = _Place(self._linkage, *links.initial_angles)
-        self._momentum: Pair = (0.0, 0.0)
+        self._momentum: _Pair = (0.0, 0.0)
         self._motor, self._user, self._lost = [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
         self._stored_at_start = self.stored
         self.iterations = 0
@@ -233,7 +233,7 @@ class FiveBarMotion:
             "accuracy.substeps, or lower the stiffness of elbow_stop or hand"
         )
 
-    def _solved(self, time: float, step: float, torques: tuple[float, ...]) -> tuple[_Place, Pair, Pair] | None:
+    def _solved(self, time: float, step: float, torques: tuple[float, ...]) -> tuple[_Place, _Pair, _Pair] | None:
         """Returns (place, momentum, hand's torques) after a substep; None when it did not converge."""
         before = self._place
         left, right = before.angles
@@ -262,7 +262,7 @@ class FiveBarMotion:
             d_left, d_right = d_left - c_left, d_right - c_right
         return None
 
-    def _momentum_after(self, before: _Place, after: _Place, step: float) -> Pair:
+    def _momentum_after(self, before: _Place, after: _Place, step: float) -> _Pair:
         """Returns p+ of q+ - q = h Wm (p + p+) / 2."""
         w0, w1 = before.inertia, after.inertia
         det0, det1 = w0.a * w0.c - w0.b * w0.b, w1.a * w1.c - w1.b * w1.b
@@ -277,8 +277,8 @@ class FiveBarMotion:
         return 2.0 * p_left - self._momentum[0], 2.0 * p_right - self._momentum[1]
 
     def _force(
-        self, before: _Place, after: _Place, momentum: Pair, time: float, step: float, torques: tuple[float, ...]
-    ) -> tuple[Pair, Pair]:
+        self, before: _Place, after: _Place, momentum: _Pair, time: float, step: float, torques: tuple[float, ...]
+    ) -> tuple[_Pair, _Pair]:
         """Returns (all generalised forces, those of the hand) [N*m] over the substep."""
         (a_left, a_right), (b_left, b_right) = before.angles, after.angles
         change = (b_left - a_left, b_right - a_right)
@@ -293,7 +293,7 @@ class FiveBarMotion:
             hand = (xl * x + yl * y, xr * x + yr * y)
         return (force[0] + hand[0], force[1] + hand[1]), hand
 
-    def _gradient(self, before: _Place, middle: _Place, after: _Place, momentum: Pair, change: Pair) -> Pair:
+    def _gradient(self, before: _Place, middle: _Place, after: _Place, momentum: _Pair, change: _Pair) -> _Pair:
         """Returns G: the discrete gradient of the kinetic energy at given momenta, and of the stop's potential."""
         rates = self._linkage.inertia_rates(middle.pose)
         left = right = value = 0.0
@@ -324,8 +324,8 @@ class FiveBarMotion:
         return 0.5 * self._stop.stiffness * self._depth(pose.span) ** 2 if self._stop is not None else 0.0
 
     def _stop_gradient(
-        self, stiffness: float, before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair
-    ) -> Pair:
+        self, stiffness: float, before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: _Pair
+    ) -> _Pair:
         """Returns the discrete gradient of the potential; corrected always, for its slope has a kink."""
         pull = stiffness * self._depth(middle.span)
         by_left, by_right = self._linkage.span_rates(middle)
@@ -355,7 +355,9 @@ class FiveBarMotion:
         return Inertia(a, b, c)
 
 
-def _secant_jacobian(before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair) -> tuple[Pair, Pair]:
+def _secant_jacobian(
+    before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: _Pair
+) -> tuple[_Pair, _Pair]:
     """Returns the Jacobian in the middle, corrected so that it maps the displacement of the motors to the handle's."""
     square = change[0] * change[0] + change[1] * change[1]
     (xl, xr), (yl, yr) = middle.jacobian

@@ -13,7 +13,7 @@ from pydantic import model_validator
 from canhaptic.sim.plant.user import SinusoidMotion
 from canhaptic.units import Parameters, quantity
 
-Force = Annotated[float, quantity("N", ge=-1e6, le=1e6)]
+_Force = Annotated[float, quantity("N", ge=-1e6, le=1e6)]
 Length = Annotated[float, quantity("m", ge=-1e3, le=1e3)]
 
 
@@ -47,7 +47,7 @@ class TaskHand(Parameters):
     """Across the major axis; None: the same."""
     angle: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
     """Of the major axis, from +x towards +y."""
-    push: tuple[Force, Force] = (0.0, 0.0)
+    push: tuple[_Force, _Force] = (0.0, 0.0)
     """Constant force of the hand on the handle."""
     rest: tuple[Length, Length] = (0.0, 0.0)
     """Where the hand's spring is at rest; the motion comes on top of it."""
