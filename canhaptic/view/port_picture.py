@@ -65,8 +65,8 @@ class PortPicture:
             "surplus": self._draw_surplus,
         }
         for name, axes in panels.items():
-            if name == "path":
-                self._draw_path(axes)
+            if name == "path" and self.plane is not None:
+                self._draw_path(axes, self.plane)
                 continue
             parts[name](axes)
             self._mark(axes)
@@ -115,10 +115,8 @@ class PortPicture:
             axes.set_ylim(low, high)
         _finish(axes, "position", f"{prefix}{self._movers[0].unit('position')}")
 
-    def _draw_path(self, axes: Any) -> None:
+    def _draw_path(self, axes: Any, plane: TaskPlane) -> None:
         """Draws the path of the handle against the surface, material shaded, both axes to the same scale."""
-        plane = self.plane
-        assert plane is not None  # `draws` named this panel
         scale, prefix = axis_scale(float(np.nanmax(np.abs(plane.path))))
         _draw_material(axes, plane, scale)
         axes.plot(*(plane.path / scale).T, color=BLUE, linewidth=1.0, label="path")

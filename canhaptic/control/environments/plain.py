@@ -34,7 +34,8 @@ def plain(environment: _Environment) -> _Environment:
 def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
     """Returns a plain object of a model's class with given fields, which nothing checks."""
     form = _form_of(kind)
-    assert form is not None
+    if form is None:
+        raise TypeError(f"{kind.__name__}: expected a class of parameters")
     twin = form.plain()
     for name, value in fields.items():
         setattr(twin, name, value)

@@ -7,6 +7,7 @@ import numpy as np
 
 from canhaptic.control.environments.plain import plain
 from canhaptic.errors import ParameterError
+from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import PlantParameters
@@ -62,8 +63,7 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
         varied: Key of `BATCH_KEYS` but `loop.delay` -> value of each scene.
     """
     axis = scene.axes[0]
-    simulation = axis.simulation
-    assert simulation is not None
+    simulation = simulation_of(axis)
     numbers = _numbers(loop_case(axis, scene), simulation, scene.bus.sample_time_ns, varied)
     passivity = axis.passivity.parameters
     for key, values in varied.items():

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canhaptic.errors import CheckFailedError, InputError
+from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
@@ -172,8 +173,7 @@ class _WallSearch:
         """Returns a damping that is hardly rendered: it stops the mass in one hold, or is half the critical one."""
         scene = self._trial.scene
         [axis] = scene.axes
-        assert axis.simulation is not None
-        mass = axis.simulation.plant.mass
+        mass = simulation_of(axis).plant.mass
         return max(mass / scene.bus.sample_time, math.sqrt(stiffness * mass))
 
     def _verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
