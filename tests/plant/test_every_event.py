@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import expm
 
+from canhaptic.sim.plant import mode_matrices
 from canhaptic.sim.plant.guard_bounds import GuardBounds, guard_bounds
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model
 from tests.plant.plant_scenes import MS, make_plant, run
+from tools.bench.plants.affine_judge import exponential, judged
 from tools.bench.plants.random_scenes import apart, random_scene
 
 
@@ -38,16 +39,16 @@ def linear_systems(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 @settings(max_examples=60)
 @given(linear_systems())
 def test_the_bounds_hold_at_every_instant_of_a_step(system):
-    """Chord and curvature of a guard along the flow, by scipy's exponential, at 17 instants of the step."""
+    """Chord and curvature of a guard along the flow, by an exponential of its own, at 17 instants of the step."""
     rates, guards, state, level = system
     bounds, step = guard_bounds(guards, rates, 1.0, 0), 0.5**level
     speeds = np.abs(bounds.scaled @ state)
     off, moved = bounds.chord[level] @ speeds, bounds.spread[level] @ speeds
-    begin, end = guards @ state, guards @ expm(rates * step) @ state
+    begin, end = guards @ state, guards @ exponential(rates * step) @ state
     bend = bounds.bend @ (bounds.scaled @ state)
     assert np.all(off <= bounds.slack[level] * np.linalg.norm(bounds.scaled @ state) * (1 + 1e-12))
     for part in np.linspace(0.0, 1.0, 17):
-        there = expm(rates * (step * part)) @ state
+        there = exponential(rates * (step * part)) @ state
         rounding = 1e-12 * (np.abs(guards) @ np.abs(there) + np.abs(begin) + np.abs(end))
         assert np.all(np.abs(guards @ there - begin - part * (end - begin)) <= off + rounding)
         steep = np.abs(guards) @ np.abs(rates @ rates) @ np.abs(there)
@@ -83,19 +84,32 @@ def test_a_servo_that_stops_inside_a_hold_is_right_to_a_nanometre(torques):
 
 
 def test_random_scenes_have_the_same_events_at_a_thirty_second_of_their_sample_time():
-    """A guard that is crossed twice inside a step is seen by shorter steps; 200 scenes, up to 600 events long."""
-    scenes = [random_scene(seed) for seed in range(200)]
+    """A guard that is crossed twice inside a step is seen by shorter steps; 150 scenes, up to 600 events long."""
+    scenes = [random_scene(seed) for seed in range(150)]
     assert {scene.seed: told for scene in scenes if (told := apart(scene))} == {}
+
+
+def ends_only(*arguments: Any) -> GuardBounds:
+    bounds = guard_bounds(*arguments)
+    return bounds._replace(slack=0.0 * bounds.slack, chord=0.0 * bounds.chord)
 
 
 def test_a_bound_that_is_too_small_is_caught(monkeypatch):
     """The bound by the ends of a step alone, as it was once: what the tests above are for."""
-    from canhaptic.sim.plant import mode_matrices
-
-    def ends_only(*arguments: Any) -> GuardBounds:
-        bounds = guard_bounds(*arguments)
-        return bounds._replace(slack=0.0 * bounds.slack, chord=0.0 * bounds.chord)
-
     assert abs(run(servo(), [3.5])[-1]) <= 1e-6
     monkeypatch.setattr(mode_matrices, "guard_bounds", ends_only)
     assert abs(run(servo(), [3.5])[-1]) >= 1e-4
+
+
+def test_random_scenes_agree_with_an_independent_judge():
+    """Events, positions, velocities and works, by the textbook equations and located events."""
+    scenes = [random_scene(seed) for seed in range(1000, 1080)]
+    assert {scene.seed: told for scene in scenes if (told := judged(scene)[0])} == {}
+
+
+@pytest.mark.parametrize("seed", [4, 5, 43, 168, 177])
+def test_the_judge_finds_a_missed_event(monkeypatch, seed):
+    """The same judge on a plant that looks at the ends of its steps only."""
+    assert judged(random_scene(seed))[0] == ""
+    monkeypatch.setattr(mode_matrices, "guard_bounds", ends_only)
+    assert "by the judge" in judged(random_scene(seed))[0]

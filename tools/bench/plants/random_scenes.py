@@ -60,7 +60,7 @@ def apart(scene: RandomScene, finer: int = 32) -> str:
     if (off > 1e-6 * size).any():
         off -= 64.0 * np.abs(scene.move(finer // 4)[1] - parts).max(axis=0)
     worst = float((off / size).max())
-    return f"{worst:.1e} of the largest value off" if worst > 1e-5 else ""
+    return f"{worst:.1e} of the largest value off" if worst > 1e-4 else ""
 
 
 class _Chance:
