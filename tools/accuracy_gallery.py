@@ -28,7 +28,7 @@ def make(name: str, folder: Path) -> None:
 def redraw(name: str, folder: Path) -> None:
     """Writes advice, tables and picture anew from what was measured before."""
     result = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-    result["advice"] = advice(result["plant"], result["advice"]["effects"], result["tolerance"])
+    result["advice"] = advice(result["plant"], result["advice"]["effects"], result["tolerance"], result["orders"])
     _write(name, result, folder)
 
 
@@ -61,11 +61,11 @@ def write_index(folder: Path) -> None:
             continue
         result = json.loads(path.read_text(encoding="utf-8"))
         given, unit = result["advice"], result["unit"]
-        chosen = given["dependable"]
+        chosen = given["chosen"]
         other = [f"{row['method']}, {row['setting']}" for row in given["cheaper_elsewhere"][:1]]
         lines.append(
             f"| [{name.replace('_', ' ')}]({name}.md) | {length(given['tolerance'], unit)} | "
-            f"`{given['dependable_line']}` | "
+            f"`{given['line']}` | "
             f"{length(chosen['position_error'], unit)} | {chosen['evaluations_per_period']:.3g} | "
             f"{chosen['us_per_period']:.3g} | {' '.join(other) or '-'} |"
         )

@@ -22,7 +22,7 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: A scene, an axis or a file that cannot be used.
     """
-    scene = scene_of(arguments)
+    scene = scene_of(arguments, beyond_bus=arguments.beyond_bus)
     require_single_axes(scene, "accuracy", arguments.axis or scene.axes[0].parameters.name)
     if arguments.png is not None:
         check_picture(arguments.png)
@@ -51,7 +51,7 @@ def _report(result: dict[str, object], arguments: argparse.Namespace) -> None:
     if arguments.json:
         write_json(result)
     else:
-        make_console().print(accuracy_report(result))
+        make_console().print(accuracy_report(result, tables=arguments.tables))
     if not result["plant"]:
         return  # stopped before anything could be drawn
     if arguments.png is not None:

@@ -45,15 +45,16 @@ def add_json(parser: argparse.ArgumentParser, what: str = "one JSON object inste
     parser.add_argument("--json", action="store_true", help=f"print {what}")
 
 
-def scene_of(arguments: argparse.Namespace) -> "Scene":
-    """Returns the scene that the arguments name.
+def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Scene":
+    """Returns the scene that the arguments name; `beyond_bus` as for `load_scene`.
 
     Raises:
         SceneError: Anything in it is wrong.
     """
     from canhaptic.scene.load import load_scene
 
-    return load_scene(arguments.config, arguments.overrides, allow_code=getattr(arguments, "allow_code", False))
+    allow_code = getattr(arguments, "allow_code", False)
+    return load_scene(arguments.config, arguments.overrides, allow_code=allow_code, beyond_bus=beyond_bus)
 
 
 def check_picture(path: Path) -> None:

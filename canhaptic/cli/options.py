@@ -41,6 +41,10 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--budget", metavar="S", type=_budget, default=BUDGET, help="time to spend on timing [s]; 0: none"
     )
+    parser.add_argument("--tables", action="store_true", help="show every row, not the answer only")
+    parser.add_argument(
+        "--beyond-bus", action="store_true", help="study a rate that the bus cannot carry; no run could keep it"
+    )
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the study (.png, .svg, .pdf)")
     parser.add_argument("--html", metavar="FILE", type=Path, help="page with hover and zoom")
     parser.add_argument("--markdown", metavar="FILE", type=Path, help="the tables as Markdown")

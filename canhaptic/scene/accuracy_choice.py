@@ -5,6 +5,7 @@ ladder is held against the textbook plant by event-located DOP853 (`canhaptic.si
 which are the same on every machine; no time is measured.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -26,6 +27,12 @@ _BITS: Final = (4, 8, 12, 16, 20, 24)
 _FEW_BITS: Final = (8, 16, 24)
 """Where substeps are to be chosen too."""
 _SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
+FLOOR: Final = 2e-13
+"""Of the travel: errors below it are those of the reference, or rounding: they count as equal, and tell no order."""
+LEAST_ORDER: Final = 0.5
+"""Of the declared order: where the errors of a scene fall by less, no setting of it is advised or chosen."""
+_CEILING: Final = 3e-2
+"""Of the travel: errors above it are not yet in the range where an order shows."""
 _FINE: Final = AccuracyParameters(substeps=16)
 """Of the run that the torques are taken from."""
 
@@ -81,13 +88,15 @@ def choose(axis: AxisScene, scene: Scene, tolerance: float) -> AccuracyChoice:
     """Returns the cheapest accuracy of one axis whose position errs by no more than a tolerance [m or rad].
 
     Raises:
-        InputError: scipy is missing, or no setting keeps the tolerance.
+        InputError: scipy is missing, no setting keeps the tolerance, or the errors do not fall as declared.
     """
     torques = torque_history(axis, scene, holds_of(scene))
     simulation, period = simulation_of(axis), scene.bus.sample_time_ns
     exact = reference(textbook_model(simulation), torques, period)
     tried = [tried_setting(simulation, period, accuracy, torques, exact) for accuracy in ladder(simulation, period)]
     chosen = cheapest(tried, tolerance)
+    _require_order(tried, simulation, max(float(np.ptp(exact.position)), 1e-12), f"{scene.source}: accuracy: auto of "
+                   f"axis {axis.parameters.name}")  # fmt: skip
     if chosen is None:
         best = tried[-1]
         raise InputError(
@@ -111,6 +120,50 @@ def cheapest(tried: Sequence[Setting], tolerance: float) -> Setting | None:
 
     good = [setting for setting in good if lasts(setting.accuracy.event_bits, setting.accuracy.substeps)]
     return min(good, key=lambda setting: (setting.products, setting.error.position), default=None)
+
+
+def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float) -> float | None:
+    """Returns the slope of log error over log size between the coarsest and the finest error that tell of it.
+
+    Args:
+        sizes: Of the steps, relative.
+        errors: Of the position [m or rad].
+        travel: Of the reference [m or rad].
+    """
+    points = [
+        (math.log(size), math.log(error))
+        for size, error in zip(sizes, errors, strict=True)
+        if FLOOR * travel < error < _CEILING * travel
+    ]
+    if len(points) < 2:
+        return None
+    count = len(points)
+    x, y = sum(p[0] for p in points) / count, sum(p[1] for p in points) / count
+    spread = sum((p[0] - x) ** 2 for p in points)
+    return sum((p[0] - x) * (p[1] - y) for p in points) / spread if spread else None
+
+
+def declared_order(simulation: AxisSimulation) -> int | None:
+    """Returns the least order in the substep that an effect of the plant declares; None where all are exact."""
+    orders = [getattr(effect.parameters, "order", None) for effect in simulation.effects]
+    return min((order for order in orders if order is not None), default=None)
+
+
+def _require_order(tried: Sequence[Setting], simulation: AxisSimulation, travel: float, where: str) -> None:
+    """Refuses errors that do not fall as declared: one of them may keep a tolerance by luck.
+
+    Raises:
+        InputError: They do not.
+    """
+    declared = declared_order(simulation)
+    own = [setting for setting in tried if setting.accuracy.event_bits == max(s.accuracy.event_bits for s in tried)]
+    fitted = fitted_order([1.0 / s.accuracy.substeps for s in own], [s.error.position for s in own], travel)
+    if declared is None or fitted is None or fitted >= LEAST_ORDER * declared:
+        return
+    raise InputError(
+        f"{where}: the error falls with an order of {fitted:.2g} in the substep, expected at least half of the "
+        f"declared {declared}: no setting can be chosen; raise the rate, or give accuracy: {{substeps}} yourself"
+    )
 
 
 def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:

@@ -20,8 +20,15 @@ from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.units import shown
 
 
-def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Notes what is wrong between the sections of a scene whose sections are right on their own."""
+def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, beyond_bus: bool = False) -> None:
+    """Notes what is wrong between the sections of a scene whose sections are right on their own.
+
+    Args:
+        scene: As read.
+        sections: It was read from.
+        faults: Where they are noted.
+        beyond_bus: Whether a rate is let be that its bus cannot carry.
+    """
     _check_unique(scene, sections["axes"], faults)
     if len(faults):  # what follows takes its time for each axis, and a name or node ID may be that of thousands
         return
@@ -37,7 +44,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> N
     _check_mechanisms(scene, sections, faults)
     for index, bus in enumerate(scene.buses):
         on_bus = maps[bus.name]
-        if None not in on_bus:
+        if None not in on_bus and not beyond_bus:
             _check_budget(bus.parameters, [m for m in on_bus if m is not None], bus_section(sections, index), faults)
 
 

@@ -24,21 +24,27 @@ from canhaptic.scene.own_code import OwnCode
 MAX_BYTES: Final = 1_000_000
 
 
-def load_scene(path: str | Path, overrides: Sequence[str] = (), *, allow_code: bool = False) -> Scene:
+def load_scene(
+    path: str | Path, overrides: Sequence[str] = (), *, allow_code: bool = False, beyond_bus: bool = False
+) -> Scene:
     """Returns the validated scene of a YAML file.
 
     Args:
         path: The scene file.
         overrides: Values laid over it, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
+        beyond_bus: Whether a rate is taken that its bus cannot carry; for a study, no run could keep it.
 
     Raises:
         SceneError: The file cannot be read, or anything in it is wrong; lists every fault with its line.
     """
-    return scene_from_text(_text(Path(path), str(path)), str(path), overrides, allow_code=allow_code)
+    text = _text(Path(path), str(path))
+    return scene_from_text(text, str(path), overrides, allow_code=allow_code, beyond_bus=beyond_bus)
 
 
-def scene_from_text(text: str, source: str, overrides: Sequence[str] = (), *, allow_code: bool = False) -> Scene:
+def scene_from_text(
+    text: str, source: str, overrides: Sequence[str] = (), *, allow_code: bool = False, beyond_bus: bool = False
+) -> Scene:
     """Returns the validated scene of YAML text, such as the one that an energy log keeps.
 
     Args:
@@ -46,6 +52,7 @@ def scene_from_text(text: str, source: str, overrides: Sequence[str] = (), *, al
         source: The file it came from: named in faults, and the place that relative paths start from.
         overrides: As for `load_scene`.
         allow_code: As for `load_scene`.
+        beyond_bus: As for `load_scene`.
 
     Raises:
         SceneError: Anything in it is wrong; lists every fault with its line.
@@ -54,7 +61,7 @@ def scene_from_text(text: str, source: str, overrides: Sequence[str] = (), *, al
     document = parse_yaml(text, source, faults)
     if len(faults) and not isinstance(document, MarkedMapping):
         faults.raise_if_any()
-    return _read(document, source, text, overrides, faults, allow_code)
+    return _read(document, source, text, overrides, faults, allow_code, beyond_bus=beyond_bus)
 
 
 def scene_from_mapping(
@@ -87,7 +94,14 @@ def _text(path: Path, source: str) -> str:
 
 
 def _read(
-    document: Any, source: str, text: str, overrides: Sequence[str], faults: Diagnostics, allow_code: bool
+    document: Any,
+    source: str,
+    text: str,
+    overrides: Sequence[str],
+    faults: Diagnostics,
+    allow_code: bool,
+    *,
+    beyond_bus: bool = False,
 ) -> Scene:
     top = SourceLocation(source, 1, 1, ()) if text else SourceLocation(source, 0, 0, ())
     if document is None:
@@ -103,7 +117,7 @@ def _read(
     scene = _validated(sections, laid_out(sections, source, text, overrides, faults), faults, code)
     if scene is None or len(faults):
         raise faults.error()
-    cross_check(scene, sections, faults)
+    cross_check(scene, sections, faults, beyond_bus=beyond_bus)
     faults.raise_if_any(SceneConflictError)
     return scene
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
-from canhaptic.scene.accuracy_choice import observed, simulation_of, torque_history
+from canhaptic.scene.accuracy_choice import declared_order, observed, simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.plant import AccuracyParameters, Plant
@@ -103,7 +103,7 @@ def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample
     if plant.is_exact:
         doubt = _moved(step, travel) if step > _SUSPECT * max(bracket, _FLOOR * travel) else ""
         return ErrorEstimate(max(bracket, 2.0 * step), travel, doubt)
-    order = _order(simulation)
+    order = declared_order(simulation) or 1
     error = step * 2.0**order / (2.0**order - 1.0) + bracket
     slow = step > _FLOOR * travel and runs.between(accuracy, 2, 4) > step * 2.0 ** (-0.5 * order)
     doubt = f"{_moved(step, travel)}; raise accuracy.substeps" if slow or step > _COARSE * travel else ""
@@ -147,12 +147,6 @@ def _bracket_error(runs: _Runs, accuracy: AccuracyParameters) -> float:
     other = runs.of(accuracy.model_copy(update={"event_bits": more}))
     apart = float(np.abs(other - runs.of(accuracy)).max())
     return apart / (factor - 1.0) if more < accuracy.event_bits else apart * factor / (factor - 1.0)
-
-
-def _order(simulation: AxisSimulation) -> int:
-    """Returns the least order that an effect of the scene declares."""
-    orders = [getattr(effect.parameters, "order", None) for effect in simulation.effects]
-    return min((order for order in orders if order is not None), default=1)
 
 
 def _step(plant: Plant, torques: Sequence[float]) -> None:

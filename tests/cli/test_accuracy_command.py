@@ -43,15 +43,48 @@ def test_json_is_one_object_and_page_picture_and_tables_are_written(capsys: Capt
     assert "| canhaptic | 1 substep |" in files["markdown"].read_text(encoding="utf-8").replace("*", "")
 
 
-def test_the_table_ends_with_a_line_that_a_scene_takes(capsys: Captured) -> None:
-    assert main(["accuracy", SCENE, *SHORT, "--tolerance", "1e-7"]) == 0
+def test_the_answer_comes_first_with_a_line_that_a_scene_takes(capsys: Captured) -> None:
+    assert main(["accuracy", SCENE, *SHORT, "--tolerance", "1e-7", "--tables"]) == 0
     shown = capsys.readouterr().out
+    assert shown.lstrip().startswith("within 100 nm: ")
+    assert shown.index("accuracy: {event_bits") < shown.index("Pareto front")
     [text] = [line.strip() for line in shown.splitlines() if line.strip().startswith("accuracy: {event_bits")]
     scene = load_scene(
         SCENE, [f"accuracy={yaml.safe_dump(yaml.safe_load(text)['accuracy'], default_flow_style=True).strip()}"]
     )
     assert scene.axes[0].simulation.accuracy.substeps == yaml.safe_load(text)["accuracy"]["substeps"]
-    assert "Pareto front" in shown
+    assert main(["accuracy", SCENE, *SHORT, "--tolerance", "1e-7"]) == 0
+    brief = capsys.readouterr().out
+    assert "Pareto front" not in brief
+    assert text in brief
+
+
+def test_a_rate_beyond_the_bus_is_studied_where_it_is_asked_for(capsys: Captured) -> None:
+    words = ["accuracy", SCENE, "--duration", "0.02 s", "--budget", "0", "--set", "bus.rate=8 kHz"]
+    assert main(words) == 2
+    assert "fit" in capsys.readouterr().err
+    assert main([*words, "--beyond-bus", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["status"] == "completed"
+    assert not any(row["bus_fits"] for row in result["loop"] if row["is_scene"])
+
+
+@pytest.mark.parametrize(
+    ("effect", "idle"),
+    [
+        ("{type: hard_stop, position: 0.9, stiffness: 1e6, damping: 30}", True),
+        ("{type: cogging, amplitude: 0 N, pitch: 5 mm}", True),
+        ("{type: viscous_friction, damping: 0.5}", False),
+    ],
+)
+def test_an_effect_that_did_nothing_is_worth_nothing(capsys: Captured, effect: str, idle: bool) -> None:
+    demo = str(REPOSITORY / "configs" / "demo.yaml")
+    words = ["--duration", "0.05 s", "--budget", "0", "--set", f"simulation.effects=[{effect}]"]
+    assert main(["accuracy", demo, *words, "--json"]) == 0
+    [row] = json.loads(capsys.readouterr().out)["advice"]["effects"]
+    assert (row["position_error"] == 0.0) is idle
+    assert main(["accuracy", demo, *words]) == 0
+    assert ("changed nothing in this time" in capsys.readouterr().out) is idle
 
 
 def test_a_time_in_which_nothing_is_felt_is_no_comparison_and_nothing_is_cut_off(capsys: Captured) -> None:
@@ -107,7 +140,7 @@ def test_a_study_that_is_stopped_keeps_what_it_measured(calls: int) -> None:
 
 
 def test_ctrl_c_prints_what_was_measured_and_ends_with_130() -> None:
-    words = ["accuracy", SCENE, "--duration", "0.1 s", "--budget", "600"]
+    words = ["accuracy", SCENE, "--duration", "0.1 s", "--budget", "600", "--tables"]
     screen, terminal = pty.openpty()  # a terminal, so that there is a progress bar to wait for
     with subprocess.Popen(
         [sys.executable, "-m", "canhaptic", *words], stdout=subprocess.PIPE, stderr=terminal, text=True

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.study.accuracy.advice import FLOOR, front
-from canhaptic.study.accuracy.candidates import OURS
+from canhaptic.scene.accuracy_choice import FLOOR
+from canhaptic.study.accuracy.advice import front
+from canhaptic.study.accuracy.candidates import COMPILED, OURS
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
 from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 
@@ -17,6 +18,7 @@ Row = Mapping[str, Any]
 
 STYLES: Final[dict[str, tuple[str, str]]] = {
     OURS: (GREEN, "o"),
+    COMPILED: (GREEN, "*"),
     "semi-implicit Euler": (PALE, "v"),
     "implicit midpoint": (ORANGE, "s"),
     "RK4": (VERMILION, "^"),

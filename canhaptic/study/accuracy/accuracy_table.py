@@ -7,7 +7,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.control.balance import PASSIVE_TOLERANCE
-from canhaptic.study.accuracy.advice import FLOOR
+from canhaptic.scene.accuracy_choice import FLOOR
 from canhaptic.units import effort_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
@@ -19,7 +19,8 @@ PLANT_HEADS: Final = (
     "method", "setting", "position", "force", "energy", "evals /\nperiod", "events", "us /\nperiod", "times\nwork", "",
 )  # fmt: skip
 LOOP_HEADS: Final = (
-    "changed", "to", "position", "force", "energy", "energy\nunsure", "control\nthread", "codes\nper s", "bus\nload",
+    "changed", "to", "position", "force", "energy", "energy\nunsure", "control\nthread", "of T", "codes\nper s",
+    "bus\nload",
 )  # fmt: skip
 EFFECT_HEADS: Final = (
     "left out", "order", "position", "force", "energy", "evals\nsaved", "us\nsaved", "error\nper us",
@@ -28,14 +29,18 @@ EFFECT_HEADS: Final = (
 _NEARER: Final = 0.8
 """Part of the scene's own error below which a change is worth naming."""
 _SHOWN: Final = 4
+_CLOCK: Final = 0.1
+"""Time of a cycle below which a difference of two runs is not told from none [us]."""
 _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 _AIRY: Final = 9
 """Columns that a terminal of 100 characters shows with two spaces between them."""
 
 
-def accuracy_report(result: Row) -> RenderableType:
-    """Returns heading, tables and advice for a terminal."""
-    parts: list[RenderableType] = [Text(f" {line}") for line in heading(result)]
+def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
+    """Returns the answer, what was studied and, where they are asked for, the tables, for a terminal."""
+    parts: list[RenderableType] = [Text(f" {line}") for line in (*advice_lines(result), "", *heading(result))]
+    if not tables:
+        return Group(*parts, Text(" every row: --tables"))
     for title, heads, rows, marked in _tables(result):
         table = FigureTable(keys=2, title=f" {title}", padding=(0, int(len(heads) <= _AIRY), 0, 0), pad_edge=False)
         for index, head in enumerate(heads):
@@ -43,13 +48,13 @@ def accuracy_report(result: Row) -> RenderableType:
         for cells, mark in zip(rows, marked, strict=True):
             table.add_row(*cells, style="bold" if mark else "")
         parts.append(table)
-    parts.extend(Text(f" {line}") for line in advice_lines(result))
     return Group(*parts)
 
 
 def markdown(result: Row) -> str:
-    """Returns the same as Markdown."""
-    lines = [*(f"{line}  " for line in heading(result)), ""]
+    """Returns the same as Markdown, with every table."""
+    lines = ["### Advice", "", *(f"- {line}" for line in advice_lines(result)), ""]
+    lines += [*(f"{line}  " for line in heading(result)), ""]
     for title, heads, rows, marked in _tables(result, wide=True):
         titles = [head.replace("\n", " ") for head in heads]
         lines += [f"### {title}", "", "| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
@@ -58,7 +63,7 @@ def markdown(result: Row) -> str:
                 "| " + " | ".join(f"**{c}**" if mark and i < 2 and c else c for i, c in enumerate(cells)) + " |"
             )
         lines.append("")
-    return "\n".join([*lines, "### Advice", "", *(f"- {line}" for line in advice_lines(result))]) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def heading(result: Row) -> list[str]:
@@ -79,64 +84,82 @@ def heading(result: Row) -> list[str]:
     if result["workload"]:
         work = result["workload"]
         lines.append(f"fixed workload of this run: {si(work['seconds'], 's', 3)} ({work['what']})")
+    if result["log_us"] is not None:
+        cost = f"{result['log_us']:.1f} us" if result["log_us"] >= _CLOCK else f"less than {_CLOCK} us"
+        lines.append(f"the energy log costs the control thread {cost} a cycle")
     return [*lines, *result["remarks"]]
 
 
 def advice_lines(result: Row) -> list[str]:
-    """Returns the advice in sentences; none before there is any."""
+    """Returns the answer, the line that a scene takes for it, and what else is worth knowing."""
     advice, unit = result["advice"], result["unit"]
     if advice is None:
         return ["no advice: the study was stopped before its end"]
     within = f"within {length(advice['tolerance'], unit)}"
-    chosen = advice["chosen"]
+    chosen, best = advice["chosen"], advice["most_exact"]
     if chosen is None:
-        best = advice["most_exact"]
         reached = "" if best is None else f"; the most exact setting reaches {length(best['position_error'], unit)}"
-        lines = [f"{within}: no setting of the plant keeps it{reached}"]
+        lines = [f"{within}: no advice: {advice['doubt'] or 'no setting of the plant keeps it'}{reached}"]
     else:
         lines = [
-            f"{within}, cheapest: {chosen['setting']} ({chosen['evaluations_per_period']:.3g} evaluations a period, "
-            f"error {length(chosen['position_error'], unit)}, {si(chosen['energy_error'], 'J', 2)}); in the scene:",
+            f"{within}: {chosen['setting']} ({chosen['evaluations_per_period']:.3g} evaluations a period, error "
+            f"{length(chosen['position_error'], unit)}, {si(chosen['energy_error'], 'J', 2)}); paste into the scene:",
             f"    {advice['line']}",
-            f"or leave it to the build:    accuracy: {{auto: {advice['tolerance']:g}}}",
         ]
-    sure = advice["dependable"]
-    if chosen is not None and advice["dependable_line"] != advice["line"]:
-        known = "no setting is free of it" if sure is None else f"without luck: {advice['dependable_line']}"
-        lines.append(f"a finer setting misses the tolerance, so that errors cancel there by luck; {known}")
+    lines.append(_loop_advice(result))
     for other in advice["cheaper_elsewhere"][:1]:
         lines.append(f"no scene can name it, but fewer evaluations: {other['method']}, {other['setting']}")
-    worth = [effect for effect in advice["effects"] if effect.get("position_error") is not None]
-    if worth:
-        names = ", ".join(f"{effect['effect']} ({length(effect['position_error'], unit)})" for effect in worth)
-        lines.append(f"effects, most error per microsecond saved first: {names}")
-    lines += [f"{effect['effect']}: {effect['remark']}" for effect in advice["effects"] if effect["remark"]]
-    return [*lines, *_loop_advice(result)]
+    return [line for line in (*lines, *_effect_advice(result)) if line]
 
 
-def _loop_advice(result: Row) -> list[str]:
+def _effect_advice(result: Row) -> list[str]:
+    """Returns what each effect is worth, and which ones did nothing."""
+    effects, unit = result["advice"]["effects"], result["unit"]
+    worth = [effect for effect in effects if effect.get("position_error")]
+    names = ", ".join(f"{effect['effect']} ({length(effect['position_error'], unit)})" for effect in worth)
+    lines = [f"effects, most error per microsecond saved first: {names}"] if worth else []
+    idle = [effect["effect"] for effect in effects if effect.get("position_error") == 0.0]
+    if idle:
+        lines.append(f"changed nothing in this time: {', '.join(idle)}")
+    return [*lines, *(f"{effect['effect']}: {effect['remark']}" for effect in effects if effect["remark"])]
+
+
+def _loop_advice(result: Row) -> str:
     """Returns what brings the rendered axis nearer to the continuous one and fits the bus, best first."""
     base = next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
     if base is None:
-        return []
-    if base["position_error"] <= _floor(result):
+        return ""
+    floor, unit = _loop_floor(result), result["unit"]
+    if base["largest_torque"] == 0.0 or base["position_error"] <= floor:
         time = si(result["holds"] / result["rate"], "s", 3)
-        return [f"loop: in these {time} nothing is felt, and nothing was compared; take a longer --duration"]
-    nearer = [
-        row
-        for row in result["loop"]
-        if row["status"] == "ok" and row["bus_fits"] and row["position_error"] < _NEARER * base["position_error"]
-    ]
+        return f"loop: in these {time} nothing is felt, and nothing was compared; take a longer --duration"
+
+    def is_nearer(row: Row) -> bool:
+        return bool(row["status"] == "ok" and row["position_error"] < _NEARER * base["position_error"] - floor)
+
+    def lasts(row: Row) -> bool:
+        """Whether it is no coarser than the scene, and every finer one is nearer too: one motion may be luck."""
+        if row["fineness"] is None:
+            return True
+        finer = [r for r in result["loop"] if r["group"] == row["group"] and (r["fineness"] or 0.0) > row["fineness"]]
+        return bool(row["fineness"] > 1.0 and all(is_nearer(other) for other in finer if other["status"] == "ok"))
+
+    nearer = [row for row in result["loop"] if row["bus_fits"] and is_nearer(row) and lasts(row)]
     if not nearer:
-        return ["loop: no single change that fits the bus brings it clearly nearer to the continuous axis"]
+        return "loop: no single change that fits the bus brings it clearly nearer to the continuous axis"
     words = []
     for row in sorted(nearer, key=lambda row: float(row["position_error"]))[:_SHOWN]:
-        load = f"bus {100.0 * row['bus_load']:.0f} %"
         given = max(0.0, row["energy_given_out"])
         out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
-        words.append(f"{row['group']} {row['setting']} ({length(row['position_error'], result['unit'])}, {load}{out})")
-    error = length(base["position_error"], result["unit"])
-    return [f"loop: {error} from the continuous axis; nearer: {'; '.join(words)}"]
+        load = f"bus {100.0 * row['bus_load']:.0f} %"
+        words.append(f"{row['group']} {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
+    return f"loop: {length(base['position_error'], unit)} from the continuous axis; nearer: {'; '.join(words)}"
+
+
+def _loop_floor(result: Row) -> float:
+    """Returns the error of the position that is the plant's own on the side of the loop [m or rad]."""
+    best = result["advice"]["most_exact"] if result["advice"] else None
+    return max(_floor(result), 2.0 * best["position_error"] if best else 0.0)
 
 
 def length(value: float, unit: str) -> str:
@@ -218,7 +241,9 @@ def _loop_cells(row: Row, unit: str) -> list[str]:
         errors = [length(row["position_error"], unit), _force(row["force_error"], unit), energy]
     return [
         row["group"], row["setting"], *errors, si(row["energy_uncertainty"], "J", 3),
-        "" if thread is None else f"{thread:.1f} us", f"{row['bytecodes_per_second'] / 1e3:.0f} k", load,
+        "" if thread is None else f"{thread:.1f} us",
+        "" if thread is None else f"{100.0 * row['thread_share']:.0f} %",
+        f"{row['bytecodes_per_second'] / 1e3:.0f} k", load,
     ]  # fmt: skip
 
 

@@ -7,15 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from canhaptic.scene.accuracy_choice import LEAST_ORDER
 from canhaptic.study.accuracy.candidates import OURS
 
 _CLOCK: Final = 0.05
 """Time per period below which a saving is not told from none [us]."""
-FLOOR: Final = 2e-13
-"""Of the travel: errors below it are those of the reference, or rounding: they count as equal, and tell no order."""
-_CEILING: Final = 3e-2
-"""Of the travel: errors above it are not yet in the range where an order shows."""
-
 Row = Mapping[str, Any]
 
 
@@ -53,44 +49,24 @@ def front(points: Sequence[tuple[float, float]]) -> set[tuple[float, float]]:
     return {(x, y) for x, y in set(points) if not any(a <= x and b <= y and (a < x or b < y) for a, b in points)}
 
 
-def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float) -> float | None:
-    """Returns the slope of log error over log size between the coarsest and the finest error that tell of it.
-
-    Args:
-        sizes: Of the steps, relative.
-        errors: Of the position [m or rad].
-        travel: Of the reference [m or rad].
-    """
-    points = [
-        (math.log(size), math.log(error))
-        for size, error in zip(sizes, errors, strict=True)
-        if FLOOR * travel < error < _CEILING * travel
-    ]
-    if len(points) < 2:
-        return None
-    count = len(points)
-    x, y = sum(p[0] for p in points) / count, sum(p[1] for p in points) / count
-    spread = sum((p[0] - x) ** 2 for p in points)
-    return sum((p[0] - x) * (p[1] - y) for p in points) / spread if spread else None
-
-
-def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float) -> dict[str, Any]:
+def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float, orders: Sequence[Row] = ()) -> dict[str, Any]:
     """Returns what to write into the scene, and on what grounds.
 
     Args:
         rows: Of the ladder.
         effects: Of the scene, each left out in turn.
         tolerance: Of the position [m or rad].
+        orders: Of the methods, declared and fitted.
     """
     ours = [row for row in rows if row["method"] == OURS]
-    chosen = cheapest(ours, tolerance)
+    doubt = next((_doubt(row) for row in orders if row["method"] == OURS), "")
+    lasting = [row for row in ours if meets(row, tolerance) and _lasts(row, ours, tolerance)]
+    chosen = None if doubt else cheapest(lasting, tolerance)
     cheaper = [
         {"method": row["method"], "setting": row["setting"], "evaluations": row["evaluations"]}
         for row in rows
         if row["method"] != OURS and meets(row, tolerance) and chosen and row["evaluations"] < chosen["evaluations"]
     ]
-    lasting = [row for row in ours if meets(row, tolerance) and _lasts(row, ours, tolerance)]
-    dependable = cheapest(lasting, tolerance)
     best = min(
         (row for row in ours if row["status"] == "ok"), key=lambda row: float(row["position_error"]), default=None
     )
@@ -98,12 +74,20 @@ def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float) -> dic
         "tolerance": tolerance,
         "chosen": chosen and dict(chosen),
         "line": chosen and line(chosen["accuracy"]),
-        "dependable": dependable and dict(dependable),
-        "dependable_line": dependable and line(dependable["accuracy"]),
+        "doubt": doubt,
         "most_exact": best and dict(best),
         "cheaper_elsewhere": sorted(cheaper, key=lambda row: int(row["evaluations"])),
         "effects": [dict(row) for row in sorted(effects, key=_worth, reverse=True)],
     }
+
+
+def _doubt(row: Row) -> str:
+    if row["fitted"] is None or row["declared"] is None or row["fitted"] >= LEAST_ORDER * row["declared"]:
+        return ""
+    return (
+        f"errors fall with an order of {row['fitted']:.2g} in the substep where {row['declared']} is declared, so that "
+        "none of them tells what another scene or a longer run would show; raise the rate, or give finer substeps"
+    )
 
 
 def _lasts(row: Row, ours: Sequence[Row], tolerance: float) -> bool:

@@ -4,8 +4,12 @@ The rig of the scene runs in lock-step with its simulated drives in one thread; 
 on the way and taken off.
 """
 
+import math
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 from canhaptic.control.balance import AT_REST, EnergyBalance
@@ -13,13 +17,14 @@ from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
-from canhaptic.scene.build import build_drive_group
+from canhaptic.scene.build import build, build_drive_group
 from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_servo_drive
 from canhaptic.signals import SimulatedPeer
 
 _CYCLES: Final = 600
+_TURNS: Final = 3
 _BLOCK: Final = 50
 """Cycles between two readings: the least block counts, so that interruptions do not."""
 _NS_PER_US: Final = 1e3
@@ -48,6 +53,30 @@ def exchange_time(scene: Scene) -> float | None:
 
         run(Cycle(rig, [_Idle() for _ in scene.axes]), _CYCLES, progress=read)
     return min(after - before for before, after in pairwise(readings)) / _BLOCK / _NS_PER_US
+
+
+def log_time(scene: Scene) -> float | None:
+    """Returns what writing the energy log costs the control thread in a cycle [us]; None where nothing can be run.
+
+    The least block of a run with the log, less the least of one without; both in lock-step, taken in turn.
+    """
+    if not scene.simulated or scene.bus_effects is not None:
+        return None
+    clock, least = WallClock(), [math.inf, math.inf]
+    with TemporaryDirectory() as folder:
+        for turn in range(2 * _TURNS):
+            log = Path(folder) / f"{turn}.h5" if turn % 2 else None
+            with build(replace(scene, auto_accuracy=None), energy_log=log) as experiment:
+                readings: list[int] = []
+
+                def read(cycles: int, readings: list[int] = readings) -> None:
+                    if cycles % _BLOCK == 0:
+                        readings.append(clock.now())
+
+                run(experiment.cycle, _CYCLES // 2, progress=read)
+            each = min(after - before for before, after in pairwise(readings))
+            least[turn % 2] = min(least[turn % 2], each / _BLOCK / _NS_PER_US)
+    return max(0.0, least[1] - least[0])
 
 
 class _TimedFarSide:

@@ -3,6 +3,7 @@
 Every variant is rendered without a bus and held against the continuous environment; the bus load is arithmetic.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -27,8 +28,8 @@ from canhaptic.units import effort_unit
 
 FINEST: Final = 4
 """Highest rate over that of the scene; the reference is read at that rate."""
-_FINE: Final = AccuracyParameters(substeps=8)
-"""Of every plant: the plant's own error is the business of the other side."""
+_SUBSTEPS: Final = 32
+"""Of the plant in one sample time of the scene: as the finest of the ladder, whose error is the floor of this side."""
 _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
 
 
@@ -43,6 +44,7 @@ class Variant:
     case: LoopCase
     is_scene: bool = False
     remark: str = ""
+    fineness: float | None = None  # times that of the scene, infinite for ideal; None where nothing is finer
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +66,16 @@ class LoopRow:
 
 def variants(axis: AxisScene, scene: Scene) -> list[Variant]:
     """Returns the scene itself and everything beside it, one change each, on a finely solved plant."""
-    axis = replace(axis, simulation=replace(simulation_of(axis), accuracy=_FINE))
+    axis = _with_substeps(axis, 1.0)
     base = Variant("as it is", axis.passivity.name, axis, scene.bus, loop_case(axis, scene), is_scene=True)
     found = [base, *_rates(base, scene), *_delays(base, scene), *_algorithms(base, scene), *_filters(base, scene)]
     return [*found, *_torques(base), *_encoders(base), *_without_encoder_effects(base, scene)]
+
+
+def _with_substeps(axis: AxisScene, factor: float) -> AxisScene:
+    """Returns the axis with substeps of the same length at `factor` times the rate."""
+    fine = AccuracyParameters(substeps=max(1, round(_SUBSTEPS / factor)))
+    return replace(axis, simulation=replace(simulation_of(axis), accuracy=fine))
 
 
 def _rates(base: Variant, scene: Scene) -> list[Variant]:
@@ -78,8 +86,9 @@ def _rates(base: Variant, scene: Scene) -> list[Variant]:
             continue
         bus = BusParameters(**{**base.bus.model_dump(), "rate": rate})
         loop = base.axis.loop.model_copy(update={"sample_time": bus.sample_time})
-        axis = replace(base.axis, loop=loop)
-        found.append(Variant("sample rate", _hertz(rate), axis, bus, loop_case(axis, replace(scene, bus=bus))))
+        axis = _with_substeps(replace(base.axis, loop=loop), factor)
+        case = loop_case(axis, replace(scene, bus=bus))
+        found.append(Variant("sample rate", _hertz(rate), axis, bus, case, fineness=factor))
     return found
 
 
@@ -129,7 +138,7 @@ def _torques(base: Variant) -> list[Variant]:
         loop = base.case.loop.model_copy(update={"torque_quantum": step or 0.0})
         setting = "ideal" if step is None else f"{step:g} {unit}"
         case = replace(base.case, torque_quantum=step, loop=loop)
-        found.append(Variant("torque step", setting, base.axis, base.bus, case))
+        found.append(Variant("torque step", setting, base.axis, base.bus, case, fineness=_fineness(factor, -1.0)))
     return found
 
 
@@ -139,12 +148,16 @@ def _encoders(base: Variant) -> list[Variant]:
         return []
     found = []
     for factor in (0.01, 0.1, 10.0, None):
-        scale = None if factor is None else abs(counts) * factor
+        scale: float | None = None if factor is None else abs(counts) * factor
         loop = base.case.loop.model_copy(update={"encoder_count": 1.0 / scale if scale else 0.0})
         setting = "ideal" if scale is None else f"{1.0 / scale:.3g} {base.axis.parameters.unit}"
         case = replace(base.case, counts_per_unit=scale, loop=loop)
-        found.append(Variant("encoder count", setting, base.axis, base.bus, case))
+        found.append(Variant("encoder count", setting, base.axis, base.bus, case, fineness=_fineness(factor, 1.0)))
     return found
+
+
+def _fineness(factor: float | None, power: float) -> float:
+    return math.inf if factor is None else float(factor**power)
 
 
 def _without_encoder_effects(base: Variant, scene: Scene) -> list[Variant]:

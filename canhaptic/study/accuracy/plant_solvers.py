@@ -1,5 +1,6 @@
 """The plant side: the whole ladder on the torques of the scene's own controller, and every effect left out in turn."""
 
+import importlib.util
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -7,13 +8,20 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.scene.accuracy_choice import ladder, simulation_of, textbook_model, torque_history
+from canhaptic.scene.accuracy_choice import (
+    FLOOR,
+    declared_order,
+    fitted_order,
+    ladder,
+    simulation_of,
+    textbook_model,
+    torque_history,
+)
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_motion import Motion, MotionError, difference
-from canhaptic.study.accuracy.advice import fitted_order
 from canhaptic.study.accuracy.candidates import OURS, Candidate, candidates, ours
 
 _FURTHEST: Final = 1.0
@@ -30,6 +38,7 @@ class PlantSide:
         scene: Its scene.
         holds: How many.
         stop: Asked now and then whether to give up.
+        with_compiled: Whether the plant is run compiled too, where numba is installed.
 
     Attributes:
         torques: Of each hold, those that the scene's own controller asked for [N or N*m].
@@ -40,7 +49,9 @@ class PlantSide:
         effects: What was measured so far, one per effect of the scene.
     """
 
-    def __init__(self, axis: AxisScene, scene: Scene, holds: int, stop: Callable[[], bool]) -> None:
+    def __init__(
+        self, axis: AxisScene, scene: Scene, holds: int, stop: Callable[[], bool], *, with_compiled: bool = False
+    ) -> None:
         self._simulation: AxisSimulation = simulation_of(axis)
         self._period = scene.bus.sample_time_ns
         self.torques = torque_history(axis, scene, holds)
@@ -51,6 +62,9 @@ class PlantSide:
         kinetic = 0.5 * self._simulation.plant.mass * self.exact.velocity**2
         self.energy = max(float(np.abs(work).max()) for work in (self.exact.motor, self.exact.user, kinetic))
         self.candidates: list[Candidate] = candidates(self._simulation, self.torques, self._period)
+        if with_compiled and importlib.util.find_spec("numba"):
+            finest = ladder(self._simulation, self._period)[-1]
+            self.candidates.append(ours(self._simulation, finest, self.torques, self._period, compiled=True))
         self.without: dict[str, Candidate] = {}
         self.rows: list[Row] = []
         self.effects: list[Row] = []
@@ -90,15 +104,16 @@ class PlantSide:
             accuracy: The one that the effects are priced at.
         """
         names = list(dict.fromkeys(effect.name for effect in self._simulation.effects))
-        whole = ours(self._simulation, accuracy, self.torques, self._period) if names else None
-        base = whole.observe()[1] if whole else 0
-        if whole and names:
-            self.without[""] = whole
+        if not names:
+            return
+        self.without[""] = whole = ours(self._simulation, accuracy, self.torques, self._period)
+        motion, evaluations, _ = whole.observe()
         for name in names:
             yield f"without {name}"
-            self.effects.append(self._effect_row(name, accuracy, base))
+            self.effects.append(self._effect_row(name, accuracy, motion, evaluations))
 
-    def _effect_row(self, name: str, accuracy: AccuracyParameters, base: int) -> Row:
+    def _effect_row(self, name: str, accuracy: AccuracyParameters, whole: Motion, base: int) -> Row:
+        """Returns what leaving an effect out changes at one accuracy, the error of the method apart."""
         rest = tuple(effect for effect in self._simulation.effects if effect.name != name)
         without = replace(self._simulation, effects=rest)
         try:
@@ -107,7 +122,9 @@ class PlantSide:
             return {"effect": name, "remark": f"cannot be left out alone: {error}"}
         self.without[name] = candidate = ours(without, accuracy, self.torques, self._period)
         motion, evaluations, _ = candidate.observe()
-        found = difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
+        found = difference(motion, whole, self._simulation.plant.mass, self._period * 1e-9)
+        if found.position <= FLOOR * self.travel and found.energy <= FLOOR * self.energy:
+            found = MotionError(0.0, 0.0, 0.0)
         order = next(getattr(e.parameters, "order", None) for e in self._simulation.effects if e.name == name)
         return {
             "effect": name,
@@ -140,11 +157,10 @@ class PlantSide:
         return found
 
     def _declared(self, method: str) -> int | None:
-        """Returns the order that a method has on this scene: 1 where modes switch, that of the effects for ours."""
-        own = next(candidate.order for candidate in self.candidates if candidate.method == method)
+        """Returns the order that a method has on this scene: that of the effects for ours, 1 where modes switch."""
         if method == OURS:
-            orders = [getattr(effect.parameters, "order", None) for effect in self._simulation.effects]
-            own = min((order for order in orders if order is not None), default=None)
+            return declared_order(self._simulation)
+        own = next(candidate.order for candidate in self.candidates if candidate.method == method)
         switching = textbook_model(self._simulation).switches
         return own if own is None or not switching else 1
 

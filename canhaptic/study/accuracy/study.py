@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import holds_of, require_own_axis, simulation_of
+from canhaptic.scene.accuracy_choice import FLOOR, holds_of, require_own_axis, simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant.plant import AccuracyParameters
-from canhaptic.study.accuracy.advice import FLOOR, advice, error_per_microsecond, pareto, rank_agreement
+from canhaptic.study.accuracy.advice import advice, error_per_microsecond, pareto, rank_agreement
 from canhaptic.study.accuracy.candidates import LSODA, remarks
 from canhaptic.study.accuracy.continuous_loop import continuous_loop
-from canhaptic.study.accuracy.control_thread import exchange_time
+from canhaptic.study.accuracy.control_thread import exchange_time, log_time
 from canhaptic.study.accuracy.cycle_timing import WORKLOAD, WallTime, interleaved, workload
 from canhaptic.study.accuracy.loop_sensitivity import FINEST, LoopRow, bus_figures, loop_row, variants
 from canhaptic.study.accuracy.operations import executed_bytecodes
@@ -31,6 +31,10 @@ _REPEATS: Final = 3
 _TRACED: Final = 0.2
 """Part of a run, in its middle, whose controller steps are counted in bytecodes."""
 _WORKLOAD: Final = "workload"
+_IDEAL: Final = 1e9
+"""Fineness of what has no step, as a number that JSON can hold."""
+_COMPILING: Final = 5.0
+"""Budget from which the plant is timed compiled too, which costs seconds once [s]."""
 
 
 class _StoppedError(InputError):
@@ -75,6 +79,7 @@ class AccuracyStudy:
         self._times: dict[str, WallTime] = {}
         self._remarks: list[str] = []
         self._status = "not begun"
+        self._log_us: float | None = None
 
     def run(self) -> dict[str, Any]:
         """Returns the result; `status` is "completed", or "stopped" with everything up to there."""
@@ -88,7 +93,8 @@ class AccuracyStudy:
         return self.result()
 
     def _measure(self) -> None:
-        self._plant = plant = PlantSide(self.axis, self.scene, self.holds, self._stop)
+        with_compiled = self._budget >= _COMPILING
+        self._plant = plant = PlantSide(self.axis, self.scene, self.holds, self._stop, with_compiled=with_compiled)
         self._remarks = remarks(simulation_of(self.axis))
         exact = continuous_loop(self.axis, self.scene.bus.sample_time_ns // FINEST, self.holds * FINEST, self._stop)
         self._advance("references", 1.0)
@@ -140,10 +146,12 @@ class AccuracyStudy:
         cases = {str(i): (row.variant.case, row.run) for i, row in enumerate(self._loops) if len(row.run.position) > 1}
         each = microseconds_per_step(cases, _REPEATS)
         exchange = exchange_time(self.scene)
+        self._log_us = log_time(self.scene)
         for index, row in enumerate(self._loop_rows):
             step = each.get(str(index))
             row["controller_us"] = step
-            row["control_thread_us"] = None if step is None or exchange is None else step + exchange
+            row["control_thread_us"] = thread = None if step is None or exchange is None else step + exchange
+            row["thread_share"] = None if thread is None else thread * 1e-6 * row["rate"]
         self._advance("times", 1.0)
 
     def _loop_row(self, row: LoopRow) -> Row:
@@ -162,6 +170,8 @@ class AccuracyStudy:
             "setting": variant.setting,
             "is_scene": variant.is_scene,
             "remark": variant.remark or row.run.reason,
+            "fineness": None if variant.fineness is None else min(variant.fineness, _IDEAL),
+            "largest_torque": max(map(abs, row.run.torque.tolist()), default=0.0),
             "status": "ok" if stable else "unstable" if row.run.ended == "diverged" else row.run.ended,
             "position_error": row.position_error if stable else None,
             "force_error": row.force_error if stable else None,
@@ -170,6 +180,7 @@ class AccuracyStudy:
             "energy_given_out": -row.run.least_interaction,
             "wall_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
             "bytecodes_per_second": round(executed_bytecodes(work) / len(positions) * variant.bus.rate),
+            "rate": variant.bus.rate,
             **bus_figures(variant, self.scene),
         }
 
@@ -187,19 +198,22 @@ class AccuracyStudy:
             "duration": self.holds * bus.sample_time,
             "tolerance": self.tolerance,
             "workload": self._workload(),
+            "log_us": self._log_us,
             "remarks": self._remarks,
         }
         plant = self._plant
         if plant is None:
             return {**found, "reference": None, "plant": [], "orders": [], "loop": [], "advice": None}
-        rows = self._plant_rows(plant)
+        rows, orders = self._plant_rows(plant), plant.orders()
         return {
             **found,
             "reference": self._reference(plant, rows),
             "plant": rows,
-            "orders": plant.orders(),
+            "orders": orders,
             "loop": self._loop_rows,
-            "advice": None if self._status == "stopped" else advice(rows, self._effect_rows(plant), self.tolerance),
+            "advice": None
+            if self._status == "stopped"
+            else advice(rows, self._effect_rows(plant), self.tolerance, orders),
         }
 
     def _workload(self) -> dict[str, Any] | None:

@@ -6,7 +6,7 @@ from typing import Literal
 import pytest
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.scene.accuracy_choice import observed, textbook_model
+from canhaptic.scene.accuracy_choice import fitted_order, observed, textbook_model
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.effects import EFFECTS as ALL_EFFECTS
 from canhaptic.sim.plant.effects import read_effect
@@ -16,7 +16,6 @@ from canhaptic.sim.textbook.event_location import located, reference
 from canhaptic.sim.textbook.fixed_step import METHODS, fixed_step
 from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.sim.textbook.reference_motion import difference
-from canhaptic.study.accuracy.advice import fitted_order
 from tests.study.accuracy.accuracy_scenes import (
     EFFECTS,
     EXACT,
