@@ -10,12 +10,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Final, Literal, Self
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from typing import TYPE_CHECKING, Final, Literal, Self
 
 from canhaptic.drive.clock import WallClock
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 _FIRST: Final = 1_000_000_000  # [ns]
 _INTERVAL: Final = {"real": 500_000_000, "free": 100_000_000}  # [ns]
@@ -75,6 +75,9 @@ class RunProgress:
             _write_if_free(f"\r  {cycles * self._sample_time:8.1f} s{end}   {cycles} cycles ")
             return
         if self._bar is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
             columns = (
                 TextColumn("  running"),
                 BarColumn(),

@@ -15,7 +15,6 @@ from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
 from canhaptic.host.socketcan_state import require_preflight
-from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.guesses import require_no_guesses
@@ -43,6 +42,7 @@ def execute(arguments: argparse.Namespace) -> int:
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         if error is None and arguments.png is not None and energy_log is not None:
+            from canhaptic.logs.energy_reader import EnergyLog
             from canhaptic.view.run_picture import draw_energy
 
             with EnergyLog.open(energy_log) as log:

@@ -4,24 +4,28 @@ import json
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.columns import GROUP_AXES, Attribute, PortDescription
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.scene.models import AxisScene, Scene, task_unit
+
+if TYPE_CHECKING:
+    from canhaptic.logs.energy_log import EnergyLogWriter
 
 _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
 
 
 def open_energy_log(
     scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None]
-) -> EnergyLogWriter:
+) -> "EnergyLogWriter":
     """Returns the energy log, made and ready; `on_failure` is told, from another thread, when it breaks off.
 
     Raises:
         LogWriteError: The file cannot be made.
     """
+    from canhaptic.logs.energy_log import EnergyLogWriter
+
     ports = [PortDescription(axis.parameters.name, axis.parameters.unit) for axis in scene.axes]
     for group in scene.groups:
         motor_unit = scene.axis(group.axes[0]).parameters.unit

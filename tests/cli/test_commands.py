@@ -1,6 +1,7 @@
 """The `canhaptic` command: what it prints, where, and its exit statuses."""
 
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -336,3 +337,23 @@ def test_a_strict_run_exits_with_one_unless_it_was_passive(capsys):
     assert "--strict: handle: passive: no, least sum of interaction -" in capsys.readouterr().err
     assert main([*command, "--strict"]) == 0
     assert json.loads(capsys.readouterr().out)["passive"] == "yes"
+
+
+@pytest.mark.parametrize(
+    ("words", "needed"), [(["--json"], set()), ([], {"rich"}), (["--json", "--log", "run.h5"], set())]
+)
+def test_run_imports_rich_for_its_table_only_and_h5py_in_the_process_of_the_log(
+    tmp_path: Path, words: list[str], needed: set[str]
+) -> None:
+    code = (
+        "import sys; from canhaptic.cli.main import main; "
+        "main(['run', sys.argv[1], '--duration', '0.01 s', '--pace', 'free', *sys.argv[2:]]); "
+        "print(*(name for name in ('h5py', 'rich') if name in sys.modules), file=sys.stderr)"
+    )
+    demo = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
+    environment = {**os.environ, "PYTHONPATH": str(demo.parents[1])}
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(demo), *words], capture_output=True, text=True, check=True, cwd=tmp_path,
+        env=environment, timeout=60,
+    )  # fmt: skip
+    assert set(done.stderr.splitlines()[-1].split()) == needed
