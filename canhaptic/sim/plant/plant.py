@@ -145,6 +145,8 @@ class Plant:
         has_guards = any(part.has_guards for part in scene.parts)
         if not (has_guards or scene.efforts or scene.schedule or scene.commands):
             return self._linear_hold
+        if not (has_guards or scene.efforts or scene.schedule):
+            return self._commanded_hold
         run: Callable[[int], object] = (
             self._splitting.run if self._splitting else machine.run if has_guards else machine.run_free
         )
@@ -322,6 +324,12 @@ class Plant:
             self._machine.state[-2] = torque
             self._machine.run_free(ticks)
             self.position = self._machine.state.item(0)
+
+    def _commanded_hold(self, ticks: int, torque: float) -> None:
+        duration = ticks * self._machine.tick_time
+        for command in self.scene.commands:
+            torque = command.apply(torque, duration)
+        self._linear_hold(ticks, torque)
 
     def _general_hold(self, ticks: int, torque: float) -> None:
         machine = self._machine
