@@ -19,7 +19,7 @@ from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model
 from tools.bench.plants.affine_judge import judged
 from tools.bench.plants.random_scenes import RandomScene, apart, random_scene
-from tools.bench.report import RESULTS, Row, publish, write_result
+from tools.bench.report import Row, out_folder, publish, write_result
 
 SHOWN: Final = 40
 _GRAZING: Final = 1e-9
@@ -113,7 +113,7 @@ def main() -> None:
     rows, table = judge_all(count)
     rows += [screen_all(4 * count), servo_row(), stribeck_row()]
     publish("plant_truth", rows, _PACKAGES)
-    write_result(RESULTS / "plant_truth_scenes.json", _PACKAGES, {"scenes": table})
+    write_result(out_folder() / "plant_truth_scenes.json", _PACKAGES, {"scenes": table})
 
 
 if __name__ == "__main__":
