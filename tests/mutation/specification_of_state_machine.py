@@ -10,7 +10,7 @@ SOD, RTSO, SO, OE = "SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "SWITCHED_ON", "
 QSA, FRA, FAULT = "QUICK_STOP_ACTIVE", "FAULT_REACTION_ACTIVE", "FAULT"
 STATES = (POWER_ON, SOD, RTSO, SO, OE, QSA, FRA, FAULT)  # in the order of their numbers
 
-COMMAND_CODING = {  # low byte of the controlword; bit 7 is the fault reset, which commands nothing but in FAULT
+COMMAND_CODING = {  # low byte of the controlword; bit 7 makes it a fault reset and no other command
     "xxxxxx0x": "DISABLE_VOLTAGE",
     "xxxxx01x": "QUICK_STOP",
     "xxxxx110": "SHUTDOWN",
@@ -87,7 +87,7 @@ def _commands(module: ModuleType) -> None:
                 continue
             machine.reset()
             machine.state = before
-            then = after_command(state, place, 2)
+            then = state if word & 0x80 else after_command(state, place, 2)
             assert machine.obey(word, 2) is (then != state)
             assert machine.state.name == then
         for option in STAYS + ENDS_BY_ITSELF if state == QSA else OPTIONS:  # with 0 there is no QUICK STOP ACTIVE

@@ -22,13 +22,14 @@ QSA, FRA, FAULT, NRTSO = (
 TRUTH = {
     NRTSO: (NRTSO, NRTSO, NRTSO, NRTSO, NRTSO, NRTSO),
     SOD: (SOD, SOD, RTSO, SOD, SOD, SOD),
-    RTSO: (SOD, SOD, RTSO, SO, OE, SOD),
-    SO: (SOD, SOD, RTSO, SO, OE, SOD),
-    OE: (SOD, QSA, RTSO, SO, OE, SOD),
-    QSA: (SOD, QSA, QSA, QSA, QSA, SOD),  # with 0x605A = 2
+    RTSO: (SOD, SOD, RTSO, SO, OE, RTSO),
+    SO: (SOD, SOD, RTSO, SO, OE, SO),
+    OE: (SOD, QSA, RTSO, SO, OE, OE),
+    QSA: (SOD, QSA, QSA, QSA, QSA, QSA),  # with 0x605A = 2
     FRA: (FRA, FRA, FRA, FRA, FRA, FRA),
     FAULT: (FAULT, FAULT, FAULT, FAULT, FAULT, SOD),
 }
+# a command has bit 7 = 0 (table 28): with it 1 there is the fault reset alone
 CONTROLWORDS = (0x00, 0x02, 0x06, 0x07, 0x0F, 0x80)
 CASES = [(state, word, then) for state, row in TRUTH.items() for word, then in zip(CONTROLWORDS, row, strict=True)]
 

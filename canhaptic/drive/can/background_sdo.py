@@ -32,8 +32,8 @@ _OWNED: Final = frozenset(
         # of the cycle and of the start that confirmed them: not to be written from outside while the rig runs
         od.SYNC_COB_ID,
         od.COMMUNICATION_CYCLE_PERIOD,
-        0x1010,  # store parameters
-        0x1011,  # restore default parameters
+        od.STORE_PARAMETERS,
+        od.RESTORE_PARAMETERS,
         od.EMCY_COB_ID,
         od.CONSUMER_HEARTBEAT_TIME,
         od.PRODUCER_HEARTBEAT_TIME,

@@ -17,7 +17,9 @@ from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import (
     ABORT_CONNECTION_OPTION,
     ERROR_BEHAVIOUR,
+    GUARD_TIME,
     HEARTBEAT_BASE,
+    LIFE_TIME_FACTOR,
     NMT_COB_ID,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
@@ -37,6 +39,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import Timers
 
 _COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
+_NOT_SERVED: Final = frozenset({(GUARD_TIME, None), (LIFE_TIME_FACTOR, None)})  # node guarding
 _FAULT: Final = 1  # value of 0x6007; used when a dictionary has no such object
 _PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 0x1029: where a lost heartbeat leads
 _tuple: Final = tuple.__new__  # makes a truth at half the cost of calling its class
@@ -84,9 +87,9 @@ class SimulatedDrive:
         self.nmt_state = NmtState.BOOT_UP
         self._bus = bus
         self._reaction_time = sample_time_ns * 3 // 2  # so that exactly one SYNC shows it
-        self.store = store = ObjectStore(
-            dictionary, parameters.object_values(), parameters.absent_places(), parameters.refused_values()
-        )
+        absent = parameters.absent_places() | _NOT_SERVED
+        self.store = store = ObjectStore(dictionary, parameters.object_values(), absent, parameters.refused_values())
+        store.guard_storage()
         self.servo = Servo(store, motor, parameters)
         self.timers = timers = Timers()
         self.on_routes_changed: Callable[[], None] = lambda: None

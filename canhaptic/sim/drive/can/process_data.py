@@ -4,7 +4,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from canhaptic.canopen.objects import COMMUNICATION_CYCLE_PERIOD, SYNC_COB_ID, SYNC_FRAME_COB_ID, DataType, SdoAbort
+from canhaptic.canopen.objects import (
+    COMMUNICATION_CYCLE_PERIOD,
+    SYNC_COB_ID,
+    SYNC_COUNTER_OVERFLOW,
+    SYNC_FRAME_COB_ID,
+    DataType,
+    SdoAbort,
+)
 from canhaptic.sim.drive.can import emergency as emcy
 from canhaptic.sim.drive.can.pdo import Pdo, find_pdos
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
@@ -14,6 +21,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.timers import Timers
 
 _NS_PER_US: Final = 1000
+_LARGEST_COUNTER: Final = 240  # of the SYNC
 _SYNC_GENERATOR: Final = 1 << 30  # bit of 0x1005: the device produces SYNC, which this one cannot
 
 Content = bytes | bytearray
@@ -63,6 +71,9 @@ class ProcessData:
         self._sync_cob_id.check = _check_sync_cob_id
         self._cycle_period = store.entry(COMMUNICATION_CYCLE_PERIOD, DataType.UNSIGNED32)
         self._sync_cob_id.changed = self._cycle_period.changed = on_change
+        counter = store.find(SYNC_COUNTER_OVERFLOW)
+        if counter is not None:
+            counter.check = self._check_counter
         self.routes()
 
     def routes(self) -> dict[int, Handler]:
@@ -134,6 +145,12 @@ class ProcessData:
             if pdo.pending is not None:
                 content, pdo.pending = pdo.pending, None
                 pdo.load(content)
+
+    def _check_counter(self, value: int) -> SdoAbort | None:
+        """Refuses a counter while a cycle period is set, and the values 1 and above 240 (CiA 301, 7.5.2.22)."""
+        if self._cycle_period.number:
+            return SdoAbort.DEVICE_STATE
+        return SdoAbort.VALUE_RANGE if value == 1 or value > _LARGEST_COUNTER else None
 
     def _lose_sync(self, _due: int) -> None:
         if self._servo.state is DriveState.OPERATION_ENABLED:

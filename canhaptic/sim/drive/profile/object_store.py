@@ -6,10 +6,11 @@ Objects that the drive needs for itself but its dictionary does not list are kep
 
 import struct
 from collections.abc import Callable, Mapping, Set
+from functools import partial
 from typing import Final
 
 from canhaptic.canopen.dictionary import Dictionary, Variable, variables
-from canhaptic.canopen.objects import DataType, SdoAbort
+from canhaptic.canopen.objects import RESTORE_PARAMETERS, STORE_PARAMETERS, DataType, SdoAbort
 from canhaptic.errors import ParameterError
 
 _Value = int | float | bytes
@@ -35,6 +36,10 @@ _INTEGERS: Final[dict[int, tuple[int, bool]]] = {  # data type -> (bytes, signed
 }
 _REALS: Final[dict[int, struct.Struct]] = {DataType.REAL32: struct.Struct("<f"), DataType.REAL64: struct.Struct("<d")}
 _PDO_CODES: Final = {(1, True): "b", (2, True): "h", (4, True): "i", (8, True): "q"}
+_SIGNATURES: Final = {
+    STORE_PARAMETERS: int.from_bytes(b"save", "little"),
+    RESTORE_PARAMETERS: int.from_bytes(b"load", "little"),
+}
 _COUNTING_OBJECTS: Final = (range(0x1003, 0x1004), range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 
 
@@ -210,6 +215,13 @@ class ObjectStore:
             entry.changed()
         return None
 
+    def guard_storage(self) -> None:
+        """Lets 0x1010 and 0x1011 take their signatures alone (CiA 301, 7.5.2.13-14) and go on to show what they can."""
+        for index, signature in _SIGNATURES.items():
+            for entry in [e for (i, subindex), e in self._entries.items() if i == index and subindex]:
+                entry.check = partial(_check_signature, signature)
+                entry.changed = partial(_restore, entry)
+
     def _absent(self, index: int) -> SdoAbort:
         return SdoAbort.NO_SUBINDEX if index in self._indices else SdoAbort.NO_OBJECT
 
@@ -232,6 +244,14 @@ class ObjectStore:
             entry.encode(_require(entry.initial))
         except (ValueError, TypeError) as error:
             raise ParameterError(f"{name}: got {value!r}, expected a value of type 0x{entry.data_type:04X}") from error
+
+
+def _check_signature(signature: int, value: int) -> SdoAbort | None:
+    return None if value == signature else SdoAbort.NOT_TRANSFERABLE
+
+
+def _restore(entry: Entry) -> None:
+    entry.value = entry.initial
 
 
 def _refusal(entry: Entry, value: int | float) -> SdoAbort | None:

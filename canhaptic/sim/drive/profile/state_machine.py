@@ -108,7 +108,7 @@ class StateMachine:
         if state is DriveState.FAULT:
             if rising & _FAULT_RESET:
                 self.state = DriveState.SWITCH_ON_DISABLED  # 15; the other bits need a command of their own
-        else:
+        elif not controlword & _FAULT_RESET:  # every other command has bit 7 = 0 (table 28)
             self.state = _TRANSITIONS.get((state, command_of(controlword)), state)
             if state is DriveState.QUICK_STOP_ACTIVE and self.state is DriveState.OPERATION_ENABLED:
                 self.state = self.state if quick_stop_option in _QUICK_STOP_STAYS else state

@@ -1,0 +1,55 @@
+"""Objects of CiA 301 that a dictionary may list: stored parameters, the SYNC counter, node guarding."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.sim_drive.drive_on_bus import Rig
+
+OUR_EDS = Path(__file__).resolve().parents[2] / "eds" / "cia402_servo.eds"
+SECTION = """
+[{name}]
+ParameterName=object {name}
+ObjectType={kind}
+{entries}
+PDOMapping=0
+"""
+
+
+@pytest.fixture
+def listing(tmp_path: Path) -> Path:
+    """Our dictionary with 0x1010, 0x1011, 0x1019 and the guarding objects besides."""
+    text = OUR_EDS.read_text(encoding="utf-8")
+    for name, data_type, value in (("100C", 6, 0), ("100D", 5, 0), ("1019", 5, 0)):
+        entries = f"DataType={data_type}\nAccessType=rw\nDefaultValue={value}"
+        text += SECTION.format(name=name, kind="0x7", entries=entries)
+    for name in ("1010", "1011"):
+        text += SECTION.format(name=name, kind="0x8", entries="SubNumber=2")
+        text += SECTION.format(name=f"{name}sub0", kind="0x7", entries="DataType=5\nAccessType=ro\nDefaultValue=1")
+        text += SECTION.format(name=f"{name}sub1", kind="0x7", entries="DataType=7\nAccessType=rw\nDefaultValue=1")
+    path = tmp_path / "more.eds"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("index", "signature"), [(0x1010, b"save"), (0x1011, b"load")])
+def test_parameters_are_stored_and_restored_by_their_signature_alone(
+    listing: Path, index: int, signature: bytes
+) -> None:
+    with Rig(listing) as rig:
+        assert rig.write(index, 1, 1, 4) == "08000020"
+        assert rig.write(index, 1, int.from_bytes(signature[::-1], "little"), 4) == "08000020"
+        assert rig.write(index, 1, int.from_bytes(signature, "little"), 4) == "ok"
+        assert rig.read(index, 1) == "01 00 00 00"  # what the device can do, never the signature
+
+
+def test_the_sync_counter_is_set_while_the_cycle_period_is_0_and_to_what_cia_301_allows(listing: Path) -> None:
+    with Rig(listing) as rig:
+        assert [rig.write(0x1019, 0, value, 1) for value in (1, 241, 240, 2, 0)] == ["06090030"] * 2 + ["ok"] * 3
+        assert rig.write(0x1006, 0, 1000, 4) == "ok"
+        assert rig.write(0x1019, 0, 2, 1) == "08000022"
+
+
+def test_node_guarding_is_not_served_and_so_not_listed(listing: Path) -> None:
+    with Rig(listing) as rig:
+        assert [rig.read(index) for index in (0x100C, 0x100D)] == ["06020000", "06020000"]
