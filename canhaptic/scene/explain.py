@@ -103,6 +103,9 @@ def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], 
     annotation, motion = None, section.motion
     found = _Found("", section, section.mark, section.mark, None, (), motion)
     for part in location:
+        if isinstance(container, MarkedMapping) and part == container.get("type") and part not in container:
+            owner = _named(annotation, part) or owner  # pydantic names the branch of a union that `type` chose
+            continue
         fields = _fields(owner)
         annotation = fields.get(str(part), annotation if isinstance(part, int) else None)
         names: tuple[str, ...] = ()
@@ -168,6 +171,12 @@ def _inner(annotation: Any) -> Iterator[Any]:
     parts = annotation if isinstance(annotation, tuple) else typing.get_args(annotation)
     for part in (*parts, *getattr(annotation, "__metadata__", ())):
         yield from _inner(part)
+
+
+def _named(annotation: Any, kind: int | str) -> type[BaseModel] | None:
+    """Returns the model of a union whose `type` this is."""
+    models = (part for part in _inner(annotation) if isinstance(part, type) and issubclass(part, BaseModel))
+    return next((m for m in models if "type" in m.model_fields and m.model_fields["type"].default == kind), None)
 
 
 def _model_in(annotation: Any, section: MarkedMapping, owner: Any) -> tuple[Any, tuple[str, ...]]:

@@ -96,9 +96,12 @@ def _put_accuracy(scene: MarkedMapping, faults: Diagnostics) -> None:
 
 
 def _bus_names(written: MarkedMapping) -> tuple[str, ...]:
-    """Returns the names of the buses as written; an empty one for the only bus without a name."""
+    """Returns the names of the buses as written; an empty one for the only bus, none where one has no name."""
     value = written.get("bus")
-    return tuple(str(bus.get("name")) for bus in _entries(value)) if isinstance(value, MarkedList) else ("",)
+    if not isinstance(value, MarkedList):
+        return ("",)
+    names = [name for bus in _entries(value) if isinstance(name := bus.get("name"), str)]
+    return tuple(names) if len(names) == len(value) else ()
 
 
 def bus_section(written: MarkedMapping, index: int) -> MarkedMapping:
@@ -126,7 +129,7 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
         scene.put("bus_name", head.get("name"), head.keys_at.get("name", head.mark), head.value_at("name"))
     names = _bus_names(written)
     for index, entry in enumerate(entries):
-        if entry is not None and len(entries) == len(names) and names[index] in names[:index]:
+        if entry is not None and names and names[index] in names[:index]:
             faults.add(entry.value_at("name"), f"got {names[index]!r}, which is the name of another bus already")
     scene.set("further_buses", [_or_noted(entry and _further_bus(entry, faults)) for entry in further])
 

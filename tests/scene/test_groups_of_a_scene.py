@@ -49,6 +49,11 @@ def faults(path: Path, *overrides: str) -> list[str]:
         (STAGE, "groups.0.network.type=bax", "unknown network 'bax', expected one of"),
         (STAGE, "groups.0.network.stiffness=-1", "groups.0.network.stiffness: got -1, expected 0 <= stiffness"),
         (STAGE, "groups.0.network.stiffness=5 N*m/rad", "does not fit; expected [N/m]"),
+        (
+            STAGE,
+            "groups.0.network={type: general, storages: [{type: spring, stiffness: -1}]}",
+            "groups.0.network.storages.0.stiffness: got -1, expected 0 <= stiffness <= 1e9",
+        ),
         (STAGE, "groups.0.network.stifness=5", "groups.0.network.stifness: unknown key; did you mean 'stiffness'?"),
         (STAGE, "groups.0.network=null", "groups.0.network: missing, expected type"),
         (STAGE, "groups.0.passivity={algorithm: guarded}", "got neither moving_mass of every axis"),
