@@ -119,14 +119,19 @@ def run_loop(
             held = command
 
 
+def states_in(moved: Buffer) -> int:
+    """Returns the number of states; compiled it is a constant, so that loops over them are unrolled."""
+    return len(moved)
+
+
 def move(flow: Sequence[Sequence[float]], plant: Buffer, moved: Buffer, torque: float) -> None:
     """Moves a plant by one hold of constant torque [N or N*m]."""
-    states = len(moved)
+    states = states_in(moved)
     plant[states] = torque
     for row in range(states):
-        total = 0.0
+        factors, total = flow[row], 0.0
         for column in range(states + 2):
-            total += flow[row][column] * plant[column]
+            total += factors[column] * plant[column]
         moved[row] = total
     for row in range(states):
         plant[row] = moved[row]

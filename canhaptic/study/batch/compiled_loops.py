@@ -14,14 +14,14 @@ from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, records_of
 from canhaptic.study.batch.batch_case import NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes
-from canhaptic.study.batch.closed_loop import run_loop, step
+from canhaptic.study.batch.closed_loop import run_loop, states_in, step
 from canhaptic.study.batch.meter import Meter
-from canhaptic.study.batch.reference_kernel import TERMS, Reference, ReferenceMemory
+from canhaptic.study.batch.reference_kernel import TERMS, Reference, ReferenceMemory, length_of
 from canhaptic.study.batch.rows import SceneRow
 from canhaptic.study.loop import Array
 
-WIDTH = 0
-"""Numbers of an environment; this, and `new_environment`, are bound anew for each kind."""
+WIDTH = STATES = LENGTH = 0
+"""Numbers of an environment, states of a plant and of a continuous run; bound anew for each kind of loop."""
 
 
 def new_environment(*_numbers: float) -> Any:
@@ -51,10 +51,30 @@ def run_loops(
         )  # fmt: skip
 
 
+def known_states(_moved: Buffer) -> int:
+    """Takes the place of `states_in`."""
+    return STATES
+
+
+def known_length(_state: Buffer) -> int:
+    """Takes the place of `length_of`."""
+    return LENGTH
+
+
 @lru_cache(maxsize=64)
-def compiled_loops(kind: Any, kernel: Kernel) -> Any:
-    """Returns `run_loops` compiled for the tuple type of an environment and an algorithm."""
-    instead = {new_environment: kind, "WIDTH": len(kind._fields), step: kernel.step}
+def compiled_loops(kind: Any, kernel: Kernel, states: int, length: int) -> Any:
+    """Returns `run_loops` compiled.
+
+    Args:
+        kind: Tuple type of the environment.
+        kernel: Of the algorithm.
+        states: Of the plant.
+        length: Of the state of the continuous run.
+    """
+    instead = {
+        new_environment: kind, "WIDTH": len(kind._fields), step: kernel.step, states_in: known_states, "STATES": states,
+        length_of: known_length, "LENGTH": length,
+    }  # fmt: skip
     return compiled(run_loops, instead, keep=True)
 
 
@@ -68,10 +88,10 @@ def run_compiled(
     kind = tuple_type(rows[0].environment)
     numbers = attrgetter(*kind._fields)
     table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
-    run = compiled_loops(kind, kernel)
     plant, moved = np.empty(starts.shape[1]), np.empty(starts.shape[1] - 2)
     size = modes.starts.shape[1]
     state, moved_state, series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
+    run = compiled_loops(kind, kernel, len(moved), size)
     for some in _alike(kernel, rows):
         memory, zeros = _memory(kernel, rows[some[0]].settings)
         part, compared = meters[some], references[some]

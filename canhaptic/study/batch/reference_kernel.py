@@ -102,13 +102,19 @@ def force(settings: ReferenceSettings, memory: ReferenceMemory) -> float:
     return 0.0
 
 
+def length_of(state: Buffer) -> int:
+    """Returns the length k of y; compiled it is a constant, so that loops over it are unrolled."""
+    return len(state)
+
+
 def move_step(settings: ReferenceSettings, reference: Reference, memory: ReferenceMemory) -> None:
     """Moves by one step, and again in pieces where an event may lie in it."""
-    state, moved, size, mode = memory.state, memory.moved, len(memory.state), reference.mode
+    state, moved, mode = memory.state, memory.moved, reference.mode
+    size, flow = length_of(state), memory.flows[mode]
     for row in range(size - 1):
-        total = 0.0
+        factors, total = flow[row], 0.0
         for column in range(size):
-            total += memory.flows[mode][row][column] * state[column]
+            total += factors[column] * state[column]
         moved[row] = total
     position = moved[0]
     crossed = (position < settings.lower) != (mode == LOWER) or (position > settings.upper) != (mode == UPPER)

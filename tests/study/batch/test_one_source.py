@@ -81,7 +81,7 @@ COMPILED = [
 
 
 def drawn(algorithm, world, seed, cycles=200):
-    """A loop whose numbers are drawn at random, some of them at the edge of what a float can hold."""
+    """A loop whose numbers are drawn at random, some of them at the edge of what a scene may ask."""
     rng = random.Random(f"{algorithm} {world} {seed}")
     values = {
         name: value * 10.0 ** rng.uniform(-1.5, 1.5) if isinstance(value, float) and value > 0.0 else value
@@ -89,7 +89,7 @@ def drawn(algorithm, world, seed, cycles=200):
         if name not in ("lower", "upper", "position")
     }
     if "damping" in values:
-        values["damping"] = rng.choice([values["damping"], 0.0, 5e-324, 1e6])
+        values["damping"] = rng.choice([values["damping"], 0.0, 1e-30, 1e6])
     named: dict[str, Any] = {
         "delay": rng.choice([0, 1]), "encoder_count": rng.choice([0.0, 1e-6, 1e-4]),
         "rate": rng.choice([100.0, 1e3, 8e3]), "torque_quantum": rng.choice([0.0, 0.01]),
@@ -121,7 +121,7 @@ def test_numba_gives_the_bits_of_python(algorithm, world):
 def test_what_is_no_number_ends_a_compiled_loop_as_it_ends_an_interpreted_one():
     pytest.importorskip("numba")
     case, _ = many("unprotected", 4)
-    for stiffness, start in itertools.product((1e300, 1e3), (np.nan, np.inf, -np.inf, -1e-310, -0.0, -1e200)):
+    for stiffness, start in itertools.product((1e300, 1e3), (np.nan, np.inf, -np.inf, -1e-310, 5e-324, -0.0, -1e200)):
         numbers = {**case.numbers, "environment.stiffness": np.full(4, stiffness), "start.0": np.full(4, start)}
         spoilt = replace(case, numbers=numbers)
         first, second = (march(spoilt, 4, 20, engine, list(METRICS)) for engine in ("python", "numba"))
