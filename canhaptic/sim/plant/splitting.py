@@ -117,7 +117,7 @@ class Splitting:
 def _mean_torque(begin: float, end: float, held: float) -> float:
     """Returns the mean of a torque that goes from `begin` to `end` as a first-order lag behind `held` does."""
     gap, left = begin - held, end - held
-    if left == gap or not left / gap > _SETTLED:
+    if gap in (0.0, left) or not left / gap > _SETTLED:
         return end
     return held + (left - gap) / math.log1p((left - gap) / gap)
 
