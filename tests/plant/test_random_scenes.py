@@ -12,6 +12,10 @@ from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.plant_scenes import make_plant, residual
 
 
+def rounded(largest: float) -> st.SearchStrategy[float]:
+    return st.floats(-largest, largest).map(lambda value: round(value, 9))
+
+
 def decades(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(math.log10(low), math.log10(high)).map(lambda exponent: float(10**exponent))
 
@@ -19,7 +23,7 @@ def decades(low: float, high: float) -> st.SearchStrategy[float]:
 stops = st.fixed_dictionaries(
     {
         "type": st.just("hard_stop"),
-        "position": st.floats(-0.02, 0.02),
+        "position": rounded(0.02),
         "stiffness": decades(1e2, 1e8),
         "damping": st.just(0.0) | decades(1e-3, 1e4),
     }
@@ -47,7 +51,7 @@ users = st.none() | st.builds(
     UserParameters,
     stiffness=decades(1.0, 1e6),
     damping=st.just(0.0) | decades(1e-2, 1e3),
-    rest=st.floats(-0.02, 0.02),
+    rest=rounded(0.02),
     motion=st.none() | st.builds(SinusoidMotion, amplitude=decades(1e-4, 0.05), frequency=decades(0.1, 20.0)),
 )
 
@@ -76,7 +80,7 @@ def energies(plant: Plant, torques: list[float]) -> tuple[list[float], float]:
 
 
 @settings(max_examples=60)
-@given(scenes(), st.lists(st.floats(-5, 5), min_size=1, max_size=25), st.floats(-0.5, 0.5))
+@given(scenes(), st.lists(rounded(5.0), min_size=1, max_size=25), rounded(0.5))
 def test_the_balance_closes_for_any_scene_and_torque(scene, torques, velocity):
     effects, user, period = scene
     plant = make_plant(*effects, user=user, period=period, initial_velocity=velocity)
@@ -87,7 +91,7 @@ def test_the_balance_closes_for_any_scene_and_torque(scene, torques, velocity):
 
 
 @settings(max_examples=60)
-@given(scenes(), st.floats(-0.5, 0.5), st.floats(-0.02, 0.02))
+@given(scenes(), rounded(0.5), rounded(0.02))
 def test_energy_never_rises_in_any_scene_without_hand_and_torque(scene, velocity, position):
     effects, _, period = scene
     plant = make_plant(*effects, user=None, period=period, initial_velocity=velocity, initial_position=position)

@@ -86,3 +86,17 @@ def test_it_breaks_away_at_the_static_level_and_no_later(substeps):
     positions = run(plant, [0.01 * k for k in range(130)])
     moving = np.flatnonzero(np.diff(positions))
     assert moving[0] == 101
+
+
+def test_a_torque_that_settles_between_two_events_of_a_hold_is_no_division_by_zero():
+    effects = [
+        {"type": "hard_stop", "position": 0.0, "stiffness": 100.0},
+        {"type": "coulomb_friction", "kinetic": 1.0, "static": 1.0},
+        {"type": "current_loop", "time_constant": 1e-6},
+        {"type": "cogging", "amplitude": 1.0, "pitch": 0.007},
+        {"type": "shaft_compliance", "stiffness": 1000.0, "load_mass": 1.0},
+        {"type": "backlash", "gap": 1e-6},
+    ]
+    plant = make_plant(*effects, user=None, period=20 * MS)
+    run(plant, [1.5])
+    assert residual(plant) <= 1e-12 * largest_flow(plant)
