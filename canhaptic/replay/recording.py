@@ -1,11 +1,13 @@
 """A recorded bus, prepared for a replay: who sent what, where the cycle begins, where the operator ended it."""
 
+import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final
 
+from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.bus_reader import Frame, SkippedKind, read_bus_log
@@ -52,6 +54,13 @@ class Recording:
         self.first_sync = _first_sync(self._addresses, self.frames, roles)
         before = self._addresses[: self.first_sync] if self.first_sync >= 0 else self._addresses
         self.has_boot = any(address in roles.sdo_requests for address in before)
+
+    def has_sdo(self, bus: int, node_id: int, index: int) -> bool:
+        """Returns whether a request or an answer of a node names subindex 0 of an object."""
+        named = struct.pack("<HB", index, 0)
+        addresses = {(bus, od.SDO_REQUEST_BASE + node_id), (bus, od.SDO_RESPONSE_BASE + node_id)}
+        pairs = zip(self._addresses, self.frames, strict=True)
+        return any(address in addresses and frame.data[1:4] == named for address, frame in pairs)
 
     def operator_cycles(self, ramp_cycles: int) -> int | None:
         """Returns how many cycles were completed when the operator stopped the run; None when he did not.

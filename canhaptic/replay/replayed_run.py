@@ -6,8 +6,10 @@ from typing import Any, Final
 
 import can
 
+from canhaptic.canopen import objects as od
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError, RigError
@@ -43,6 +45,7 @@ def replay_bus_log(
 
     Returns:
         `{status: "identical" | "different", recording, start: "boot" | "sync", skipped (frames left out, by kind),
+        reads_left_out (`axis: object` that the start reads today and the recorded master did not),
         frames: {recorded, played, compared}, cycles, duration, elapsed, speed, ended, difference, account}`;
         `difference` as `difference.describe` gives it.
 
@@ -76,6 +79,7 @@ class _Replay:
             for buses in (far_buses, near_buses):
                 buses.append(open_bus(scene.bus.model_copy(update=_BUS), channel))
                 stack.callback(buses[-1].shutdown)
+        self._not_asked: list[str] = []
         self._wall = WallClock()
         self._side = RecordedSide(far_buses, recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
@@ -86,7 +90,18 @@ class _Replay:
         scene = self._scene
         by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
         drives = [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes]
+        self._follow_older_master(drives)
         return (JoinedRig if self._joins else Rig)(links, drives, scene.bus)
+
+    def _follow_older_master(self, drives: list[ServoDrive]) -> None:
+        """Leaves out the read of 0x1006 for drives of which the recording has none: older masters sent none."""
+        places = {bus.name: place for place, bus in enumerate(self._scene.buses)}
+        for axis, drive in zip(self._scene.axes, drives, strict=True):
+            if not self._joins and drive.dictionary.get_variable(od.COMMUNICATION_CYCLE_PERIOD) is not None:
+                where = places[axis.bus], drive.axis.node_id, od.COMMUNICATION_CYCLE_PERIOD
+                drive.asks_sync_period = self._recording.has_sdo(*where)
+                if not drive.asks_sync_period:
+                    self._not_asked.append(f"{drive.axis.name}: 0x{od.COMMUNICATION_CYCLE_PERIOD:04X}")
 
     def run(self) -> dict[str, Any]:
         """Runs to the end of the recording or to the first difference."""
@@ -116,6 +131,7 @@ class _Replay:
             "recording": str(recording.path),
             "start": "sync" if self._joins else "boot",
             "skipped": dict(recording.skipped),
+            "reads_left_out": self._not_asked,
             "frames": {"recorded": len(recording.frames), "played": side.played, "compared": side.compared},
             "cycles": self._cycle.cycles,
             "duration": duration,

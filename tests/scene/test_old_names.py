@@ -149,9 +149,31 @@ def test_an_old_energy_log_opens_and_its_scene_recomputes_to_the_bit(name: str, 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_old_bus_log_replays_frame_by_frame_from_its_first_sync(name: str, tmp_path: Path) -> None:
-    """The start has learnt to read 0x1006 since; the cycle sends what it sent."""
-    assert replay_bus_log(unpacked(f"{name}.log", tmp_path), old_scene(name), from_sync=True)["status"] == "identical"
+def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_sync(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The start has learnt to read 0x1006 since, and leaves it out here."""
+    path, scene = unpacked(f"{name}.log", tmp_path), old_scene(name)
+    result = replay_bus_log(path, scene)
+    assert (result["status"], result["start"]) == ("identical", "boot")
+    assert result["reads_left_out"] == ["handle: 0x1006"]
+    joined = replay_bus_log(path, scene, from_sync=True)
+    assert (joined["status"], joined["reads_left_out"]) == ("identical", [])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OldNameWarning)
+        assert main(["replay", str(path), "--config", str(OLD_LOGS / f"{name}.yaml")]) == 0
+    assert "because the recorded master was older: handle: 0x1006" in capsys.readouterr().out
+
+
+def test_an_old_bus_log_that_differs_after_the_read_left_out_is_different(tmp_path: Path) -> None:
+    path = unpacked("old_guarded.log", tmp_path)
+    lines = path.read_text().splitlines(keepends=True)
+    place = next(number for number, line in enumerate(lines) if "601#4001140100000000" in line)
+    lines[place] = lines[place].replace("#40011401", "#40011402")
+    path.write_text("".join(lines))
+    difference = replay_bus_log(path, old_scene("old_guarded"))["difference"]
+    assert difference is not None
+    assert difference["number"] == place + 1
 
 
 @pytest.mark.parametrize("name", NAMES)
