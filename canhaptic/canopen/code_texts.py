@@ -1,5 +1,6 @@
 """Words for the codes of CiA 301 and IEC 61800-7-201 (CiA 402): SDO aborts, EMCY error codes, NMT, controlwords."""
 
+from collections.abc import Mapping
 from typing import Final
 
 _SDO_ABORT_TEXTS: Final = {  # CiA 301, table 22
@@ -105,6 +106,27 @@ _EMCY_TEXTS: Final = {  # CiA 301, table 26, and IEC 61800-7-201, table of error
     0xFF00: "device-specific",
 }
 
+_EMCY_REMEDIES: Final = {  # code, or its group with zeros behind; `silence` [ms] and `skipped` are filled in
+    0x2300: "check the motor and its cable for a short circuit, and lower torque_limit",
+    0x3000: "check the supply of the power stage",
+    0x4000: "let drive and motor cool, and lower torque_limit",
+    0x7100: "check that the motor turns freely, and lower torque_limit",
+    0x7300: "check the encoder and its cable",
+    0x8110: "check what else loads the bus",
+    0x8120: "check cable, termination and bit rate",
+    0x8130: "the drive missed the heartbeat of this computer for {silence:g} ms; this computer skipped {skipped} "
+    "cycles: see `canhaptic check`, host, and check the cable",
+    0x8140: "check cable, termination and bit rate",
+    0x8150: "another node has the same node ID; change one of them",
+    0x8210: "an RPDO came with another length than the drive maps: end the other program that sends on its COB-ID",
+    0x8250: "the drive missed the RPDOs of this computer; this computer skipped {skipped} cycles: see "
+    "`canhaptic check`, host, and check the cable",
+    0x8700: "the drive missed the SYNC of this computer; this computer skipped {skipped} cycles: compare 0x1006 and "
+    "0x1019 of the drive with bus.rate, and see `canhaptic check`, host",
+}
+
+_EMCY_MASKS: Final = (0xFFFF, 0xFFF0, 0xFF00, 0xF000)  # of an error code: itself, then ever wider groups
+
 NMT_COMMAND_TEXTS: Final = {
     0x01: "start (operational)",
     0x02: "stop",
@@ -127,10 +149,24 @@ _CONTROLWORD_TEXTS: Final = (  # (mask, value, command), IEC 61800-7-201, table 
 
 def emcy_text(code: int) -> str:
     """Returns words for an EMCY error code: its own, else those of its group (0x8611 -> 0x8600 -> 0x8000)."""
-    for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
-        if code & mask in _EMCY_TEXTS and (code & mask or not code):
-            return _EMCY_TEXTS[code & mask]
-    return "unknown error code"
+    return _of_code_or_group(_EMCY_TEXTS, code) or "unknown error code"
+
+
+def emcy_remedy(code: int, silence: float, skipped: int) -> str:
+    """Returns what to do about an EMCY error code; "" where the code belongs to the drive's own manual.
+
+    Args:
+        code: Error code (0x603F).
+        silence: Silence of this computer that the drive is set to tolerate [s].
+        skipped: SYNCs that this computer left out.
+    """
+    return _of_code_or_group(_EMCY_REMEDIES, code).format(silence=silence * 1e3, skipped=skipped)
+
+
+def _of_code_or_group(texts: Mapping[int, str], code: int) -> str:
+    """Returns the text of a code, else of the narrowest group that has one, else ""; 0 is a code of its own."""
+    groups = (code & mask for mask in _EMCY_MASKS)
+    return next((texts[group] for group in groups if group in texts and (group or not code)), "")
 
 
 def sdo_abort_text(code: int) -> str:

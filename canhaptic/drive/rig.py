@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Final, NamedTuple, Self
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.code_texts import emcy_remedy
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
 from canhaptic.drive.can.bus_budget import BusBudget, has_room_for_sdo, require_budget
@@ -23,7 +24,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile import rig_start, rig_stop
-from canhaptic.drive.profile.link_policy import EMCY_REMEDIES, STOP_TABLE, StopReason
+from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
 from canhaptic.drive.profile.rig_stop import Trust
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.host.realtime import Realtime, RealtimeParameters
@@ -38,10 +39,6 @@ class _CycleRecord(NamedTuple):
 
     samples: list[Sample]
     torques_per_mille: list[int]  # commanded in answer, per axis
-
-
-_CODE_MASKS: Final = (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
-"""Of an EMCY error code: itself, then ever wider groups."""
 
 
 class Rig:
@@ -281,8 +278,7 @@ class Rig:
     def _emergency_remedy(self, drive: ServoDrive) -> str:
         """Returns what to do about the drive's EMCY; "" where its code belongs to the drive's own manual."""
         code = 0 if drive.emergency is None else drive.emergency.code
-        remedy = next((EMCY_REMEDIES[code & mask] for mask in _CODE_MASKS if code & mask in EMCY_REMEDIES), "")
-        return remedy.format(silence=self.bus.master_silence_ns / 1e6, skipped=self.skipped_syncs)
+        return emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
 
     def reset_faults(self) -> None:
         """Resets the faults of all drives for the operator; leaves every drive disabled, and never enables one.

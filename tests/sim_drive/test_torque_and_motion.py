@@ -208,7 +208,8 @@ def test_objects_that_the_dictionary_lacks_or_of_a_wrong_type_are_refused() -> N
     ("key", "place"),
     [
         (0x6502, (0x6502, 0)),
-        ("6502", (0x6502, 0)),
+        ("0x6502", (0x6502, 0)),
+        ("60fe", (0x60FE, 0)),
         ("0x1018.1", (0x1018, 1)),
         ("1018sub1", (0x1018, 1)),
         ("1A00SUBa", (0x1A00, 10)),
@@ -216,6 +217,11 @@ def test_objects_that_the_dictionary_lacks_or_of_a_wrong_type_are_refused() -> N
 )
 def test_places_of_objects_are_read_in_every_spelling(key: str | int, place: tuple[int, int]) -> None:
     assert parse_place(key) == place
+
+
+def test_a_text_that_may_be_hexadecimal_or_decimal_is_refused() -> None:
+    with pytest.raises(ValueError, match="'6502' may be hexadecimal or decimal; write 0x6502 or 0x1966"):
+        parse_place("6502")
 
 
 def test_keys_that_name_no_object_are_refused() -> None:

@@ -128,27 +128,6 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
     StopReason.EXCEPTION: _StopRule("the cycle raised an exception", CycleFailedError, "see the error that caused it"),
 }
 
-
-EMCY_REMEDIES: Final = {
-    0x2300: "check the motor and its cable for a short circuit, and lower torque_limit",
-    0x3000: "check the supply of the power stage",
-    0x4000: "let drive and motor cool, and lower torque_limit",
-    0x7100: "check that the motor turns freely, and lower torque_limit",
-    0x7300: "check the encoder and its cable",
-    0x8110: "check what else loads the bus",
-    0x8120: "check cable, termination and bit rate",
-    0x8130: "the drive missed the heartbeat of this computer for {silence:g} ms; this computer skipped {skipped} "
-    "cycles: see `canhaptic check`, host, and check the cable",
-    0x8140: "check cable, termination and bit rate",
-    0x8150: "another node has the same node ID; change one of them",
-    0x8210: "an RPDO came with another length than the drive maps: end the other program that sends on its COB-ID",
-    0x8250: "the drive missed the RPDOs of this computer; this computer skipped {skipped} cycles: see "
-    "`canhaptic check`, host, and check the cable",
-    0x8700: "the drive missed the SYNC of this computer; this computer skipped {skipped} cycles: compare 0x1006 and "
-    "0x1019 of the drive with bus.rate, and see `canhaptic check`, host",
-}
-"""EMCY error code, or its group with zeros behind -> what to do; `silence` [ms] and `skipped` are filled in."""
-
 READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
     # read_back of the axis -> an old torque is held (COMMAND_LOST), bit 12 goes out (NOT_FOLLOWING), bit 11 comes on
     "demand": (
