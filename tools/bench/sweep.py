@@ -20,9 +20,9 @@ from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.batch import METRICS
 from canhaptic.study.batch.batch_case import BatchCase
 from canhaptic.study.batch.cases import loop_in_arrays
+from canhaptic.study.batch.loop_stability import Loops, decay_per_hold
 from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.scalar import run_case
-from canhaptic.study.map.stability_map import Loops, decay_per_hold
 from tools.bench.plants.peers import mujoco_rollout
 from tools.bench.plants.scenes import easy
 from tools.bench.report import Row, publish

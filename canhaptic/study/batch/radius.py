@@ -9,8 +9,8 @@ from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.batch.cases import check_values
+from canhaptic.study.batch.loop_stability import Loops, decay_per_hold
 from canhaptic.study.loop import Array
-from canhaptic.study.map.stability_map import Loops, decay_per_hold
 from canhaptic.study.scenes import environment_of, viscous_friction
 
 _IN_IT: Final = ("viscous_friction", "tremor")

@@ -6,7 +6,7 @@ import pytest
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.study.map.stability_map import Loops, decay_per_hold, loop_matrices
+from canhaptic.study.batch.loop_stability import Loops, decay_per_hold, loop_matrices
 from tests.plant.plant_scenes import MS
 
 
@@ -43,5 +43,5 @@ def test_a_map_without_sense_is_refused():
         (Loops(1.0, 0.0, 0.0, 1.0, 0.0), 0.0, 0),
         (Loops(1.0, 0.0, 0.0, 1.0, 0.0), 1e-3, 2),
     ):
-        with pytest.raises(ParameterError, match="stability map"):
+        with pytest.raises(ParameterError, match="stability of a loop"):
             decay_per_hold(loops, sample_time, delay)

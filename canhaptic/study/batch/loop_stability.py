@@ -38,7 +38,7 @@ def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array
     mass, damping, hand, stiffness, viscosity, period = np.broadcast_arrays(*columns)
     if delay not in (0, 1) or not np.all(period > 0.0) or not np.all(mass > 0.0):
         raise ParameterError(
-            f"stability map: got delay {delay}, least sample time {period.min()} s and least mass {mass.min()}, "
+            f"stability of a loop: got delay {delay}, least sample time {period.min()} s and least mass {mass.min()}, "
             "expected delay 0 or 1, sample time > 0 and mass > 0"
         )
     rates = np.zeros((len(mass), 3, 3))  # of [q, v, held torque]
