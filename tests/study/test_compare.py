@@ -35,7 +35,7 @@ duration: 1.5 s
 bus: {{interface: virtual, rate: 1 kHz, rpdo: event}}
 axes:
   - {{name: handle, node_id: 1, eds: {REPOSITORY}/eds/cia402_servo.eds, unit: m, counts_per_unit: 1e9,
-     rated_torque: 1 mN, torque_limit: 30 N}}
+     rated_torque: 10 kN, torque_limit: 30 N}}
 environment: {{type: spring_damper_wall, stiffness: 1000, damping: 5}}
 passivity: {{algorithm: guarded, moving_mass: 0.25, device_damping: 0.1}}
 simulation:
@@ -47,7 +47,20 @@ simulation:
 @pytest.fixture
 def scene(tmp_path):
     (tmp_path / "scene.yaml").write_text(SCENE)
-    return lambda *overrides: load_scene(tmp_path / "scene.yaml", overrides)
+
+    def loaded(*overrides):
+        """The scene; without a rated torque of its own its commands are as fine as no RPDO could carry."""
+        made = load_scene(tmp_path / "scene.yaml", overrides)
+        if any("rated_torque" in override for override in overrides):
+            return made
+        return replace(made, axes=tuple(map(with_fine_torque, made.axes)))
+
+    return loaded
+
+
+def with_fine_torque(axis):
+    parameters = axis.parameters.model_copy(update={"rated_torque": 1e-3})
+    return replace(axis, parameters=parameters, loop=axis.loop.model_copy(update={"torque_quantum": 1e-6}))
 
 
 def account(scene, algorithm, **options):
@@ -164,9 +177,10 @@ def test_a_run_that_stops_has_a_code_and_its_reason_is_a_remark(scene):
     assert found["status"] == "stopped"
     assert "faster than the speed limit" in found["remark"]
     assert found["position_error"]["max"] > 0.0
-    found = account(scene(*fine), "unprotected", duration=0.5, over_can=True)  # never starts: the rated torque is 1 mN
+    other_drive = scene(*fine, "axes.0.rated_torque=10 N", "simulation.drive={rated_torque: 5 N}")
+    found = account(other_drive, "unprotected", duration=0.5, over_can=True)  # never starts
     assert found["status"] == "stopped"
-    assert "torque limit" in found["remark"]
+    assert "rated torque" in found["remark"]
     assert "position_error" not in found
 
 
