@@ -6,9 +6,9 @@ import pytest
 from canhaptic.control.balance import Ledger, residual
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller, internal_dissipation
+from canhaptic.control.passivity.a_priori_dissipation import APrioriDissipationParameters
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
-from canhaptic.control.passivity.original import OriginalParameters
 from tests.control.reference_loop import continuous, sampled, user_f, variation
 
 DURATION = 8.0
@@ -94,7 +94,7 @@ def test_the_original_shows_fig_4_and_fails_in_fig_5(reference):
 
 
 def test_the_failure_of_the_original_rests_on_the_printed_start_inside_the_wall(reference):
-    run = render(FIGURE_4, "a_priori_dissipation", 100, parameters=OriginalParameters(rearm="displacement"))
+    run = render(FIGURE_4, "a_priori_dissipation", 100, parameters=APrioriDissipationParameters(rearm="displacement"))
     assert variation_ratio(run, reference, FIGURE_4) < 2.0
 
 

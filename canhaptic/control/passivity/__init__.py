@@ -12,8 +12,8 @@ from canhaptic.units import Parameters
 _HERE: Final = "canhaptic.control.passivity"
 
 ALGORITHMS: Final[dict[str, str]] = {
-    "unprotected": f"{_HERE}.direct:Direct",
-    "a_priori_dissipation": f"{_HERE}.original:Original",
+    "unprotected": f"{_HERE}.unprotected:Unprotected",
+    "a_priori_dissipation": f"{_HERE}.a_priori_dissipation:APrioriDissipation",
     "internal_dissipation": f"{_HERE}.internal_dissipation:InternalDissipation",
     "passivity_observer": f"{_HERE}.passivity_observer:PassivityObserver",
     "energy_bounding": f"{_HERE}.energy_bounding:EnergyBounding",

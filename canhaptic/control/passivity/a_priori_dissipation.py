@@ -53,7 +53,7 @@ from canhaptic.kernels import Kernel, MakeBuffer
 from canhaptic.units import Parameters
 
 
-class OriginalParameters(StoredModelParameters):
+class APrioriDissipationParameters(StoredModelParameters):
     """What ref. [12] leaves to choose."""
 
     rearm: Literal["printed", "displacement"] = "printed"
@@ -77,7 +77,7 @@ class State:
     met: bool = False  # whether a contact began since the first position
 
 
-def settings_of(environment: Environment, parameters: OriginalParameters, loop: LoopProperties) -> Settings:
+def settings_of(environment: Environment, parameters: APrioriDissipationParameters, loop: LoopProperties) -> Settings:
     """Returns what is fixed for a run.
 
     Raises:
@@ -137,8 +137,8 @@ def update(environment: Environment, settings: Settings, storage: Storage, hold:
     return account
 
 
-class Original(SteppedController):
+class APrioriDissipation(SteppedController):
     """The predecessor of the paper's algorithm for one axis."""
 
-    parameters_type: ClassVar[type[Parameters]] = OriginalParameters
+    parameters_type: ClassVar[type[Parameters]] = APrioriDissipationParameters
     kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)

@@ -24,7 +24,7 @@ from canhaptic.kernels import Kernel, MakeBuffer, new
 from canhaptic.units import Parameters
 
 
-class DirectParameters(DamperVelocity):
+class UnprotectedParameters(DamperVelocity):
     """Nothing to choose but the velocity of the damper."""
 
 
@@ -36,7 +36,7 @@ class State:
     model: SampledModel = field(default_factory=SampledModel)
 
 
-def settings_of(environment: Environment, parameters: DirectParameters, loop: LoopProperties) -> HoldSettings:
+def settings_of(environment: Environment, parameters: UnprotectedParameters, loop: LoopProperties) -> HoldSettings:
     """Returns what is fixed for a run."""
     return hold_settings(parameters, loop, Certificate.NONE)
 
@@ -68,8 +68,8 @@ def step(
     return close_hold(settings, axis, memory, hold, account, (spring, damper, 0.0), rendered, model.state, model.h_s)
 
 
-class Direct(SteppedController):
+class Unprotected(SteppedController):
     """torque = -effort(x) - d v."""
 
-    parameters_type: ClassVar[type[Parameters]] = DirectParameters
+    parameters_type: ClassVar[type[Parameters]] = UnprotectedParameters
     kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)
