@@ -6,13 +6,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import can
+import canopen
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canhaptic.cycle import run
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.bus import open_bus
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import REPOSITORY, Bench, MakeBench, axis, make_bench
 
@@ -28,6 +32,23 @@ def running_bench() -> Iterator[Bench]:
         yield b
     finally:
         b.close()
+
+
+def test_an_rpdo_given_back_is_sent_on_every_cycle_all_the_same() -> None:
+    """canopen takes its own RPDO, given back twice, for one that a periodic producer sends."""
+    theirs = canopen.RemoteNode(5, canopen.ObjectDictionary()).rpdo
+    rpdo = canopen.pdo.base.PdoMap(theirs, None, None)
+    rpdo.cob_id = 0x205
+    assert not rpdo.is_periodic
+    for time in (0.001, 0.002):
+        rpdo.on_message(0x205, bytearray(4), time)
+    assert rpdo.is_periodic
+
+    scene = load_scene(REPOSITORY / "configs" / "demo.yaml", ["bus.options={receive_own_messages: true}"])
+    with build(scene) as experiment:
+        run(experiment.cycle, 50)
+        statistics = experiment.rig.links[0].statistics
+        assert statistics.echoed == statistics.sent > 150
 
 
 def test_a_mapping_declared_as_array_gets_its_entries_written(bench: MakeBench) -> None:

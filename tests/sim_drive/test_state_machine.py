@@ -3,7 +3,7 @@
 import pytest
 
 from canhaptic.sim.drive.profile.state_machine import DriveState, StateMachine
-from tests.sim_drive.drive_on_bus import Rig
+from tests.sim_drive.drive_on_bus import PERIOD, Rig
 
 SOD, RTSO, SO, OE = (
     DriveState.SWITCH_ON_DISABLED,
@@ -141,3 +141,21 @@ def test_fault_reaction_shows_for_one_sync_and_ends_in_fault(rig: Rig) -> None:
     assert words == ["1f 02", "18 02", "18 02"]
     rig.send(0x205, "80 00 00 00")
     assert rig.sync()[-1][1][:5] == "50 02"
+
+
+@pytest.mark.parametrize("period", [PERIOD // 4, PERIOD, 20 * PERIOD])
+def test_a_quick_stop_shows_for_one_sync_of_the_masters_own_period_though_one_was_lost(rig: Rig, period: int) -> None:
+    """The drive is built for 1 ms; a master of another package may send its SYNC at any other rate."""
+
+    def statusword() -> str:
+        (word,) = [content[:5] for cob_id, content in rig.run(rig.now + period) + rig.send(0x080) if cob_id == 0x185]
+        return word
+
+    rig.start()
+    for controlword in ("0600", "0700", "0f00"):
+        rig.send(0x205, controlword + "0000")
+        statusword()
+    rig.run(rig.now + period)  # without SYNC
+    statusword()
+    rig.send(0x205, "02 00 00 00")
+    assert [statusword() for _ in range(3)] == ["17 02", "50 02", "50 02"]

@@ -56,7 +56,8 @@ class SimulatedDrive:
         dictionary: Path of its EDS or DCF, or the dictionary read from it.
         motor: What it moves; at rest until the first SYNC that finds operation enabled.
         parameters: What the dictionary does not state.
-        sample_time_ns: Time between two SYNCs [ns]; a fault reaction or quick stop takes one and a half.
+        sample_time_ns: Time between two SYNCs [ns] until two have come. A fault reaction or quick stop takes one and a
+            half of the time between the master's own SYNCs.
 
     Attributes:
         nmt_state: As its heartbeat reports it.
@@ -86,7 +87,7 @@ class SimulatedDrive:
         self.frames_lost = 0
         self.nmt_state = NmtState.BOOT_UP
         self._bus = bus
-        self._reaction_time = sample_time_ns * 3 // 2  # so that exactly one SYNC shows it
+        self._sample_time = sample_time_ns
         absent = parameters.absent_places() | _NOT_SERVED
         self.store = store = ObjectStore(dictionary, parameters.object_values(), absent, parameters.refused_values())
         store.guard_storage()
@@ -259,7 +260,7 @@ class SimulatedDrive:
         self.nmt_state = NmtState.PRE_OPERATIONAL
         self._producer.restart()
         if self.servo.state in _TRANSIENT:
-            self.timers.start(self._settle_timer, self.servo.now + self._reaction_time)
+            self._start_reaction()
         self._build_routes()
 
     def _start(self) -> None:
@@ -301,6 +302,10 @@ class SimulatedDrive:
         self._emergency.announce(code)
         self.servo.fault()
 
+    def _start_reaction(self) -> None:
+        period = self._process_data.sync_period() or self._sample_time
+        self.timers.start(self._settle_timer, self.servo.now + period * 3 // 2)  # so that exactly one SYNC shows it
+
     def _settle(self, _due: int) -> None:
         self.servo.settle()
 
@@ -314,7 +319,7 @@ class SimulatedDrive:
             return
         servo.has_event = False
         if servo.state in _TRANSIENT and not self.timers.is_running(self._settle_timer):
-            self.timers.start(self._settle_timer, servo.now + self._reaction_time)
+            self._start_reaction()
         if servo.was_reset:
             servo.was_reset = False
             self._emergency.withdraw()

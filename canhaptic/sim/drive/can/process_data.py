@@ -1,7 +1,9 @@
 """The process data of the simulated drive: what it does at a SYNC, on an RPDO, and on events."""
 
+from collections import deque
 from collections.abc import Callable
 from functools import partial
+from itertools import pairwise
 from typing import Final
 
 from canhaptic.canopen.objects import (
@@ -22,6 +24,7 @@ from canhaptic.sim.drive.timers import Timers
 
 _NS_PER_US: Final = 1000
 _LARGEST_COUNTER: Final = 240  # of the SYNC
+_SYNCS_REMEMBERED: Final = 5
 _SYNC_GENERATOR: Final = 1 << 30  # bit of 0x1005: the device produces SYNC, which this one cannot
 
 Content = bytes | bytearray
@@ -58,6 +61,7 @@ class ProcessData:
         on_change: Callable[[], None],
     ) -> None:
         self.is_operational = False
+        self._syncs = deque[int](maxlen=_SYNCS_REMEMBERED)  # times [ns]
         self._servo, self._timers, self._emergency = servo, timers, emergency
         self._send, self._on_loss = send, on_loss
         self._losses_to_fault = parameters.sync_losses_to_fault
@@ -99,6 +103,7 @@ class ProcessData:
     def start(self) -> None:
         """Lets PDOs through; every event-driven TPDO is sent once."""
         self.is_operational = True
+        self._syncs.clear()
         for pdo in (*self._rpdos, *self._tpdos):
             pdo.reset()
         self._servo.has_event = True
@@ -107,6 +112,11 @@ class ProcessData:
         """Lets no PDO through."""
         self.is_operational = False
         self._stop_timers()
+
+    def sync_period(self) -> int | None:
+        """Returns the usual time between the last SYNCs [ns], one lost or late among them or not; None before two."""
+        steps = sorted(later - sooner for sooner, later in pairwise(self._syncs))
+        return steps[(len(steps) - 1) // 2] if steps else None
 
     def send_events(self) -> None:
         """Sends the event-driven TPDOs; those of transmission type 0 follow at the next SYNC."""
@@ -128,6 +138,7 @@ class ProcessData:
         if not self.is_operational:
             return
         servo = self._servo
+        self._syncs.append(servo.now)
         if self._sync_timeout:
             self._timers.start(self._sync_timer, servo.now + self._sync_timeout)
         servo.sample()
