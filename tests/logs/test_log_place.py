@@ -112,6 +112,7 @@ def test_a_run_whose_log_is_deleted_stops_and_says_so(
 
     def delete() -> None:
         wait_for(path.exists)
+        threading.Event().wait(1.0)  # by then the writer has opened it for good
         path.unlink()
 
     thread = threading.Thread(target=delete)
@@ -123,7 +124,8 @@ def test_a_run_whose_log_is_deleted_stops_and_says_so(
     assert json.loads(captured.out)["result"]["cycles"] < 5000
 
 
-def test_a_good_run_keeps_the_recording_of_the_fault_before(tmp_path: Path) -> None:
+def test_a_good_run_keeps_the_recording_of_the_fault_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # elsewhere a scene replaces nothing
     path = tmp_path / "last.log"
     words = ["run", DEMO, "--duration", "0.3", "--set", f"log={{bus: {path}, last: 0.2 s}}"]
     assert main([*words, "--set", "axes.0.speed_limit=1e-6"]) == 3
