@@ -58,7 +58,11 @@ class Quantities(Mapping[str, Array]):
 
     def unit(self, name: str) -> str:
         """Returns the unit of a quantity; "1" for a pure number."""
-        return str(self._file[f"{self._group}/{name}"].attributes.get("unit", "1"))
+        path = f"{self._group}/{name}"
+        try:
+            return str(_plain(self._file[path].attributes.get("unit", "1")))
+        except DAMAGE as error:
+            raise LogFormatError(f"{path}: the unit is damaged ({error})") from error
 
 
 class EnergyLog:
@@ -152,8 +156,11 @@ class EnergyLog:
     @property
     def events(self) -> list[Event]:
         """Everything noted during the run, in order."""
-        columns = [self._file[f"events/{name}"].read() for name in EVENT_TEXT_SIZES]
-        indices = self._file["events/sync_index"].read()
+        try:
+            columns = [self._file[f"events/{name}"].read() for name in EVENT_TEXT_SIZES]
+            indices = self._file["events/sync_index"].read()
+        except DAMAGE as error:
+            raise LogFormatError(f"{self.path}: the events are damaged ({error})") from error
         return [
             Event(int(index), *(bytes(text).decode("utf-8", "replace") for text in texts))
             for index, *texts in zip(indices, *columns, strict=False)  # a kill can come between two columns

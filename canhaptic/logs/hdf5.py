@@ -1,7 +1,9 @@
 """The part of h5py that the logs use, with types: the one place where the untyped library is touched."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from threading import RLock
 from types import TracebackType
 from typing import Any, Final
 
@@ -12,6 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 _TABLE_CACHE: Final = 1 << 18  # [B]
+_TEXTS_AND_CHUNKS: Final = 1 << 26  # [B], the most that those of one item may take
+_BOUND: Final = RLock()
 
 
 class Dataset:
@@ -47,7 +51,8 @@ class Dataset:
     @property
     def attributes(self) -> dict[str, Any]:
         """Its attributes."""
-        return dict(self._dataset.attrs)
+        with _bounded_memory():
+            return dict(self._dataset.attrs)
 
     def set_attribute(self, name: str, value: str) -> None:
         """Sets one attribute."""
@@ -55,7 +60,8 @@ class Dataset:
 
     def read(self, start: int = 0, stop: int | None = None) -> Array:
         """Returns elements `start` to `stop` (all by default)."""
-        return np.asarray(self._dataset[start:stop])
+        with _bounded_memory(2 * len(range(*slice(start, stop).indices(len(self)))) * self.dtype.itemsize):
+            return np.asarray(self._dataset[start:stop])
 
     def append(self, values: Array) -> None:
         """Adds elements at the end."""
@@ -102,7 +108,8 @@ class Hdf5File:
     @property
     def attributes(self) -> dict[str, Any]:
         """Attributes of the root; bytes of a text that are no UTF-8 are replaced."""
-        return {name: _text(value) if isinstance(value, str) else value for name, value in self._file.attrs.items()}
+        with _bounded_memory():
+            return {name: _text(value) if isinstance(value, str) else value for name, value in self._file.attrs.items()}
 
     def set_attribute(self, name: str, value: Any) -> None:
         """Sets one attribute of the root."""
@@ -155,6 +162,33 @@ class Hdf5File:
     def flush(self) -> None:
         """Hands everything to the operating system."""
         self._file.flush()
+
+
+@contextmanager
+def _bounded_memory(needed: int = 0) -> Iterator[None]:
+    """Bounds what the library may allocate, on Linux: it believes damaged lengths, and fills gigabytes.
+
+    Args:
+        needed: What an undamaged item takes [B], besides texts and chunks.
+    """
+    pages = Path("/proc/self/statm")
+    if not pages.exists():
+        yield
+        return
+    import resource
+
+    with _BOUND:  # the limit is one of the process: it must be restored before another thread takes it for its own
+        before = resource.getrlimit(resource.RLIMIT_AS)
+        bound = int(pages.read_text().split()[0]) * resource.getpagesize() + _TEXTS_AND_CHUNKS + needed
+        if before[0] != resource.RLIM_INFINITY:
+            bound = min(bound, before[0])
+        resource.setrlimit(resource.RLIMIT_AS, (bound, before[1]))
+        try:
+            yield
+        except MemoryError as error:
+            raise OSError("a text or chunk claims more memory than any in a log takes") from error
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def _text(value: str) -> str:

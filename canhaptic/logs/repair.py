@@ -7,7 +7,7 @@ from canhaptic.errors import InputError, LogFormatError
 from canhaptic.host.output_file import require_writable_place
 from canhaptic.logs.column_check import FoundColumns, found_columns, usual_length
 from canhaptic.logs.energy_reader import DAMAGE, open_file
-from canhaptic.logs.packing import repack
+from canhaptic.logs.packing import repack, unfinished
 
 _STEP: Final = 512  # rows tried at a time
 
@@ -31,19 +31,30 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
         raise InputError(f"{target}: the repaired copy needs another name than the log itself")
     require_writable_place(target)
     file, description = open_file(source)
-    with file:
-        rows, events = found_columns(source, file, description.ports)
-        expected = usual_length(rows)
-        readable, notes = _readable(rows), _readable(events)
+    try:
+        with file:
+            rows, events = found_columns(source, file, description.ports)
+            expected = usual_length(rows)
+            readable, notes = _readable(rows), _readable(events)
+    except LogFormatError:
+        raise
+    except DAMAGE as error:
+        raise LogFormatError(f"{source}: too damaged to be saved ({error})") from error
     note = "" if description.status == "complete" else f" (was: {description.status})"
     try:
         repack(source, target, {"status": f"repaired{note}"}, (readable, notes))
     except OSError as error:
+        if error.errno is None:  # of the library that reads, not of the system that writes
+            raise _lost(source, target, error) from error
         raise InputError(f"{target}: the repaired copy cannot be written ({error}); name another file") from error
     except DAMAGE as error:
-        target.with_name(target.name + ".new").unlink(missing_ok=True)
-        raise LogFormatError(f"{source}: too damaged to be saved ({error})") from error
+        raise _lost(source, target, error) from error
     return readable, max(0, expected - readable)
+
+
+def _lost(source: Path, target: Path, error: Exception) -> LogFormatError:
+    unfinished(target)
+    return LogFormatError(f"{source}: too damaged to be saved ({error})")
 
 
 def _readable(columns: FoundColumns) -> int:

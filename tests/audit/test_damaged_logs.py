@@ -1,5 +1,11 @@
 """Every column of an energy log, damaged in every way: one error that names it, or a finding; nothing passes."""
 
+import contextlib
+import re
+import resource
+import struct
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -219,3 +225,34 @@ def test_a_damaged_attribute_is_one_error(whole: Path, attribute: str, value: ob
     with pytest.raises(LogFormatError, match=r"damaged\.h5: "):
         typed.inspect(path)
     assert LiveLog(path).look() is None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is bounded through /proc")
+def test_a_text_that_claims_gigabytes_is_refused_at_once(whole: Path) -> None:
+    content = whole.read_bytes()
+    heap = struct.pack("<Q", content.index(b"GCOL"))
+    places = [match.start() - 4 for match in re.finditer(re.escape(heap), content)]  # length, heap, number in the heap
+    assert len(places) > 10
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used, began, refused = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic(), 0
+    for place in places[::4]:
+        path = whole.with_name("damaged.h5")
+        path.write_bytes(content[:place] + b"\xff\xff\xff\xef" + content[place + 4 :])
+        try:
+            typed.inspect(path)
+        except LogFormatError:
+            refused += 1
+    assert refused >= 2
+    assert time.monotonic() - began < 10.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < 150 << 10  # kB
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+
+
+def test_a_damaged_table_of_names_is_one_error_in_repair_too(whole: Path) -> None:
+    content = whole.read_bytes()
+    for name in (b"SNOD", b"HEAP", b"TREE"):
+        for match in re.finditer(name, content):
+            path = whole.with_name("damaged.h5")
+            path.write_bytes(content[: match.start()] + b"XXXX" + content[match.end() :])
+            with contextlib.suppress(LogFormatError):
+                repair(path, whole.with_name("saved.h5"))
