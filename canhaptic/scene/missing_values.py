@@ -10,6 +10,7 @@ from typing import Final
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
+from canhaptic.drive.profile.object_use import ObjectUse, objection, range_objection
 from canhaptic.drive.survey import Survey, stated_value
 
 _EVENT_TIMER: Final = 5  # subindex: of an RPDO its deadline [ms]
@@ -27,9 +28,15 @@ def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
     """
     listed = found.dictionary
     values = {**_absent(found), **_misleading(listed, sample_time)}
-    return {
-        _key(place): f"{value:#x}" for place, value in values.items() if listed.get_variable(*place) is not None
-    }  # an object that is not listed, the drive does not have
+    return {_key(place): f"{value:#x}" for place, value in values.items() if _holds(listed, place, value)}
+
+
+def _holds(dictionary: ObjectDictionary, place: _Place, value: int) -> bool:
+    """Whether the drive has an object, of a type that can hold a value."""
+    if objection(dictionary, ObjectUse(*place)) is not None:
+        return False
+    variable = dictionary.get_variable(*place)
+    return variable is not None and range_objection(variable, value) is None
 
 
 def _key(place: _Place) -> str:

@@ -15,6 +15,7 @@ from canopen import ObjectDictionary
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.can.bus_budget import round_rate
+from canhaptic.drive.profile.object_use import listed
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError
@@ -184,7 +185,7 @@ def _identity(found: Survey, drive: str | None) -> str:
     lines = []
     if drive is not None:
         lines.append(f"    drive: {drive}            # profile in configs/drives: what is known of this make")
-    if found.vendor_id and found.dictionary.get_variable(od.IDENTITY, 1) is not None:
+    if found.vendor_id and listed(found.dictionary, od.IDENTITY, 1) is not None:
         lines.append(f"    vendor_id: {found.vendor_id:#x}         # 0x1018:01; the start refuses any other make")
     return "".join(f"{line}\n" for line in lines)
 

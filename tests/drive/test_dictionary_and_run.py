@@ -23,7 +23,7 @@ Make = Callable[..., Bench]
 NEEDED = (
     *("1000", "1017", "1016sub1", "6007", "6040", "6041", "6060", "6061", "6064", "6071", "6072", "6074", "6076"),
     *("6502", "60C2sub1", "60C2sub2", "1400sub1", "1400sub2", "1600sub0", "1600sub1", "1600sub2"),
-    *("1800sub1", "1800sub2", "1A00sub0", "1A00sub1", "1A00sub2", "1A00sub3"),
+    *("1401sub1", "1801sub1", "1800sub1", "1800sub2", "1A00sub0", "1A00sub1", "1A00sub2", "1A00sub3"),
 )
 CHANGES = (
     *(("AccessType", access) for access in ("ro", "wo", "rw", "const")),

@@ -9,7 +9,7 @@ from canhaptic.canopen.dictionary import is_writable
 from canhaptic.canopen.objects import DataType
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.pdo_map import PdoPlan, choose_map
-from canhaptic.drive.can.pdo_setup import rpdo_transmission_type
+from canhaptic.drive.can.pdo_setup import others_to_disable, rpdo_transmission_type
 from canhaptic.drive.profile.fitness import Finding, Verdict, profile_findings
 from canhaptic.drive.profile.object_use import ObjectUse, listed, objection
 from canhaptic.errors import DictionaryError
@@ -74,6 +74,9 @@ def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters 
     rpdo_type = None if bus is None else rpdo_transmission_type(bus, axis)
     types = [(chosen.rpdo, rpdo_type), *((tpdo, od.SYNCHRONOUS_EVERY_SYNC) for tpdo in chosen.tpdos)]
     refused = [text for plan, kind in types for text in _plan_objections(dictionary, plan, kind)]
+    for index in others_to_disable(dictionary, chosen):
+        if (text := objection(dictionary, ObjectUse(index, 1, DataType.UNSIGNED32, reads=True))) is not None:
+            refused.append(f"{index:#06x}:01 of a PDO to be switched off is {text}")
     if refused:
         return Finding("PDO map", Verdict.REFUSED, "; ".join(refused))
     parts = [

@@ -7,6 +7,8 @@ COB-ID with bit 31 (off), transmission type, sub 0 = 0, entries, sub 0 = n, COB-
 from collections.abc import Callable
 from typing import Final
 
+from canopen import ObjectDictionary
+
 from canhaptic.canopen.dictionary import is_writable
 from canhaptic.canopen.objects import COB_ID_INVALID, RPDO_COMMUNICATION, SYNCHRONOUS_EVERY_SYNC, TPDO_COMMUNICATION
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
@@ -53,18 +55,22 @@ def write_map(
 
 
 def _disable_others(sdo: SdoChannel, chosen: AxisMap) -> None:
+    for index in others_to_disable(sdo.dictionary, chosen):
+        cob_id = sdo.read(index, _COB_ID)
+        if not cob_id & COB_ID_INVALID:
+            sdo.write(index, _COB_ID, cob_id | COB_ID_INVALID)
+
+
+def others_to_disable(dictionary: ObjectDictionary, chosen: AxisMap) -> list[int]:
+    """Returns the communication objects of the PDOs that are not chosen and can be switched off."""
     used = {plan.communication_index for plan in (chosen.rpdo, *chosen.tpdos)}
-    indices = [RPDO_COMMUNICATION + n - 1 for n in pdo_numbers(sdo.dictionary, "RPDO")]
-    indices += [TPDO_COMMUNICATION + n - 1 for n in pdo_numbers(sdo.dictionary, "TPDO")]
-    for index in indices:
-        if index not in used and is_writable(sdo.dictionary, index, _COB_ID) and _is_readable(sdo, index):
-            cob_id = sdo.read(index, _COB_ID)
-            if not cob_id & COB_ID_INVALID:
-                sdo.write(index, _COB_ID, cob_id | COB_ID_INVALID)
+    indices = [RPDO_COMMUNICATION + n - 1 for n in pdo_numbers(dictionary, "RPDO")]
+    indices += [TPDO_COMMUNICATION + n - 1 for n in pdo_numbers(dictionary, "TPDO")]
+    return [n for n in indices if n not in used and is_writable(dictionary, n, _COB_ID) and _is_readable(dictionary, n)]
 
 
-def _is_readable(sdo: SdoChannel, index: int) -> bool:
-    variable = sdo.dictionary.get_variable(index, _COB_ID)
+def _is_readable(dictionary: ObjectDictionary, index: int) -> bool:
+    variable = dictionary.get_variable(index, _COB_ID)
     return variable is not None and variable.readable
 
 
