@@ -18,7 +18,7 @@ from canhaptic.control.balance import Branch, EnergyBalance, LedgerSummary
 from canhaptic.scene.models import Scene
 from canhaptic.signals import Sample, Truth
 from canhaptic.study.over_can import walk_over_can
-from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
+from canhaptic.study.reference.continuous_reference import ContinuousReference, continuous_reference
 from canhaptic.study.scenes import environment_of, plant_parts
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Record:
     branch: NDArray[np.int64]
     wall: float  # [m]
     summary: LedgerSummary
-    reference: Reference  # the continuous wall of the same hand
+    reference: ContinuousReference  # the continuous wall of the same hand
 
     @property
     def sticky(self) -> NDArray[np.bool_]:
@@ -87,7 +87,7 @@ def _surface(scene: Scene) -> float:
 
 
 @cache
-def _continuous(config: str, sample_time_ns: int, cycles: int) -> Reference:
+def _continuous(config: str, sample_time_ns: int, cycles: int) -> ContinuousReference:
     """Returns the run of the continuous wall, which knows neither algorithm nor delay."""
     [axis] = load_scene(ROOT / "configs" / config).axes
     plant, user, effects, seed = plant_parts(axis)

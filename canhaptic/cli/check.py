@@ -49,7 +49,7 @@ def execute(arguments: argparse.Namespace) -> int:
         for dictionary, axis in zip(dictionaries, scene.axes, strict=True)
     }
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
-    found = _Found(scene, budgets, findings, hints)
+    found = _CheckFindings(scene, budgets, findings, hints)
     if arguments.json:
         write_json(_as_json(found))
     else:
@@ -57,7 +57,7 @@ def execute(arguments: argparse.Namespace) -> int:
     return _TO_BE_SET if found.refused else 0
 
 
-class _Found(NamedTuple):
+class _CheckFindings(NamedTuple):
     """What `check` found."""
 
     scene: Scene
@@ -90,7 +90,7 @@ class _Found(NamedTuple):
         return f"{'not ready' if self.refused else 'ready'}: {', '.join(part for part in parts if part)}"
 
 
-def _as_json(found: _Found) -> dict[str, Any]:
+def _as_json(found: _CheckFindings) -> dict[str, Any]:
     scene, budgets, findings, hints = found
     buses = {name: _budget_as_json(budget) for name, budget in budgets.items()}
     return {
@@ -121,7 +121,7 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
     }
 
 
-def _print(console: Console, found: _Found, *, resolved: bool) -> None:
+def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
     scene, budgets, findings, hints = found
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
     console.print(f"[bold {colour}]{escape(found.verdict())}[/]", soft_wrap=True)

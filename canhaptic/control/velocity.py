@@ -49,7 +49,7 @@ class DamperVelocity(Parameters):
 
 
 @dataclass(slots=True)
-class Window:
+class VelocityWindow:
     """The samples through which the line of the newest velocity passes; the samples themselves are in a ring."""
 
     newest: int = 0  # place of the newest sample in the ring
@@ -61,7 +61,7 @@ class Window:
     scanned: int = 0  # samples looked at since the start, to prove the cost
 
 
-def restart(window: Window, ring: Buffer, position: float) -> None:
+def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
     """Begins anew at a position [m or rad], at rest."""
     for place in range(len(ring)):
         ring[place] = position
@@ -70,7 +70,7 @@ def restart(window: Window, ring: Buffer, position: float) -> None:
     window.least, window.most = -inf, inf
 
 
-def update(window: Window, ring: Buffer, tolerance: float, sample_time: float, position: float) -> None:
+def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: float, position: float) -> None:
     """Takes the position one sample later.
 
     Args:
@@ -97,7 +97,7 @@ def update(window: Window, ring: Buffer, tolerance: float, sample_time: float, p
     window.velocity = slope / sample_time
 
 
-def narrow(window: Window, position: float, tolerance: float, distance: int) -> None:
+def narrow(window: VelocityWindow, position: float, tolerance: float, distance: int) -> None:
     """Admits only slopes that pass a sample `distance` after the anchor within the tolerance."""
     least = (position - tolerance - window.anchor) / distance
     most = (position + tolerance - window.anchor) / distance
@@ -107,7 +107,7 @@ def narrow(window: Window, position: float, tolerance: float, distance: int) -> 
         window.most = most
 
 
-def search(window: Window, ring: Buffer, tolerance: float, furthest: int) -> None:
+def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int) -> None:
     """Takes the longest window of at most `furthest` samples, or of one, that fits."""
     newest = window.newest  # an index below 0 wraps, as the ring does
     position, least, most, length = ring[newest], -inf, inf, 0
@@ -146,7 +146,7 @@ class AdaptiveWindow:
             longest: Window, in samples.
         """
         self._sample_time, self._tolerance = sample_time, tolerance
-        self.window, self._ring = Window(), list_of_zeros(longest + 1)
+        self.window, self._ring = VelocityWindow(), list_of_zeros(longest + 1)
 
     def restart(self, position: float) -> None:
         """Begins anew at a position [m or rad], at rest."""

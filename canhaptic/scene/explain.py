@@ -83,7 +83,7 @@ def note_errors(model: type, section: MarkedMapping, error: ValidationError, fau
             _note(_find(model, section, fault["loc"], fault.get("input")), fault, faults)
 
 
-class _Found(NamedTuple):
+class _KeyLocation(NamedTuple):
     """What a location of pydantic means in the scene."""
 
     name: str  # of the key, as written
@@ -95,13 +95,13 @@ class _Found(NamedTuple):
     motion: Motion | None
 
 
-def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], seen: Any) -> _Found:
+def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], seen: Any) -> _KeyLocation:
     """Walks models and values to a location; what is missing takes its owner's place and `seen` for its value."""
     owner: Any = model
     container: Any = section
     chosen: tuple[str, ...] = ()
     annotation, motion = None, section.motion
-    found = _Found("", section, section.mark, section.mark, None, (), motion)
+    found = _KeyLocation("", section, section.mark, section.mark, None, (), motion)
     for part in location:
         if isinstance(container, MarkedMapping) and part == container.get("type") and part not in container:
             owner = _named(annotation, part) or owner  # pydantic names the branch of a union that `type` chose
@@ -121,7 +121,7 @@ def _find(model: type, section: MarkedMapping, location: tuple[int | str, ...], 
         if value is _ABSENT and not isinstance(container, MarkedMapping):
             return found._replace(value=seen)  # a part of pydantic's own, such as a branch of a union
         container = seen if value is _ABSENT else value
-        found = _Found(name, container, at, key_at, annotation, names, motion)
+        found = _KeyLocation(name, container, at, key_at, annotation, names, motion)
         if isinstance(container, MarkedMapping):
             owner, chosen = _model_in(annotation, container, owner)
             motion = container.motion or getattr(owner, "motion", None) or motion
@@ -191,7 +191,7 @@ def _model_in(annotation: Any, section: MarkedMapping, owner: Any) -> tuple[Any,
     return owner, ()
 
 
-def _note(found: _Found, fault: ErrorDetails, faults: Diagnostics) -> None:
+def _note(found: _KeyLocation, fault: ErrorDetails, faults: Diagnostics) -> None:
     kind, value = fault["type"], found.value
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         faults.add(found.key_at, _unknown_key(found.name, found.names))
@@ -212,7 +212,7 @@ def _note(found: _Found, fault: ErrorDetails, faults: Diagnostics) -> None:
         faults.add(found.value_at, f"got {shown(value)}, {message[:1].lower()}{message[1:]}")
 
 
-def _expected(found: _Found) -> str:
+def _expected(found: _KeyLocation) -> str:
     """Returns `0 < stiffness <= 1e8 [N/m]` for a number with a unit, what a component needs, else ``."""
     for item in _inner(found.annotation):
         if isinstance(item, ComponentOf):

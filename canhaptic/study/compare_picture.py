@@ -12,7 +12,7 @@ import numpy as np
 from canhaptic.errors import InputError
 from canhaptic.study.comparison import AxisComparison, Comparison
 from canhaptic.study.loop import Array, LoopRun
-from canhaptic.study.reference.continuous_reference import Reference
+from canhaptic.study.reference.continuous_reference import ContinuousReference
 from canhaptic.units import effort_unit
 from canhaptic.view.decimate import decimate
 from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
@@ -114,7 +114,9 @@ def _line(panel: Any, time: Array, values: Array, scale: _Scale, **style: Any) -
     panel.plot(time[shown], np.clip(values[shown], low - far, high + far) / scale[0], **style)
 
 
-def _draw_position(panel: Any, run: LoopRun, reference: Reference | None, period: float, scale: _Scale) -> None:
+def _draw_position(
+    panel: Any, run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale
+) -> None:
     if reference is not None:
         time = _times(reference.position, period)
         _line(panel, time, reference.position, scale, color=PALE, linewidth=3.0, alpha=0.6)
@@ -122,7 +124,7 @@ def _draw_position(panel: Any, run: LoopRun, reference: Reference | None, period
     _line(panel, time, run.true_position, scale, color=BLUE, linewidth=1.0)
 
 
-def _draw_force(panel: Any, run: LoopRun, reference: Reference | None, period: float, scale: _Scale) -> None:
+def _draw_force(panel: Any, run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale) -> None:
     if reference is not None:
         _line(panel, reference.fine_time, reference.fine_torque, scale, color=PALE, linewidth=3.0, alpha=0.6)
     time = _times(run.torque, period)

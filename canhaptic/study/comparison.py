@@ -17,7 +17,7 @@ from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
 from canhaptic.study.over_can import render_over_can
-from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
+from canhaptic.study.reference.continuous_reference import ContinuousReference, continuous_reference
 from canhaptic.study.scenes import at_rate, cycles_of, environment_of, loop_case, plant_parts, require_single_axes
 
 _BATCH: Final = 64  # cycles between two reports of progress
@@ -29,7 +29,7 @@ class AxisComparison:
 
     name: str
     unit: str
-    reference: Reference | None
+    reference: ContinuousReference | None
     runs: dict[str, LoopRun]
 
 
@@ -110,7 +110,7 @@ class _Counter:
             self._progress(self._done)
 
 
-_Reference = tuple[Reference | None, str]
+_Reference = tuple[ContinuousReference | None, str]
 
 
 def _reference(axis: AxisScene, sample_time_ns: int, cycles: int) -> _Reference:

@@ -11,7 +11,7 @@ import numpy as np
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.study.loop import Array, LoopRun
-from canhaptic.study.reference.continuous_reference import REST, Reference
+from canhaptic.study.reference.continuous_reference import REST, ContinuousReference
 
 _LAST_PART: Final = 0.1
 """Part of a run, at its end, in which rest and limit cycles are looked at; at most `_LONGEST_LAST` [s]."""
@@ -84,7 +84,9 @@ ALL: Final = {**METRICS, **CONTINUOUS}
 """Every metric."""
 
 
-def figures(environment: Environment, run: LoopRun, reference: Reference | None, sample_time: float) -> dict[str, Any]:
+def figures(
+    environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
+) -> dict[str, Any]:
     """Returns the figures of one run as plain values; None where there is nothing to measure.
 
     Args:
@@ -94,7 +96,7 @@ def figures(environment: Environment, run: LoopRun, reference: Reference | None,
         sample_time: [s].
     """
     margin = run.interaction - run.dissipated
-    found = _Found(_sums_of_run(environment, run, reference, sample_time))
+    found = _RunMetrics(_sums_of_run(environment, run, reference, sample_time))
     return {
         "diverged": len(run.position) * sample_time if run.ended == "diverged" else None,
         "position_error": found.group("position_error", "rms", "max"),
@@ -119,7 +121,7 @@ def figures(environment: Environment, run: LoopRun, reference: Reference | None,
     }
 
 
-class _Found:
+class _RunMetrics:
     """Metrics of one run by name; None where a sum is missing or there is nothing to measure."""
 
     def __init__(self, sums: Mapping[str, float]) -> None:
@@ -138,7 +140,7 @@ class _Found:
 
 
 def _sums_of_run(
-    environment: Environment, run: LoopRun, reference: Reference | None, sample_time: float
+    environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
 ) -> dict[str, float]:
     """Returns the sums behind the figures of errors, stiffness, damping and rest, by the names in `ALL`.
 
@@ -165,7 +167,7 @@ def _sums_of_run(
     return sums | _errors(run, reference) | at_rest
 
 
-def _errors(run: LoopRun, reference: Reference) -> dict[str, float]:
+def _errors(run: LoopRun, reference: ContinuousReference) -> dict[str, float]:
     shown = min(len(run.position), len(reference.position))
     moved = run.true_position[:shown] - reference.position[:shown]
     force = run.torque[:shown] - reference.torque[:shown]
@@ -179,7 +181,9 @@ def _errors(run: LoopRun, reference: Reference) -> dict[str, float]:
     }
 
 
-def _in_last_part(environment: Environment, run: LoopRun, reference: Reference, sample_time: float) -> dict[str, float]:
+def _in_last_part(
+    environment: Environment, run: LoopRun, reference: ContinuousReference, sample_time: float
+) -> dict[str, float]:
     rows = last_rows(len(run.position), sample_time)
     position = run.true_position[rows]
     return {

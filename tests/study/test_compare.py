@@ -21,7 +21,7 @@ from canhaptic.study.compare_table import comparison_report
 from canhaptic.study.comparison import compare
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopRun
-from canhaptic.study.reference.continuous_reference import Reference
+from canhaptic.study.reference.continuous_reference import ContinuousReference
 from canhaptic.study.scenes import at_rate
 from tests.control.reference_loop import USER_S, continuous, sampled
 
@@ -105,7 +105,7 @@ def test_what_the_continuous_axis_still_moves_is_no_limit_cycle():
     ring = 5e-5 * np.sin(60.0 * time)
     still = np.where(time < 1.0, 0.01 * (1.0 - time), 0.0) - 1e-3
     nothing = np.zeros(5000)
-    reference = Reference(still + ring, nothing, 1.0, time, nothing, "")  # type: ignore[arg-type]
+    reference = ContinuousReference(still + ring, nothing, 1.0, time, nothing, "")  # type: ignore[arg-type]
     position = still + 3.0 * ring
     run = LoopRun(position, position, nothing, nothing, nothing, nothing, nothing, Ledger().summary(), 0.0, "")
     found = figures(SpringDamperWall(stiffness=1e3), run, reference, 1e-3)

@@ -14,7 +14,7 @@ from canhaptic.sim.plant.effects.tremor import Tremor
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.loop import LoopCase
-from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
+from canhaptic.study.reference.continuous_reference import ContinuousReference, continuous_reference
 from tools.bench.user_laws import USERS, HandPlant
 
 PLANT: Final = PlantParameters(mass=0.25, damping=0.1)
@@ -107,6 +107,6 @@ def _plant(
 
 def standard_reference(
     environment: Environment, user: UserParameters, rate: float, cycles: int, effects: tuple[Effect, ...] = ()
-) -> Reference:
+) -> ContinuousReference:
     """Returns the continuous run beside `standard_case` with the standard plant."""
     return continuous_reference(environment, PLANT, user, effects, round(1e9 / rate), cycles)

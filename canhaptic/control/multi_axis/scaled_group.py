@@ -17,8 +17,9 @@ from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_commands import EndedHold, GroupCommand, GroupCommands, Values
 from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
 from canhaptic.control.multi_axis.requested_efforts import GroupMotion
-from canhaptic.control.multi_axis.scaled_state import Account, ScaledState
+from canhaptic.control.multi_axis.scaled_state import ScaledState
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.hold_account import HoldAccount
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.errors import ControlError
 from canhaptic.units import Parameters
@@ -105,7 +106,7 @@ class ScaledGroup:
         return GroupBalance(command.torques, balance, interactions, supplied, unsure, motion.limit)
 
     def _balance(
-        self, command: GroupCommand, h_i: float, h_pas: float, account: Account, paid: float, rendered: float
+        self, command: GroupCommand, h_i: float, h_pas: float, account: HoldAccount, paid: float, rendered: float
     ) -> EnergyBalance:
         return EnergyBalance(
             math.hypot(*command.torques), h_i, h_pas, h_i - h_pas, account.h_r, self._state.h_s, self._h_dis,

@@ -1,24 +1,15 @@
 """The state of a network as it was paid for: every change of it balances the energy of a hold."""
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 from canhaptic.control.balance import Branch
 from canhaptic.control.multi_axis.energy_along_scale import EnergyAlongScale
 from canhaptic.control.multi_axis.requested_efforts import GroupMotion
+from canhaptic.control.passivity.hold_account import HoldAccount
 from canhaptic.control.port_hamiltonian.discrete_gradient import extension, gradient
 
 _ROUNDING: Final = 1e-12  # of the energy at hand: below it a rest is rounding, not a leak
-
-
-class Account(NamedTuple):
-    """What one hold did [J]."""
-
-    branch: int
-    h_r: float
-    gen: float
-    deficit: float
-    leak: float
 
 
 class ScaledState:
@@ -60,7 +51,7 @@ class ScaledState:
         self.h_s = network.energy
         self._touched = self._touches()
 
-    def exchange(self, h_m: float, damped: float, power: float) -> Account:
+    def exchange(self, h_m: float, damped: float, power: float) -> HoldAccount:
         """Books a hold whose motion `GroupMotion.move` has taken.
 
         Args:
@@ -73,7 +64,7 @@ class ScaledState:
             available, self.h_s = self.h_s + h_m, 0.0
             self.begin()
             rest = available - self.h_s
-            return Account(Branch.EXIT.value, 0.0, 0.0, max(0.0, -rest), max(0.0, rest))
+            return HoldAccount(Branch.EXIT.value, 0.0, 0.0, max(0.0, -rest), max(0.0, rest))
         self._network.propose(motion.displacement, motion.elapsed)
         touching = self._touches()
         entered, left = touching and not self._touched, self._touched and not touching
@@ -85,7 +76,7 @@ class ScaledState:
             account = self._balance(h_m, damped, power)
         return self._leave(account, touching, left or h_m != 0.0)
 
-    def _start(self, h_m: float, entered: bool) -> Account | None:
+    def _start(self, h_m: float, entered: bool) -> HoldAccount | None:
         """First-order start (eq. 14): the state is the model's, and the energy for it is created.
 
         After it the user feels no torque before `delay` more holds have ended; until then it goes on.
@@ -101,9 +92,9 @@ class ScaledState:
         network.state[:] = model
         network.settle()
         self.h_s = network.energy
-        return Account(Branch.START.value, 0.0, max(0.0, self.h_s - available), 0.0, max(0.0, available - self.h_s))
+        return HoldAccount(Branch.START.value, 0.0, max(0.0, self.h_s - available), 0.0, max(0.0, available - self.h_s))
 
-    def _balance(self, h_m: float, damped: float, power: float) -> Account:
+    def _balance(self, h_m: float, damped: float, power: float) -> HoldAccount:
         """Solves the scalar balance and takes its step; eq. 18 where there is no solution."""
         network, before = self._network, self.h_s
         line = EnergyAlongScale(network.tables, network.user, network.state, network.room.step)
@@ -119,7 +110,7 @@ class ScaledState:
         branch = Branch.STICKY if sticky else Branch.EXACT
         return self._settle(branch, before + h_m, loss * scale.share, scale.share)
 
-    def _approximate(self, h_m: float, power: float, deepest: float) -> Account:
+    def _approximate(self, h_m: float, power: float, deepest: float) -> HoldAccount:
         """Dissipates what the last velocity would, as far as it is there; the state sinks to what remains (eq. 18).
 
         Where sinking frees too little, the step is taken to where it gives the most, and the rest is a deficit.
@@ -152,7 +143,7 @@ class ScaledState:
             if true * extension(network.tables, i, network.state[i]) <= 0.0 and true != 0.0:
                 network.state[i] = network.tables.upper[i] if true > 0.0 else network.tables.lower[i]
 
-    def _settle(self, branch: Branch, available: float, h_r: float, pace: float) -> Account:
+    def _settle(self, branch: Branch, available: float, h_r: float, pace: float) -> HoldAccount:
         """Takes the energy of the state; what it leaves over or lacks is booked."""
         self._network.settle()
         self.h_s = h_s = self._network.energy
@@ -160,9 +151,9 @@ class ScaledState:
         rest = available - h_r - h_s
         if abs(rest) <= _ROUNDING * max(abs(available), h_r, h_s):
             rest = 0.0
-        return Account(branch.value, h_r, 0.0, max(0.0, -rest), max(0.0, rest))
+        return HoldAccount(branch.value, h_r, 0.0, max(0.0, -rest), max(0.0, rest))
 
-    def _leave(self, account: Account, touching: bool, exchanged: bool) -> Account:
+    def _leave(self, account: HoldAccount, touching: bool, exchanged: bool) -> HoldAccount:
         """Leaks what is left in storages that the model does not touch any more."""
         network = self._network
         if not network.tables.moving:

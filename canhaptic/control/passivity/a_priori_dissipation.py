@@ -27,7 +27,7 @@ from typing import ClassVar, Literal
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Account, Axis, AxisMemory, Hold, axis_memory, begin, open_hold
+from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldAccount, axis_memory, begin, open_hold
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.passivity.storage import (
     UNTOUCHED,
@@ -61,7 +61,7 @@ class APrioriDissipationParameters(StoredModelParameters):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class _APrioriDissipationSettings:
     """What is fixed for a run."""
 
     rearms_as_printed: bool
@@ -69,7 +69,7 @@ class Settings:
 
 
 @dataclass(slots=True)
-class State:
+class _APrioriDissipationState:
     """What is remembered between two SYNCs."""
 
     axis: Axis = field(default_factory=Axis)
@@ -77,24 +77,28 @@ class State:
     met: bool = False  # whether a contact began since the first position
 
 
-def settings_of(environment: Environment, parameters: APrioriDissipationParameters, loop: LoopProperties) -> Settings:
+def settings_of(
+    environment: Environment, parameters: APrioriDissipationParameters, loop: LoopProperties
+) -> _APrioriDissipationSettings:
     """Returns what is fixed for a run.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.
     """
-    return Settings(parameters.rearm == "printed", stored_model_settings(environment, parameters, loop))
+    return _APrioriDissipationSettings(
+        parameters.rearm == "printed", stored_model_settings(environment, parameters, loop)
+    )
 
 
-def memory_of(settings: Settings, make_buffer: MakeBuffer) -> AxisMemory:
+def memory_of(settings: _APrioriDissipationSettings, make_buffer: MakeBuffer) -> AxisMemory:
     """Returns the buffers of one axis."""
     return axis_memory(settings.model.hold.delay, settings.model.hold.longest_window, make_buffer)
 
 
 def step(
     environment: Environment,
-    settings: Settings,
-    state: State,
+    settings: _APrioriDissipationSettings,
+    state: _APrioriDissipationState,
     memory: AxisMemory,
     position: float,
     torque_applied: float,
@@ -116,7 +120,13 @@ def step(
     return close(environment, settings.model, axis, memory, storage, hold, account)
 
 
-def touch(environment: Environment, settings: Settings, state: State, hold: Hold, entered: bool) -> Account:
+def touch(
+    environment: Environment,
+    settings: _APrioriDissipationSettings,
+    state: _APrioriDissipationState,
+    hold: Hold,
+    entered: bool,
+) -> HoldAccount:
     """Accounts for a hold that ended in contact."""
     storage, displacement = state.storage, hold.displacement
     state.met = state.met or entered
@@ -128,7 +138,9 @@ def touch(environment: Environment, settings: Settings, state: State, hold: Hold
     return update(environment, settings, storage, hold)
 
 
-def update(environment: Environment, settings: Settings, storage: Storage, hold: Hold) -> Account:
+def update(
+    environment: Environment, settings: _APrioriDissipationSettings, storage: Storage, hold: Hold
+) -> HoldAccount:
     """Dissipates what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
     lost = dissipation(settings.model, hold)
     account = approximate(environment, storage, hold.elapsed, lost, hold.h_i - hold.h_pas)
@@ -141,4 +153,4 @@ class APrioriDissipation(SteppedController):
     """The predecessor of the paper's algorithm for one axis."""
 
     parameters_type: ClassVar[type[Parameters]] = APrioriDissipationParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _APrioriDissipationState, memory_of, step)

@@ -14,9 +14,9 @@ from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, Runni
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
-    Account,
     Axis,
     AxisMemory,
+    HoldAccount,
     HoldSettings,
     axis_memory,
     begin,
@@ -37,7 +37,7 @@ class EnergyBoundingParameters(DamperVelocity):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class _EnergyBoundingSettings:
     """What is fixed for a run."""
 
     device_damping: float  # certain [N*s/m or N*m*s/rad]
@@ -45,7 +45,7 @@ class Settings:
 
 
 @dataclass(slots=True)
-class State:
+class _EnergyBoundingState:
     """What is remembered between two SYNCs."""
 
     axis: Axis = field(default_factory=Axis)
@@ -53,7 +53,9 @@ class State:
     energy: RunningSum = field(default_factory=RunningSum)  # E_n [J]
 
 
-def settings_of(environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties) -> Settings:
+def settings_of(
+    environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties
+) -> _EnergyBoundingSettings:
     """Returns what is fixed for a run.
 
     Raises:
@@ -64,18 +66,18 @@ def settings_of(environment: Environment, parameters: EnergyBoundingParameters, 
             f"energy_bounding: got device_damping {loop.device_damping!r}, expected > 0; it renders nothing "
             "without certain damping: measure it and give passivity.device_damping, or choose another algorithm"
         )
-    return Settings(loop.device_damping, hold_settings(parameters, loop, Certificate.DEVICE_DAMPING))
+    return _EnergyBoundingSettings(loop.device_damping, hold_settings(parameters, loop, Certificate.DEVICE_DAMPING))
 
 
-def memory_of(settings: Settings, make_buffer: MakeBuffer) -> AxisMemory:
+def memory_of(settings: _EnergyBoundingSettings, make_buffer: MakeBuffer) -> AxisMemory:
     """Returns the buffers of one axis."""
     return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
 
 
 def step(
     environment: Environment,
-    settings: Settings,
-    state: State,
+    settings: _EnergyBoundingSettings,
+    state: _EnergyBoundingState,
     memory: AxisMemory,
     position: float,
     torque_applied: float,
@@ -93,12 +95,14 @@ def step(
     share = bounded_share(settings, memory.commands.torques, axis.oldest, energy, abs(spring + damper))
     gen, leak = settle(environment, model, share, hold.h_i, h_r)
     efforts = spring * share, damper * share, 0.0
-    account = new(Account, (branch, h_r, gen, 0.0, leak))
+    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
     rendered = environment.damping * share if contact else 0.0
     return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
 
 
-def bounded_share(settings: Settings, torques: Buffer, oldest: int, energy: float, wanted: float) -> float:
+def bounded_share(
+    settings: _EnergyBoundingSettings, torques: Buffer, oldest: int, energy: float, wanted: float
+) -> float:
     """Returns the part of a wanted torque that is within the bound, 0..1.
 
     Args:
@@ -120,4 +124,4 @@ class EnergyBounding(SteppedController):
     """The sampled environment, its torque bounded by certain device damping."""
 
     parameters_type: ClassVar[type[Parameters]] = EnergyBoundingParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _EnergyBoundingState, memory_of, step)

@@ -88,7 +88,7 @@ class GuardedParameters(Parameters):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class _GuardedSettings:
     """What is fixed for a run."""
 
     sample_time: float  # [s]
@@ -108,7 +108,7 @@ class Settings:
 
 
 @dataclass(slots=True)
-class State:
+class _GuardedState:
     """What is remembered between two SYNCs."""
 
     zone: int = 0  # of contact
@@ -126,7 +126,7 @@ class Memory(NamedTuple):
     bound: BoundMemory
 
 
-def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> Settings:
+def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> _GuardedSettings:
     """Returns what is fixed for a run.
 
     Raises:
@@ -145,7 +145,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
             "them; without any no torque can be certified: declare what is known or choose another algorithm"
         )
     cap = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time))
-    return Settings(
+    return _GuardedSettings(
         sample_time=sample_time,
         credit=parameters.energy_allowance,
         alpha=parameters.alpha,
@@ -172,14 +172,19 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     )
 
 
-def memory_of(settings: Settings, make_buffer: MakeBuffer) -> Memory:
+def memory_of(settings: _GuardedSettings, make_buffer: MakeBuffer) -> Memory:
     """Returns the buffers of one axis."""
     axis = axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
     return Memory(axis, bound_memory(settings.declared, axis.commands.torques, make_buffer))
 
 
 def step(
-    environment: Environment, settings: Settings, state: State, memory: Memory, position: float, torque_applied: float
+    environment: Environment,
+    settings: _GuardedSettings,
+    state: _GuardedState,
+    memory: Memory,
+    position: float,
+    torque_applied: float,
 ) -> EnergyBalance:
     """Accounts for the hold that ended; see `Controller.step`."""
     zone, zone_before, axis = environment.contact(position), state.zone, state.axis
@@ -224,7 +229,7 @@ def step(
 
 
 def end(
-    settings: Settings, state: State, memory: Memory, position: float, torque_applied: float
+    settings: _GuardedSettings, state: _GuardedState, memory: Memory, position: float, torque_applied: float
 ) -> tuple[float, float, float, float]:
     """Ends a hold; returns (displacement, damper effort, modulated effort, energy unsure)."""
     declared, bound, axis, commands = settings.declared, state.bound, state.axis, memory.axis.commands
@@ -242,7 +247,9 @@ def end(
     return displacement, damper, modulated, 0.0
 
 
-def end_several(settings: Settings, state: State, memory: Memory, displacement: float, torque_applied: float) -> float:
+def end_several(
+    settings: _GuardedSettings, state: _GuardedState, memory: Memory, displacement: float, torque_applied: float
+) -> float:
     """Ends several holds whose samples were lost but for the last; returns the energy unsure [J]."""
     axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
     largest, apart = abs(torque_applied), 0.0
@@ -259,7 +266,13 @@ def end_several(settings: Settings, state: State, memory: Memory, displacement: 
 
 
 def book(
-    settings: Settings, state: State, memory: Memory, h_i: float, h_pas: float, damped: float, ceiling: float
+    settings: _GuardedSettings,
+    state: _GuardedState,
+    memory: Memory,
+    h_i: float,
+    h_pas: float,
+    damped: float,
+    ceiling: float,
 ) -> tuple[float, float, float, float]:
     """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
 
@@ -288,7 +301,7 @@ def book(
 
 
 def relax(
-    environment: Environment, settings: Settings, state: State, true: float, ceiling: float
+    environment: Environment, settings: _GuardedSettings, state: _GuardedState, true: float, ceiling: float
 ) -> tuple[float, float, float]:
     """Returns (state, energy there, energy dissipated) after one hold of internal relaxation [m or rad, J, J]."""
     relaxed = environment.relaxed(true, settings.sample_time)
@@ -301,7 +314,7 @@ def relax(
 
 def motion_of(
     environment: Environment,
-    settings: Settings,
+    settings: _GuardedSettings,
     axis: Axis,
     displacement: float,
     holds: int,
@@ -320,13 +333,13 @@ def motion_of(
     return axis.window.velocity * settings.sample_time if smooth else displacement / holds, inside
 
 
-def fade(state: State) -> None:
+def fade(state: _GuardedState) -> None:
     """Lets past dissipation of the device fade, out of contact."""
     bound, energy = state.bound, state.h_s - state.axis.h_dis
     keep(bound, energy, _FADE * max(0.0, energy + bound.dissipated))
 
 
-def certain_energy(state: State, energy: float) -> float:
+def certain_energy(state: _GuardedState, energy: float) -> float:
     """Returns what of an energy the next torques may take out with an encoder of finite counts [J].
 
     What was dissipated or leaked is not available again, but it covers what the encoder leaves unsure: (4) holds
@@ -338,8 +351,8 @@ def certain_energy(state: State, energy: float) -> float:
 
 def render(
     environment: Environment,
-    settings: Settings,
-    state: State,
+    settings: _GuardedSettings,
+    state: _GuardedState,
     memory: Memory,
     true: float,
     travel: float,
@@ -384,7 +397,7 @@ def render(
 
 
 def efforts(
-    settings: Settings,
+    settings: _GuardedSettings,
     bound: TorqueBound,
     spring: float,
     lead: float,
@@ -428,7 +441,7 @@ class Guarded(SteppedController):
     """An environment rendered as far as the certificates allow."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _GuardedState, memory_of, step)
 
     def __init__(self, environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> None:
         super().__init__(environment, parameters, loop)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from canhaptic.control.balance import Certificate, EnergyBalance, interaction_energy
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.in_flight import Commands, as_far_as_limit, efforts_inside, no_commands, repeat, send
-from canhaptic.control.velocity import DamperVelocity, Window, restart, update
+from canhaptic.control.velocity import DamperVelocity, VelocityWindow, restart, update
 from canhaptic.kernels import Buffer, MakeBuffer, new
 
 
@@ -33,7 +33,7 @@ class Axis:
     missed: int = 0  # samples lost since
     oldest: int = 0  # place of the command whose hold ends next
     h_dis: float = 0.0  # surplus still to be dissipated [J]
-    window: Window = field(default_factory=Window)
+    window: VelocityWindow = field(default_factory=VelocityWindow)
 
 
 class AxisMemory(NamedTuple):
@@ -54,7 +54,7 @@ class Hold(NamedTuple):
     velocity: float  # measured: of this hold, or from the window [m/s or rad/s]
 
 
-class Account(NamedTuple):
+class HoldAccount(NamedTuple):
     """What an algorithm did with a hold; energies in [J]."""
 
     branch: int
@@ -151,7 +151,7 @@ def close_hold(
     axis: Axis,
     memory: AxisMemory,
     hold: Hold,
-    account: Account,
+    account: HoldAccount,
     efforts: tuple[float, float, float],
     rendered: float,
     state: float,
@@ -183,7 +183,7 @@ def close_hold(
     ))  # fmt: skip
 
 
-def surplus_after(axis: Axis, hold: Hold, account: Account) -> tuple[float, float]:
+def surplus_after(axis: Axis, hold: Hold, account: HoldAccount) -> tuple[float, float]:
     """Returns (surplus, part of the leak that paid for it) after a hold [J]."""
     _, _, gen, deficit, leak = account
     surplus = axis.h_dis + gen + deficit - hold.h_pas

@@ -25,7 +25,7 @@ from typing import ClassVar, Final
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.hold_account import Account, Axis, AxisMemory, Hold, begin, open_hold
+from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldAccount, begin, open_hold
 from canhaptic.control.passivity.root import Balance, solve_balance, solve_balance_nonlinear
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.passivity.storage import (
@@ -61,7 +61,7 @@ class InternalDissipationParameters(StoredModelParameters):
 
 
 @dataclass(slots=True)
-class State:
+class _InternalDissipationState:
     """What is remembered between two SYNCs."""
 
     axis: Axis = field(default_factory=Axis)
@@ -72,7 +72,7 @@ class State:
 def step(
     environment: Environment,
     settings: StoredModelSettings,
-    state: State,
+    state: _InternalDissipationState,
     memory: AxisMemory,
     position: float,
     torque_applied: float,
@@ -95,7 +95,9 @@ def step(
     return close(environment, settings, axis, memory, storage, hold, account)
 
 
-def touch(environment: Environment, settings: StoredModelSettings, state: State, hold: Hold, entered: bool) -> Account:
+def touch(
+    environment: Environment, settings: StoredModelSettings, state: _InternalDissipationState, hold: Hold, entered: bool
+) -> HoldAccount:
     """Accounts for a hold that ended in contact.
 
     After a start the user does not feel a torque before `delay` more holds have ended. Until then nothing can be
@@ -112,7 +114,7 @@ def touch(environment: Environment, settings: StoredModelSettings, state: State,
     return exchange(environment, settings, storage, hold)
 
 
-def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> Account:
+def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
     """Solves eq. 8 for the state change and takes it; eq. 18 where there is no solution."""
     damper, h_m = hold.damper, hold.h_i - hold.h_pas
     change = solve(environment, settings, storage, hold.displacement, damper, h_m)
@@ -127,7 +129,7 @@ def exchange(environment: Environment, settings: StoredModelSettings, storage: S
         change = copysign(furthest, change)
     branch = _STICKY if h_m > 0.0 and change * storage.state < 0.0 else _EXACT
     h_r, leak = move(environment, storage, change, hold.elapsed, damper * change, h_m, limited)
-    return new(Account, (branch, h_r, 0.0, 0.0, leak))
+    return new(HoldAccount, (branch, h_r, 0.0, 0.0, leak))
 
 
 def solve(
@@ -146,4 +148,4 @@ class InternalDissipation(SteppedController):
     """The paper's algorithm for one axis."""
 
     parameters_type: ClassVar[type[Parameters]] = InternalDissipationParameters
-    kernel: ClassVar[Kernel] = Kernel(stored_model_settings, State, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(stored_model_settings, _InternalDissipationState, memory_of, step)

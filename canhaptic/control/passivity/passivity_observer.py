@@ -14,10 +14,10 @@ from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, Runni
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
-    Account,
     Axis,
     AxisMemory,
     Hold,
+    HoldAccount,
     HoldSettings,
     axis_memory,
     begin,
@@ -43,7 +43,7 @@ class PassivityObserverParameters(DamperVelocity):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class _PassivityObserverSettings:
     """What is fixed for a run."""
 
     damping_limit: float  # of the passivity controller [N*s/m or N*m*s/rad]
@@ -51,7 +51,7 @@ class Settings:
 
 
 @dataclass(slots=True)
-class State:
+class _PassivityObserverState:
     """What is remembered between two SYNCs."""
 
     axis: Axis = field(default_factory=Axis)
@@ -59,7 +59,9 @@ class State:
     observed: RunningSum = field(default_factory=RunningSum)  # sum(h_i) [J]
 
 
-def settings_of(environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties) -> Settings:
+def settings_of(
+    environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
+) -> _PassivityObserverSettings:
     """Returns what is fixed for a run.
 
     Raises:
@@ -73,18 +75,18 @@ def settings_of(environment: Environment, parameters: PassivityObserverParameter
         )
     if limit is None:
         limit = max(0.0, damping_cap(loop.delay, loop.moving_mass, loop.sample_time) - environment.damping)
-    return Settings(limit, hold_settings(parameters, loop, Certificate.NONE))
+    return _PassivityObserverSettings(limit, hold_settings(parameters, loop, Certificate.NONE))
 
 
-def memory_of(settings: Settings, make_buffer: MakeBuffer) -> AxisMemory:
+def memory_of(settings: _PassivityObserverSettings, make_buffer: MakeBuffer) -> AxisMemory:
     """Returns the buffers of one axis."""
     return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
 
 
 def step(
     environment: Environment,
-    settings: Settings,
-    state: State,
+    settings: _PassivityObserverSettings,
+    state: _PassivityObserverState,
     memory: AxisMemory,
     position: float,
     torque_applied: float,
@@ -101,12 +103,12 @@ def step(
     gen, leak = settle(environment, model, 1.0, hold.h_i - hold.h_pas, h_r)
     extra = controlling_damping(settings, observed, hold) if contact else 0.0
     efforts = spring, damper, extra * hold.displacement / hold.elapsed
-    account = new(Account, (branch, h_r, gen, 0.0, leak))
+    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
     rendered = environment.damping + extra if contact else 0.0
     return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
 
 
-def controlling_damping(settings: Settings, observed: float, hold: Hold) -> float:
+def controlling_damping(settings: _PassivityObserverSettings, observed: float, hold: Hold) -> float:
     """Returns the damping [N*s/m or N*m*s/rad] that wins back a negative energy [J] in one hold like the last."""
     displacement = hold.displacement
     if observed >= 0.0 or displacement == 0.0:
@@ -118,4 +120,4 @@ class PassivityObserver(SteppedController):
     """Time-domain passivity control around the sampled environment."""
 
     parameters_type: ClassVar[type[Parameters]] = PassivityObserverParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _PassivityObserverState, memory_of, step)

@@ -9,14 +9,14 @@ from typing import Final
 
 from canhaptic.control.balance import Branch
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.hold_account import Account
+from canhaptic.control.passivity.hold_account import HoldAccount
 from canhaptic.kernels import new
 
 _START, _FALLBACK, _DEPLETED = Branch.START.value, Branch.FALLBACK.value, Branch.DEPLETED.value
 _EXIT = Branch.EXIT.value
 _ROUNDING: Final = 1e-12  # of the energy at hand: below it a rest is rounding, not a leak
 
-UNTOUCHED: Final = Account(Branch.FREE.value, 0.0, 0.0, 0.0, 0.0)
+UNTOUCHED: Final = HoldAccount(Branch.FREE.value, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)
@@ -69,7 +69,7 @@ def entered_by(environment: Environment, storage: Storage, displacement: float) 
     return storage.true - environment.admissible(storage.true - displacement, storage.true)
 
 
-def start(environment: Environment, storage: Storage, change: float, elapsed: float, h_m: float) -> Account:
+def start(environment: Environment, storage: Storage, change: float, elapsed: float, h_m: float) -> HoldAccount:
     """First-order start (eq. 14): the state is the true one, and the energy for it is created.
 
     Args:
@@ -83,7 +83,7 @@ def start(environment: Environment, storage: Storage, change: float, elapsed: fl
     available = storage.h_s + h_m
     storage.state = state = storage.true
     storage.h_s = h_s = environment.stored_energy(state)
-    return new(Account, (_START, 0.0, max(0.0, h_s - available), 0.0, max(0.0, available - h_s)))
+    return new(HoldAccount, (_START, 0.0, max(0.0, h_s - available), 0.0, max(0.0, available - h_s)))
 
 
 def move(
@@ -109,7 +109,9 @@ def move(
     return relax(environment, storage, state, h_s, elapsed, h_r), leak
 
 
-def approximate(environment: Environment, storage: Storage, elapsed: float, dissipation: float, h_m: float) -> Account:
+def approximate(
+    environment: Environment, storage: Storage, elapsed: float, dissipation: float, h_m: float
+) -> HoldAccount:
     """Dissipates a given energy, as far as it is there, and takes the state of what remains (eqs. 6, 7, 18).
 
     Args:
@@ -122,14 +124,14 @@ def approximate(environment: Environment, storage: Storage, elapsed: float, diss
     available = storage.h_s + h_m
     if available <= 0.0:
         empty(storage)
-        return new(Account, (_DEPLETED, 0.0, 0.0, -available, 0.0))
+        return new(HoldAccount, (_DEPLETED, 0.0, 0.0, -available, 0.0))
     h_r = min(dissipation, available)
     before = storage.state
     state = environment.state_of_energy(available - h_r, before if before != 0.0 else storage.true)
     h_s = environment.stored_energy(state)
     leak = rest_of(available, h_r + h_s)
     storage.velocity = (state - before) / elapsed
-    return new(Account, (_FALLBACK, relax(environment, storage, state, h_s, elapsed, h_r), 0.0, 0.0, leak))
+    return new(HoldAccount, (_FALLBACK, relax(environment, storage, state, h_s, elapsed, h_r), 0.0, 0.0, leak))
 
 
 def relax(environment: Environment, storage: Storage, state: float, h_s: float, elapsed: float, h_r: float) -> float:
@@ -149,9 +151,9 @@ def rest_of(available: float, used: float) -> float:
     return rest if rest > _ROUNDING * available else 0.0
 
 
-def leave(storage: Storage, account: Account) -> Account:
+def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
     """Turns the account of the last hold of a contact into that of an exit: everything left is leaked."""
     _, h_r, gen, deficit, leak = account
     leak += storage.h_s
     empty(storage)
-    return new(Account, (_EXIT, h_r, gen, deficit, leak))
+    return new(HoldAccount, (_EXIT, h_r, gen, deficit, leak))

@@ -9,10 +9,10 @@ from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
-    Account,
     Axis,
     AxisMemory,
     Hold,
+    HoldAccount,
     HoldSettings,
     axis_memory,
     close_hold,
@@ -85,7 +85,7 @@ def close(
     memory: AxisMemory,
     storage: Storage,
     hold: Hold,
-    account: Account,
+    account: HoldAccount,
 ) -> EnergyBalance:
     """Sends spring, damper and the modulated damper of eq. 19, and returns the balance of the hold.
 

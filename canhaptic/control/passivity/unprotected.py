@@ -7,9 +7,9 @@ from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
-    Account,
     Axis,
     AxisMemory,
+    HoldAccount,
     HoldSettings,
     axis_memory,
     begin,
@@ -29,7 +29,7 @@ class UnprotectedParameters(DamperVelocity):
 
 
 @dataclass(slots=True)
-class State:
+class _UnprotectedState:
     """What is remembered between two SYNCs."""
 
     axis: Axis = field(default_factory=Axis)
@@ -49,7 +49,7 @@ def memory_of(settings: HoldSettings, make_buffer: MakeBuffer) -> AxisMemory:
 def step(
     environment: Environment,
     settings: HoldSettings,
-    state: State,
+    state: _UnprotectedState,
     memory: AxisMemory,
     position: float,
     torque_applied: float,
@@ -63,7 +63,7 @@ def step(
     hold = open_hold(settings, axis, memory, position, torque_applied)
     branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
     gen, leak = settle(environment, model, 1.0, hold.h_i, h_r)
-    account = new(Account, (branch, h_r, gen, 0.0, leak))
+    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
     rendered = environment.damping if contact else 0.0
     return close_hold(settings, axis, memory, hold, account, (spring, damper, 0.0), rendered, model.state, model.h_s)
 
@@ -72,4 +72,4 @@ class Unprotected(SteppedController):
     """torque = -effort(x) - d v."""
 
     parameters_type: ClassVar[type[Parameters]] = UnprotectedParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, State, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _UnprotectedState, memory_of, step)

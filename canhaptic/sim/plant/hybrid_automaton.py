@@ -24,7 +24,7 @@ from canhaptic.sim.plant.stepper import (
     NONE,
     PRODUCTS,
     ModeTables,
-    Settings,
+    StepperSettings,
 )
 
 
@@ -48,7 +48,7 @@ class HybridAutomaton:
     def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
         self.scene = scene
         self.tick_time = scene.sample_time / TICKS
-        self._settings = Settings(max_events, event_bits, self.tick_time)
+        self._settings = StepperSettings(max_events, event_bits, self.tick_time)
         self._modes: list[Mode] = []
         self._stored: list[Callable[[Array], float]] = []  # by mode
         self._index: dict[tuple[str, ...], int] = {}

@@ -48,7 +48,7 @@ class ModeTables(NamedTuple):
     storage: Any  # P with z'Pz the stored energy
 
 
-class Settings(NamedTuple):
+class StepperSettings(NamedTuple):
     """What a stepper spends."""
 
     max_events: int  # in one hold
@@ -231,7 +231,14 @@ def run_free(
 
 
 def run(
-    tables: ModeTables, settings: Settings, state: Array, moved: Array, books: Any, counts: Any, values: Any, ticks: int
+    tables: ModeTables,
+    settings: StepperSettings,
+    state: Array,
+    moved: Array,
+    books: Any,
+    counts: Any,
+    values: Any,
+    ticks: int,
 ) -> tuple[Array, Array, int]:
     """Moves by `ticks` under constant inputs, through every event on the way.
 
@@ -278,7 +285,7 @@ def run(
 
 
 def run_holds(
-    tables: ModeTables, settings: Settings, state: Array, moved: Array, books: Any, counts: Any, values: Any,
+    tables: ModeTables, settings: StepperSettings, state: Array, moved: Array, books: Any, counts: Any, values: Any,
     torques: Array, positions: Array,
 ) -> tuple[Array, Array, int, int]:  # fmt: skip
     """Takes one sample time under each torque and writes the position after it.

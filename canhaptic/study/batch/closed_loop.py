@@ -13,9 +13,9 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.kernels import Buffer
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
 from canhaptic.study.batch.reference_kernel import (
-    Reference,
     ReferenceMemory,
     ReferenceSettings,
+    ReferenceState,
     begin_reference,
     follow_hold,
 )
@@ -65,7 +65,7 @@ def run_loop(
     plant: Buffer,
     moved: Buffer,
     continuous: ReferenceSettings,
-    reference: Reference,
+    reference: ReferenceState,
     reference_memory: ReferenceMemory,
     cycles: int,
 ) -> None:

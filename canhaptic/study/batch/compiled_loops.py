@@ -16,7 +16,7 @@ from canhaptic.study.batch.batch_case import NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes
 from canhaptic.study.batch.closed_loop import run_loop, states_in, step
 from canhaptic.study.batch.meter import Meter
-from canhaptic.study.batch.reference_kernel import TERMS, Reference, ReferenceMemory, length_of
+from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState, length_of
 from canhaptic.study.batch.rows import SceneRow
 from canhaptic.study.loop import Array
 
@@ -84,7 +84,7 @@ def run_compiled(
     """Returns meters and references as records; see `run_interpreted` for the arguments."""
     settings, loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
     rest, states, continuous = records_of([kernel.state()]), records_of([kernel.state()]), records_of(modes.settings)
-    meters, references = (np.repeat(records_of([kind()]), len(rows)) for kind in (Meter, Reference))
+    meters, references = (np.repeat(records_of([kind()]), len(rows)) for kind in (Meter, ReferenceState))
     kind = tuple_type(rows[0].environment)
     numbers = attrgetter(*kind._fields)
     table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)

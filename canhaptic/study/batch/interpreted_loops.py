@@ -8,14 +8,14 @@ from canhaptic.kernels import Kernel, list_of_zeros
 from canhaptic.study.batch.batch_reference import ContinuousModes
 from canhaptic.study.batch.closed_loop import run_loop
 from canhaptic.study.batch.meter import Meter
-from canhaptic.study.batch.reference_kernel import TERMS, Reference, ReferenceMemory
+from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState
 from canhaptic.study.batch.rows import SceneRow
 from canhaptic.study.loop import Array
 
 
 def run_interpreted(
     kernel: Kernel, rows: Sequence[SceneRow], flows: Array, starts: Array, modes: ContinuousModes, cycles: int
-) -> tuple[list[Meter], list[Reference]]:
+) -> tuple[list[Meter], list[ReferenceState]]:
     """Returns the meter of every scene, and what is remembered of its continuous run.
 
     Args:
@@ -30,7 +30,7 @@ def run_interpreted(
     run = FunctionType(run_loop.__code__, names)
     meters, references = [], []
     for i, row in enumerate(rows):
-        meter, reference, memory = Meter(), Reference(), kernel.memory(row.settings, list_of_zeros)
+        meter, reference, memory = Meter(), ReferenceState(), kernel.memory(row.settings, list_of_zeros)
         flow: Any = flows[i % len(flows)].tolist()
         plant = starts[i % len(starts)].tolist()
         moved = [0.0] * (len(plant) - 2)

@@ -38,7 +38,7 @@ class ReferenceSettings:
 
 
 @dataclass(slots=True)
-class Reference:
+class ReferenceState:
     """What is remembered of a continuous run."""
 
     mode: int = OUTSIDE
@@ -61,7 +61,7 @@ class ReferenceMemory(NamedTuple):
     series: Any  # Taylor coefficients of y, shape (TERMS, k)
 
 
-def begin_reference(settings: ReferenceSettings, reference: Reference, memory: ReferenceMemory) -> None:
+def begin_reference(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
     """Takes the first SYNC, with the start in `memory.state`."""
     position = memory.state[0]
     reference.mode = LOWER if position < settings.lower else UPPER if position > settings.upper else OUTSIDE
@@ -70,7 +70,7 @@ def begin_reference(settings: ReferenceSettings, reference: Reference, memory: R
     reference.variation = abs(reference.torque)
 
 
-def follow_hold(settings: ReferenceSettings, reference: Reference, memory: ReferenceMemory) -> float:
+def follow_hold(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> float:
     """Moves by one hold; returns the mean torque in it, by the trapezoids between readings [N or N*m]."""
     mean = 0.0
     for _ in range(settings.readings):
@@ -107,7 +107,7 @@ def length_of(state: Buffer) -> int:
     return len(state)
 
 
-def move_step(settings: ReferenceSettings, reference: Reference, memory: ReferenceMemory) -> None:
+def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
     """Moves by one step, and again in pieces where an event may lie in it."""
     state, moved, mode = memory.state, memory.moved, reference.mode
     size, flow = length_of(state), memory.flows[mode]
@@ -128,7 +128,7 @@ def move_step(settings: ReferenceSettings, reference: Reference, memory: Referen
         state[row] = moved[row]
 
 
-def move_in_pieces(settings: ReferenceSettings, reference: Reference, memory: ReferenceMemory) -> None:
+def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
     """Moves by one step, piece by piece: each ends at a surface, at a turning point, or at the end."""
     state, series, left = memory.state, memory.series, settings.step
     for _ in range(_MOST_PIECES):

@@ -15,7 +15,7 @@ from canhaptic.study.batch.closed_loop import LoopSettings
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
 from canhaptic.study.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of
 from canhaptic.study.loop import FURTHEST, DivergedError, LoopCase
-from canhaptic.study.reference.continuous_reference import Reference, continuous_reference
+from canhaptic.study.reference.continuous_reference import ContinuousReference, continuous_reference
 from canhaptic.study.scenes import loop_case, plant_parts
 
 
@@ -41,7 +41,7 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
 
 
 def run_case(
-    case: LoopCase, cycles: int, metrics: Sequence[str] | None = None, continuous: Reference | None = None
+    case: LoopCase, cycles: int, metrics: Sequence[str] | None = None, continuous: ContinuousReference | None = None
 ) -> dict[str, float]:
     """Returns the figures of one loop by the names of `METRICS`; see `run_scalar`."""
     meter = metered(case, cycles, continuous)
@@ -51,7 +51,7 @@ def run_case(
     return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}
 
 
-def _sums_of_continuous(continuous: Reference | None, sample_time_ns: int) -> dict[str, float]:
+def _sums_of_continuous(continuous: ContinuousReference | None, sample_time_ns: int) -> dict[str, float]:
     if continuous is None:
         return {}
     position = continuous.position
@@ -63,7 +63,7 @@ def _sums_of_continuous(continuous: Reference | None, sample_time_ns: int) -> di
     }
 
 
-def metered(case: LoopCase, cycles: int, continuous: Reference | None = None) -> Meter:
+def metered(case: LoopCase, cycles: int, continuous: ContinuousReference | None = None) -> Meter:
     """Returns the meter of a loop after its cycles, or when it diverged."""
     plant, controller, loop, meter = case.make_plant(), case.controller(), loop_settings(case, cycles), Meter()
     environment = plain(case.environment)

@@ -22,7 +22,7 @@ REST: Final = 0.02
 """Peak-to-peak motion, as a part of the whole travel, below which the reference counts as being at rest."""
 
 
-class Reference(NamedTuple):
+class ContinuousReference(NamedTuple):
     """The continuous run."""
 
     position: Array  # at SYNC k, shape (n,) [m or rad]
@@ -46,7 +46,7 @@ def continuous_reference(
     sample_time_ns: int,
     cycles: int,
     seed: int = 0,
-) -> Reference:
+) -> ContinuousReference:
     """Returns what the user would feel from the continuous environment.
 
     Args:
@@ -80,7 +80,7 @@ def continuous_reference(
     ends = 0.5 * (torque[1:] + torque[:-1])
     mean = np.concatenate([[0.0], ends.reshape(-1, readings).mean(axis=1)]) if cycles > 1 else torque[:1]
     variation = float(np.abs(np.diff(torque, prepend=0.0)).sum())
-    return Reference(position[::readings], mean, variation, np.array(times) * 1e-9, torque, method)
+    return ContinuousReference(position[::readings], mean, variation, np.array(times) * 1e-9, torque, method)
 
 
 def _environment_torque(environment: Environment, position: Array, velocity: Array, step: float) -> Array:

@@ -44,7 +44,7 @@ def continuous_effect(environment: Environment) -> Effect | None:
     if isinstance(environment, ViscoelasticMedium):
         return _effect([_maxwell(environment)], "strain")
     if isinstance(environment, CoulombSurface):
-        return _effect([_Bristle(environment)], "strain")
+        return _effect([_PrandtlElement(environment)], "strain")
     return _effect([]) if isinstance(environment, FreeSpace) else None
 
 
@@ -111,7 +111,7 @@ class _Wall:
         return rows.position(MOTOR) - rows.row(one=self._surface)
 
 
-class _Bristle:
+class _PrandtlElement:
     """Prandtl's element: a spring between axis and ground that slides at its limit."""
 
     modes: tuple[str, ...] = ("elastic", "forward", "backward")

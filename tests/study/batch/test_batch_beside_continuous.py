@@ -15,7 +15,7 @@ from canhaptic.study.batch.batch_reference import continuous_modes, why_not_cont
 from canhaptic.study.batch.cases import loop_in_arrays
 from canhaptic.study.batch.interpreted_loops import reference_memory_of
 from canhaptic.study.batch.marching import march
-from canhaptic.study.batch.reference_kernel import Reference, begin_reference, follow_hold
+from canhaptic.study.batch.reference_kernel import ReferenceState, begin_reference, follow_hold
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import render
 from canhaptic.study.reference.continuous_reference import continuous_reference
@@ -65,7 +65,7 @@ def followed(batch, scenes: int, cycles: int) -> tuple[Any, Any, Any]:
     modes = continuous_modes(batch, batch.numbers, scenes, cycles, with_force=True)
     position, torque, variation = np.empty((cycles - 1, scenes)), np.empty((cycles - 1, scenes)), np.empty(scenes)
     for i in range(scenes):
-        reference, memory = Reference(), reference_memory_of(modes, i)
+        reference, memory = ReferenceState(), reference_memory_of(modes, i)
         begin_reference(modes.settings[i], reference, memory)
         for k in range(cycles - 1):
             torque[k, i] = follow_hold(modes.settings[i], reference, memory)
