@@ -93,7 +93,7 @@ def choose(axis: AxisScene, scene: Scene, tolerance: float) -> AccuracyChoice:
     torques = torque_history(axis, scene, holds_of(scene))
     simulation, period = simulation_of(axis), scene.bus.sample_time_ns
     exact = reference(textbook_model(simulation), torques, period)
-    tried = [tried_setting(simulation, period, accuracy, torques, exact) for accuracy in ladder(simulation, period)]
+    tried = [_tried_setting(simulation, period, accuracy, torques, exact) for accuracy in ladder(simulation, period)]
     chosen = cheapest(tried, tolerance)
     _require_order(tried, simulation, max(float(np.ptp(exact.position)), 1e-12), f"{scene.source}: accuracy: auto of "
                    f"axis {axis.parameters.name}")  # fmt: skip
@@ -177,7 +177,7 @@ def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyPara
     return [AccuracyParameters(event_bits=b, substeps=s, max_events=most) for s in substeps for b in bits]
 
 
-def tried_setting(
+def _tried_setting(
     simulation: AxisSimulation,
     sample_time_ns: int,
     accuracy: AccuracyParameters,

@@ -33,7 +33,7 @@ def open_energy_log(
     return EnergyLogWriter(
         path,
         ports,
-        run_attributes(scene, pace),
+        _run_attributes(scene, pace),
         sample_time_ns=scene.bus.sample_time_ns,
         with_truth=scene.simulated,
         pace=pace,
@@ -52,7 +52,7 @@ def open_bus_log(
     log = scene.log
     return BusLogWriter(
         path,
-        log_channels(scene),
+        _log_channels(scene),
         pace=pace,
         file_size=log.file_size,
         files=log.files,
@@ -61,7 +61,7 @@ def open_bus_log(
     )
 
 
-def log_channels(scene: Scene) -> list[str]:
+def _log_channels(scene: Scene) -> list[str]:
     """Returns what stands in the bus log for each bus: the channel of the only one, the names of several."""
     if scene.further_buses:
         return [bus.name for bus in scene.buses]
@@ -69,7 +69,7 @@ def log_channels(scene: Scene) -> list[str]:
     return [_PRIVATE_NAME if channel is None else "".join(str(channel).split())]
 
 
-def run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:
+def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:
     """Returns what belongs to the whole run: configuration, versions, clock, and where the walls are."""
     attributes: dict[str, Attribute] = {
         "canhaptic_version": version("canhaptic"),

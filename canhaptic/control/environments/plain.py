@@ -44,7 +44,7 @@ def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
     return twin
 
 
-def numbers_of(twin: Any) -> dict[str, float]:
+def _numbers_of(twin: Any) -> dict[str, float]:
     """Returns every number of a plain object by name, those of its class among them; NaN for None."""
     values = {
         **{name: value for base in type(twin).__mro__[-2::-1] for name, value in vars(base).items()},
@@ -60,7 +60,7 @@ def numbers_of(twin: Any) -> dict[str, float]:
 def tuple_type(twin: Any) -> Any:
     """Returns the NamedTuple of the numbers of a plain object, with its methods; what numba compiles."""
     kind: Any = type(twin)
-    return _tuple_type(kind, tuple(numbers_of(twin)))
+    return _tuple_type(kind, tuple(_numbers_of(twin)))
 
 
 @cache

@@ -35,13 +35,3 @@ def plain_functions() -> list[Callable[..., Any]]:
     for function in list(waiting.values()):
         visit(function)
     return order
-
-
-def plain_constants() -> dict[str, Any]:
-    """Returns the constants of these modules, by name."""
-    return {
-        name: value
-        for module in MODULES
-        for name, value in vars(module).items()
-        if name.isupper() or name[1:].isupper()
-    }

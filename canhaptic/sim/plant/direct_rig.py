@@ -18,7 +18,7 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 
 
-class HasTorque(Protocol):
+class _HasTorque(Protocol):
     """What a controller returns: anything with the torque for the next free hold."""
 
     @property
@@ -55,7 +55,7 @@ class DirectRig:
     def __init__(
         self,
         plant: Plant,
-        controller_step: Callable[[float, float], HasTorque],
+        controller_step: Callable[[float, float], _HasTorque],
         sample_time_ns: int,
         delay: int = 0,
         counts_per_unit: float | None = None,

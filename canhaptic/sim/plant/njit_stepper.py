@@ -37,7 +37,7 @@ _LOGIC: Final = (
 
 
 @cache
-def unrolled_holds(size: int, works: int) -> Callable[..., None]:
+def _unrolled_holds(size: int, works: int) -> Callable[..., None]:
     """Returns `free_holds` for a state of `size` and some works, whose numbers are constants of the compiled code.
 
     So LLVM unrolls every loop over them, and the state stays in registers: a sixth of the time. A symmetric form takes
@@ -76,7 +76,7 @@ def unrolled_holds(size: int, works: int) -> Callable[..., None]:
     return cast(Callable[..., None], numba.njit(fastmath={"contract"})(holds))
 
 
-class FlatBooks(NamedTuple):
+class _FlatBooks(NamedTuple):
     """Totals and the room for one product."""
 
     totals: Array  # shape (works,) [J]
@@ -144,7 +144,7 @@ _BULK: Final = (move, evaluate, pace, largest_term, stored, book)
 
 
 @cache
-def compiled_stepper() -> dict[str, Callable[..., Any]]:
+def _compiled_stepper() -> dict[str, Callable[..., Any]]:
     """Returns the functions of the stepper by name, compiled at their first call."""
     names = dict(vars(stepper))
     for function in _BULK:
@@ -163,7 +163,7 @@ class CompiledMachine(HybridAutomaton):
     """A machine whose holds, and whose whole runs, are compiled."""
 
     def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
-        functions = compiled_stepper()
+        functions = _compiled_stepper()
         self._run, self._free, self._holds = functions["run"], functions["run_free"], functions["run_holds"]
         self._flat: ModeTables | None = None
         self._free_modes: dict[int, tuple[Array, Array, Array]] = {}
@@ -171,7 +171,7 @@ class CompiledMachine(HybridAutomaton):
 
     def _new_books(self) -> list[Any]:
         size, works = len(self.scene.names), len(self.scene.works)
-        return [FlatBooks(np.zeros(works), np.zeros(size * (1 + works)))]
+        return [_FlatBooks(np.zeros(works), np.zeros(size * (1 + works)))]
 
     def _new_counts(self) -> Any:
         return np.zeros(COUNTS, dtype=np.int64)
@@ -194,7 +194,7 @@ class CompiledMachine(HybridAutomaton):
             super().run_holds(torques, positions)
             return
         size, works = len(self.state), len(self.scene.works)
-        unrolled_holds(size, works)(*self._free_tables(), self.state, self.totals, torques, positions)
+        _unrolled_holds(size, works)(*self._free_tables(), self.state, self.totals, torques, positions)
         self._counts[PRODUCTS] += len(torques)
 
     def _free_tables(self) -> tuple[Array, Array, Array]:
@@ -236,13 +236,13 @@ class CompiledMachine(HybridAutomaton):
     def _arrays(self) -> ModeTables:
         """Returns the tables as arrays, every table of one shape for all modes."""
         if self._flat is None:
-            self._flat = flat_tables(self._modes, self._tables.targets, len(self.scene.works))
+            self._flat = _flat_tables(self._modes, self._tables.targets, len(self.scene.works))
             width = self._flat.guards.shape[1]
             self._values = (np.zeros(width), np.zeros(width))
         return self._flat
 
 
-def flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> ModeTables:
+def _flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> ModeTables:
     """Returns the tables of the modes as arrays; guards that a mode does not have are zero.
 
     Args:

@@ -111,7 +111,7 @@ def ours(
 
     return Candidate(
         COMPILED if compiled else OURS,
-        setting_of(accuracy, kept),
+        _setting_of(accuracy, kept),
         1.0 / accuracy.substeps,
         None,
         accuracy,
@@ -120,7 +120,7 @@ def ours(
     )
 
 
-def setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
+def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
     """Returns what of an accuracy matters to a plant."""
     words = []
     if any(part.has_guards for part in plant.scene.parts):

@@ -44,7 +44,7 @@ def run_case(
     case: LoopCase, cycles: int, metrics: Sequence[str] | None = None, continuous: ContinuousReference | None = None
 ) -> dict[str, float]:
     """Returns the figures of one loop by the names of `METRICS`; see `run_scalar`."""
-    meter = metered(case, cycles, continuous)
+    meter = _metered(case, cycles, continuous)
     names = list(METRICS if metrics is None else metrics)
     found = asdict(meter) | _sums_of_continuous(continuous, case.sample_time_ns)
     sums = {name: np.array([found[name]]) for name in sums_of(names)}
@@ -63,7 +63,7 @@ def _sums_of_continuous(continuous: ContinuousReference | None, sample_time_ns: 
     }
 
 
-def metered(case: LoopCase, cycles: int, continuous: ContinuousReference | None = None) -> Meter:
+def _metered(case: LoopCase, cycles: int, continuous: ContinuousReference | None = None) -> Meter:
     """Returns the meter of a loop after its cycles, or when it diverged."""
     plant, controller, loop, meter = case.make_plant(), case.controller(), loop_settings(case, cycles), Meter()
     environment = plain(case.environment)

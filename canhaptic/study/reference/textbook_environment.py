@@ -70,7 +70,7 @@ def continuous_run(
         InputError: There are no equations for the environment, scipy is missing, the solver fails, or it was stopped.
     """
     longest = _BETWEEN_EVENTS if model.switches else _BETWEEN_SURFACES
-    force = EnvironmentForce(environment, model)
+    force = _EnvironmentForce(environment, model)
     model.add(force)
     table = np.array(states_at(model, times, rtol, stop, longest))
     return ContinuousRun(*(table[:, place] for place in (POSITION, VELOCITY, force.impulse, force.interaction)))
@@ -92,7 +92,7 @@ def surfaces(environment: Environment) -> list[float]:
     return [float(getattr(environment, name)) for name in names]
 
 
-class EnvironmentForce:
+class _EnvironmentForce:
     """The environment as an element of the textbook plant; books its impulse and the energy it takes."""
 
     def __init__(self, environment: Environment, model: Model) -> None:

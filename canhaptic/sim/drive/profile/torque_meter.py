@@ -8,7 +8,7 @@ from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 _LARGEST: Final = 0x7FFF  # 0x6077 is INTEGER16
 
 
-class TorqueSource(Protocol):
+class _TorqueSource(Protocol):
     """A motor; an attribute `motor_torque` [N*m or N], if it has one, is the torque behind its current loop."""
 
     @property
@@ -30,7 +30,7 @@ class TorqueMeter:
         is_ideal: What it measures is the demand.
     """
 
-    def __init__(self, motor: TorqueSource, parameters: SimulatedDriveParameters) -> None:
+    def __init__(self, motor: _TorqueSource, parameters: SimulatedDriveParameters) -> None:
         self._motor = motor
         self._has_own_torque = getattr(motor, "motor_torque", None) is not None
         self._lag = parameters.torque_lag

@@ -92,13 +92,13 @@ class FiveBarLinkage(Parameters):
             self.base, self.proximal, self.distal, self.motor_inertia, self.distal_mass, self.handle_mass
         )  # fmt: skip
 
-    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "FiveBarMotion":
+    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "_FiveBarMotion":
         """Returns it at rest at its initial angles.
 
         Raises:
             ParameterError: These are a singular pose.
         """
-        return FiveBarMotion(self, hand, sample_time_ns, substeps)
+        return _FiveBarMotion(self, hand, sample_time_ns, substeps)
 
 
 class _Place:
@@ -112,7 +112,7 @@ class _Place:
         self.inertia: Inertia = linkage.inertia(self.pose)
 
 
-class FiveBarMotion:
+class _FiveBarMotion:
     """The five-bar in motion.
 
     Args:

@@ -45,12 +45,12 @@ class XYStage(Parameters):
     initial_position: tuple[Length, Length] = (0.0, 0.0)
     """Where the stage is before the start."""
 
-    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "XYMotion":
+    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "_XYMotion":
         """Returns the stage at rest; it needs no substeps."""
-        return XYMotion(self, hand, sample_time_ns)
+        return _XYMotion(self, hand, sample_time_ns)
 
 
-class XYMotion:
+class _XYMotion:
     """The stage in motion.
 
     Args:
