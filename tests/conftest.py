@@ -9,6 +9,8 @@ from hypothesis import settings
 settings.register_profile("canhaptic", derandomize=True, deadline=None, print_blob=False)
 settings.load_profile("canhaptic")
 
+os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run says nothing about tables in pipes
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
