@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.balance import Verdict, passive_verdict
+from canhaptic.control.balance import Verdict
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError
@@ -82,6 +82,7 @@ class Account(Mapping[str, PortAccount]):
 
     def __init__(self, raw: Mapping[str, Any]) -> None:
         self.raw: Mapping[str, object] = dict(raw)
+        self._passive: Verdict = raw["passive"]
         self._ports = {name: _port_account(name, raw) for name in raw["ports"]}
 
     def __getitem__(self, name: str) -> PortAccount:
@@ -96,8 +97,7 @@ class Account(Mapping[str, PortAccount]):
     @property
     def passive(self) -> Verdict:
         """The worst verdict of all ports."""
-        verdicts = {port.passive for port in self._ports.values()}
-        return "no" if "no" in verdicts else "in doubt" if "in doubt" in verdicts else "yes"
+        return self._passive
 
     def __repr__(self) -> str:
         return f"<Account: passive {self.passive}; {', '.join(self._ports)}>"
@@ -370,6 +370,6 @@ def _port_account(name: str, raw: Mapping[str, Any]) -> PortAccount:
         least_interaction=whole["least_interaction"],
         true_least_interaction=truth.get("least_interaction", float("nan")),
         certificate=whole["certificate"],
-        passive=passive_verdict(whole["least_interaction"], whole.get("unsure", 0.0)),
+        passive=whole["passive"],
         group=group,
     )
