@@ -1,6 +1,7 @@
 """`canhaptic.simulate`: what a program gets from a simulated scene."""
 
 import gc
+import os
 import subprocess
 import sys
 import tempfile
@@ -105,5 +106,6 @@ def test_a_typed_program_of_a_user_meets_no_any(tmp_path: Path) -> None:
         "    print(name, port.energy_in, port.passive, depth, margin, verdict)\n"
     )
     command = [sys.executable, "-m", "mypy", "--strict", "--disallow-any-expr", "user.py"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=110)
+    installed = {**os.environ, "PYTHONPATH": str(ROOT)}  # mypy does not follow the hook of an editable installation
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=110, env=installed)
     assert done.returncode == 0, done.stdout
