@@ -4,7 +4,6 @@ import argparse
 import os
 import select
 import sys
-import termios
 from collections.abc import Callable
 from typing import Final
 
@@ -104,6 +103,8 @@ class _Terminal:
         return self._line().strip()
 
     def _forget(self) -> None:
+        import termios  # not on Windows
+
         termios.tcflush(self._input, termios.TCIFLUSH)
 
     def _line(self) -> str:

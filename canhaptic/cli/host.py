@@ -2,7 +2,6 @@
 
 import os
 import platform
-import resource
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,7 +52,11 @@ def _processor_advice() -> str:
 
 
 def _limit(name: str, key: str, item: str) -> _HostSetting:
-    number = getattr(resource, key, None)  # not on every system
+    try:
+        import resource
+    except ImportError:  # Windows
+        return _HostSetting(name, "not on this system", "")
+    number = getattr(resource, key, None)  # Linux alone
     if number is None:
         return _HostSetting(name, "not on this system", "")
     soft, _ = resource.getrlimit(number)

@@ -1,13 +1,9 @@
 """One run writes a log: a lock beside the file, held by the writer process and released with it, however it ends."""
 
-import fcntl
 import os
 from pathlib import Path
-from typing import Final
 
 from canhaptic.errors import LogWriteError
-
-_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class LogLock:
@@ -22,9 +18,11 @@ class LogLock:
     """
 
     def __init__(self, path: Path) -> None:
+        import fcntl  # POSIX alone, as the writer is
+
         self._path = path.with_name(f".{path.name}.lock")
         while True:
-            self._descriptor = os.open(self._path, _FLAGS, 0o666)
+            self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
             try:
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:

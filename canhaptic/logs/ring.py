@@ -182,6 +182,16 @@ def size_of(shapes: Iterable[RingShape]) -> int:
     return _HEADER + sum(struct.calcsize(shape.record) * shape.capacity for shape in shapes)
 
 
+def _fill(descriptor: int, size: int) -> None:
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(descriptor, 0, size)
+        return
+    zeros = bytes(min(size, 1 << 20))  # macOS has no such call: a page that is written is there
+    with os.fdopen(os.dup(descriptor), "wb") as file:
+        for start in range(0, size, len(zeros)):
+            file.write(zeros[: size - start])
+
+
 def allocate(size: int) -> int:
     """Returns the descriptor of an unlinked file of `size` bytes, every page of it really there.
 
@@ -196,7 +206,7 @@ def allocate(size: int) -> int:
             continue
         Path(name).unlink()
         try:
-            os.posix_fallocate(descriptor, 0, size)
+            _fill(descriptor, size)
         except OSError:  # a container may allow only a few megabytes of shared memory
             os.close(descriptor)
             continue

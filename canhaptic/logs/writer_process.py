@@ -52,6 +52,7 @@ class WriterProcess:
     def __init__(
         self, job: dict[str, Any], shapes: Iterable[RingShape], on_failure: Callable[[str], None] | None = None
     ) -> None:
+        _require_posix(job["path"])
         shapes = tuple(shapes)
         self._job = {**job, "shapes": shapes, "parent": os.getpid()}
         self._on_failure = on_failure
@@ -178,6 +179,14 @@ def _trusted_folders() -> list[str]:
     """Returns where this process imports from, without the working folder: whoever may write there is not trusted."""
     working = Path.cwd().resolve()
     return [folder for folder in sys.path if os.path.isabs(folder) and Path(folder).resolve() != working]
+
+
+def _require_posix(path: str | Path) -> None:
+    if os.name != "posix":
+        raise LogWriteError(
+            f"{path}: logs are written by a process that shares memory with the cycle, which needs Linux or macOS; "
+            "run without logs, or use Linux (WSL on Windows)"
+        )
 
 
 def _allocate(size: int, path: str | Path) -> int:

@@ -13,7 +13,6 @@ valid file in which each chunk is either there or not.
 """
 
 import errno
-import fcntl
 import json
 import os
 from collections.abc import Iterator
@@ -205,6 +204,8 @@ class _Writer:
     """
 
     def __init__(self, path: Path, file: Any, place: Path | None = None, kept: str = _KEPT) -> None:
+        import fcntl  # not on Windows
+
         self._path, self._kept = path, kept
         try:
             self._descriptor = os.open(place or path, os.O_RDWR)
