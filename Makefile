@@ -31,7 +31,7 @@ test: $(VENV)/.installed-dev
 	$(BIN)/pytest -q -n $(JOBS) -m "not slow"
 
 # Tests that need Debian's `chromium` or `tshark` skip, visibly, where those are absent.
-test-all: test $(VENV)/.installed-report,export,docs
+test-all: test $(VENV)/.installed-report,export,docs,release
 	$(BIN)/python tools/record.py --check
 	$(BIN)/pytest -q -n $(JOBS) -m slow
 

@@ -46,7 +46,7 @@ def test_a_log_is_refused_in_words_where_there_is_no_shared_memory(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Before the rig is enabled, and before a file is made."""
-    monkeypatch.setattr(writer_process.os, "name", "nt")
+    monkeypatch.setattr(os, "name", "nt")
     with pytest.raises(LogWriteError, match=r"demo\.h5.*needs Linux or macOS; run without logs"):
         writer_process.WriterProcess({"path": f"{tmp_path}/demo.h5"}, [])
     monkeypatch.undo()

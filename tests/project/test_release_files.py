@@ -1,0 +1,63 @@
+"""What a release needs: metadata that agree, and files that their own schemas accept."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+_PROJECT = tomllib.loads(Path("pyproject.toml").read_text())["project"]
+_SCHEMAS = {
+    "github-workflows": sorted(Path(".github/workflows").glob("*.yml")),
+    "github-issue-forms": sorted(
+        set(Path(".github/ISSUE_TEMPLATE").glob("*.yml")) - {Path(".github/ISSUE_TEMPLATE/config.yml")}
+    ),
+    "github-issue-config": [Path(".github/ISSUE_TEMPLATE/config.yml")],
+    "citation-file-format": [Path("CITATION.cff")],
+}
+
+
+def test_the_citation_names_the_version_and_the_licence_of_the_package() -> None:
+    """One of them is easily forgotten."""
+    citation = yaml.safe_load(Path("CITATION.cff").read_text())
+    assert citation["version"] == _PROJECT["version"]
+    assert citation["license"] == _PROJECT["license"]
+    assert citation["authors"] == _PROJECT["authors"]
+
+
+def test_the_workflow_tests_every_python_of_the_metadata() -> None:
+    """And calls the command that everybody calls."""
+    linux = yaml.safe_load(Path(".github/workflows/test.yml").read_text())["jobs"]["linux"]
+    named = {line.rsplit(" ", 1)[1] for line in _PROJECT["classifiers"] if "Python :: 3." in line}
+    assert set(linux["strategy"]["matrix"]["python"]) == named
+    assert {"run": "make test"} in linux["steps"]
+
+
+def test_every_hook_before_a_commit_is_a_command_of_make_test() -> None:
+    """A commit that the hooks let through does not fail there in the same command."""
+    recipe = Path("Makefile").read_text().split("\ntest:")[1].split("\n\n")[0].replace("$(BIN)", ".venv/bin")
+    (group,) = yaml.safe_load(Path(".pre-commit-config.yaml").read_text())["repos"]
+    for hook in group["hooks"]:
+        assert hook["entry"] in recipe, hook["id"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("schema", _SCHEMAS)
+def test_files_of_the_host_keep_their_schema(schema: str) -> None:
+    """By the schemas that come with check-jsonschema; nothing is fetched."""
+    pytest.importorskip("check_jsonschema", reason="needs the extra `release`")
+    assert _SCHEMAS[schema]
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", f"vendor.{schema}"]
+    done = subprocess.run([*command, *map(str, _SCHEMAS[schema])], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_hooks_are_valid() -> None:
+    """By pre-commit itself."""
+    pytest.importorskip("pre_commit", reason="needs the extra `release`")
+    command = [sys.executable, "-m", "pre_commit", "validate-config", ".pre-commit-config.yaml"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
