@@ -4,8 +4,10 @@ import argparse
 import signal
 import socket
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from canhaptic.cli.interrupt import say_interrupted
+from canhaptic.cli.stop_signal import SHELL_OFFSET
 from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
 from canhaptic.view.energy_table import make_console
@@ -17,7 +19,7 @@ _PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into o
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Serves the page until the process is interrupted.
+    """Serves the page until the process is interrupted; returns 130 after SIGINT and 143 after SIGTERM.
 
     Raises:
         InputError: No log is named, Bokeh is not installed, or the port is taken.
@@ -40,14 +42,33 @@ def execute(arguments: argparse.Namespace) -> int:
         )
     except (OSError, OverflowError) as error:
         raise InputError(f"port {port}: cannot be used ({error}); choose another with --port") from error
-    # As an exception Ctrl-C may be swallowed by whatever callback it falls into.
-    server.io_loop.asyncio_loop.add_signal_handler(signal.SIGINT, server.io_loop.stop)
+    ended_by = _stop_on_signals(server.io_loop)
     address = f"http://{_HOST}:{server.port}/"
     make_console().print(f" scope of {path} at {address}   Ctrl-C ends", soft_wrap=True)
     if arguments.open:
         server.io_loop.add_callback(server.show, "/")
-    server.run_until_shutdown()
-    return 0
+    server.start()
+    server.io_loop.start()
+    server.stop()
+    if ended_by[0] == signal.SIGINT:
+        say_interrupted()
+    return SHELL_OFFSET + ended_by[0]
+
+
+def _stop_on_signals(loop: Any) -> list[int]:
+    """Returns the list that takes the signal which stops the loop.
+
+    As an exception Ctrl-C could be swallowed by whatever callback it falls into.
+    """
+    ended_by: list[int] = []
+
+    def end(number: int) -> None:
+        ended_by.append(number)
+        loop.stop()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.asyncio_loop.add_signal_handler(number, end, number)
+    return ended_by
 
 
 def _free_port() -> int:

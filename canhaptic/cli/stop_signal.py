@@ -5,7 +5,7 @@ from types import FrameType, TracebackType
 from typing import Any, Final, Self
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-_SHELL_OFFSET: Final = 128  # exit status of a process ended by signal n is 128 + n
+SHELL_OFFSET: Final = 128  # exit status of a process ended by signal n is 128 + n
 
 
 class StopSignal:
@@ -26,7 +26,7 @@ class StopSignal:
     @property
     def exit_status(self) -> int:
         """130 after SIGINT, 143 after SIGTERM, 0 without a signal."""
-        return _SHELL_OFFSET + self.number if self.number else 0
+        return SHELL_OFFSET + self.number if self.number else 0
 
     def __enter__(self) -> Self:
         self._before = {number: signal.signal(number, self._take) for number in _SIGNALS}

@@ -87,22 +87,26 @@ def test_the_scope_wants_to_know_its_log(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @contextlib.contextmanager
-def scope(log: Path) -> Iterator[str]:
+def scope(log: Path, number: signal.Signals = signal.SIGINT) -> Iterator[str]:
     words = [sys.executable, "-m", "canhaptic", "scope", str(log), "--port", "0", "--window", "3"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=DEMO.parents[1]) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(words, stdout=pipe, stderr=pipe, text=True, cwd=DEMO.parents[1]) as process:
         assert process.stdout is not None
         try:
             line = process.stdout.readline()
             yield line.split(" at ")[1].split()[0]
-            process.send_signal(signal.SIGINT)
-            assert process.wait(20) == 0
+            process.send_signal(number)
+            assert process.wait(20) == 128 + number
+            assert process.stderr is not None
+            assert process.stderr.read() == ("canhaptic: interrupted\n" if number == signal.SIGINT else "")
         finally:
             process.kill()
 
 
-def test_ctrl_c_ends_the_scope(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_scope_with_its_own_status(number: signal.Signals, tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
-    with scope(tmp_path / "run.h5") as address:
+    with scope(tmp_path / "run.h5", number) as address:
         assert address.startswith("http://127.0.0.1:")
 
 
