@@ -18,6 +18,7 @@ from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.host.realtime import GRANTED, Realtime
+from canhaptic.scene.build import require_buildable
 from canhaptic.scene.guesses import TO_SET, Guess, guesses_left, refuses_guesses
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
@@ -48,6 +49,7 @@ def execute(arguments: argparse.Namespace) -> int:
         axis.parameters.name: check_dictionary(dictionary, axis.parameters, parameters[axis.bus])
         for dictionary, axis in zip(dictionaries, scene.axes, strict=True)
     }
+    require_buildable(scene)
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
     found = _CheckFindings(scene, budgets, findings, hints)
     if arguments.json:

@@ -153,6 +153,16 @@ def build(
     return Experiment(_with_accuracy(scene), chosen, _path(energy_log, scene.log.energy), _path(bus_log, scene.log.bus))
 
 
+def require_buildable(scene: Scene) -> None:
+    """Builds what a run of a simulated scene builds and lets it go; nothing is sent and no log is opened.
+
+    Raises:
+        InputError: A run would refuse the scene, for example a simulated drive without a rated torque.
+    """
+    if scene.simulated:
+        Experiment(scene, "free", None, None).close()
+
+
 def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> DriveGroup:
     """Returns the simulated drives of a scene on one connection to the bus.
 

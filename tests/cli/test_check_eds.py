@@ -24,6 +24,23 @@ UNFIT = {
 Captured = pytest.CaptureFixture[str]
 
 
+def test_check_refuses_what_a_run_refuses(tmp_path: Path, capsys: Captured) -> None:
+    """A simulated drive without a rated torque anywhere."""
+    text = (REPOSITORY / "configs" / "demo.yaml").read_text()
+    scene = yaml.safe_load(text)
+    scene["axes"][0]["eds"] = str(OURS)
+    scene["axes"][0].pop("rated_torque", None)
+    scene["simulation"].pop("drive", None)
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(scene))
+    texts = []
+    for command in (["check", str(path)], ["run", str(path), "--duration", "0.01"]):
+        assert main(command) == 2
+        texts.append(capsys.readouterr().err)
+    assert texts[0] == texts[1]
+    assert "rated_torque: got none" in texts[0]
+
+
 def checked(path: Path, capsys: Captured) -> tuple[int, dict[str, Any]]:
     status = main(["check-eds", str(path), "--json"])
     answer: dict[str, Any] = json.loads(capsys.readouterr().out)
