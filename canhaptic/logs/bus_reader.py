@@ -12,8 +12,9 @@ from canhaptic.errors import LogFormatError
 from canhaptic.logs.log_file import CONVERTIBLE, log_file
 
 _ERROR_FLAG: Final = 0x2000_0000  # of an identifier in candump text (CAN_ERR_FLAG of linux/can.h)
+_LATEST: Final = 4_000_000_000_000_000_000  # [ns], in the year 2096
 _LINE: Final = re.compile(
-    r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)(?:\s+([RTrt]))?\s*"
+    r"\((\d{1,12})\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)(?:\s+([RTrt]))?\s*"
 )
 
 
@@ -66,10 +67,20 @@ def _read_candump(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:
                     skipped["error"] += 1
                     continue
                 nanoseconds = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+                _require_time(path, number, nanoseconds)
                 is_rx = match[6] not in ("T", "t")
                 yield Frame(nanoseconds, can_id, bytes.fromhex(match[5]), is_rx, number, match[3])
     except OSError as error:
         raise LogFormatError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _require_time(path: Path, number: int, nanoseconds: int) -> None:
+    """Refuses a time that no clock shows: the timers of a replay take it for never."""
+    if nanoseconds > _LATEST:
+        raise LogFormatError(
+            f"{path}: frame {number} has the time {nanoseconds * 1e-9:.3g} s, expected at most {_LATEST * 1e-9:.3g} s "
+            "(the year 2096); the log is damaged"
+        )
 
 
 def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
@@ -91,8 +102,11 @@ def _read_with_python_can(path: Path, skipped: Counter[SkippedKind]) -> Iterator
                     skipped[kind] += 1
                     continue
                 nanoseconds = round(message.timestamp * 1e6) * 1000
+                _require_time(path, number, nanoseconds)
                 can_id, data = message.arbitration_id, bytes(message.data)
                 yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
+    except LogFormatError:
+        raise
     except Exception as error:  # its readers raise whatever they stumble over in a damaged file
         raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
 

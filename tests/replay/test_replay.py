@@ -115,6 +115,22 @@ def test_what_a_drive_sends_between_two_commands_of_one_instant_is_no_difference
     assert result["frames"]["played"] == 1 + sum(line.endswith("R\n") for line in lines)
 
 
+def test_a_jump_of_the_recorded_time_does_not_end_the_comparison(tmp_path: Path) -> None:
+    lines = lines_of("demo")
+    syncs = [n for n, line in enumerate(lines) if " 080#" in line]
+    lines[syncs[100]] = f"(3999999998.{lines[syncs[100]].partition('.')[2]}"
+    lines.insert(syncs[400], lines[syncs[5]])
+    result = replay_lines(tmp_path, "demo", lines)
+    assert result["status"] == "different"
+
+
+def test_a_time_that_no_clock_shows_is_refused_with_its_line(tmp_path: Path) -> None:
+    lines = lines_of("demo")
+    lines[700] = f"(9000000000.{lines[700].partition('.')[2]}"
+    with pytest.raises(InputError, match=r"demo.log: frame 701 has the time 9e\+09 s, expected at most 4e\+09 s"):
+        replay_lines(tmp_path, "demo", lines)
+
+
 @pytest.mark.parametrize("place", [60, -3, -2, -1])  # in the run, the last of it, and what disables the drive
 @pytest.mark.parametrize("bit", [0, 3])
 def test_a_flipped_bit_of_a_controlword_does_not_move_the_end_of_the_run(place: int, bit: int, tmp_path: Path) -> None:
