@@ -29,6 +29,7 @@ def check_dictionary(
         *profile_findings(dictionary, axis, None if bus is None else bus.sample_time_ns),
         _heartbeat(dictionary, bus),
         _watchdog(dictionary, axis, bus),
+        *_sync_period(dictionary),
         _map(dictionary, axis, bus),
     ]
 
@@ -64,6 +65,16 @@ def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParame
         hint = "the drive cannot notice a killed master; set watchdog: false to accept that"
         return Finding(item, Verdict.REFUSED, f"{text}; {hint}")
     return Finding(item, Verdict.FIT, "armed at the start")
+
+
+def _sync_period(dictionary: ObjectDictionary) -> Iterator[Finding]:
+    """Yields a refusal where 0x1006 is listed and cannot be compared with the sample time; it may be missing."""
+    variable = listed(dictionary, od.COMMUNICATION_CYCLE_PERIOD)
+    if variable is None or not variable.readable:
+        return
+    use = ObjectUse(od.COMMUNICATION_CYCLE_PERIOD, 0, DataType.UNSIGNED32, reads=True)
+    if (text := objection(dictionary, use)) is not None:
+        yield Finding("0x1006 SYNC period", Verdict.REFUSED, f"{text}; correct the dictionary")
 
 
 def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:

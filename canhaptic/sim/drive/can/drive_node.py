@@ -104,7 +104,7 @@ class SimulatedDrive:
             store, self.servo, timers, self._emergency, parameters, self._send, self._lose, self._change_routes
         )
         self._abort_option = store.find(ABORT_CONNECTION_OPTION)
-        self._error_behaviour = store.entry(ERROR_BEHAVIOUR, DataType.UNSIGNED8, 1)
+        self._error_behaviour = store.optional(ERROR_BEHAVIOUR, DataType.UNSIGNED8, 1)
         self._frames: dict[int, Any] = {}  # can.Message by COB-ID, used again: a bus copies or encodes what it is given
         self._routes: dict[int, Handler] = {}
         self._are_routes_stale = True

@@ -37,9 +37,9 @@ class EmergencyProducer:
     """
 
     def __init__(self, store: ObjectStore, node_id: int, send: Callable[[int, bytes], None]) -> None:
-        self._register = store.entry(ERROR_REGISTER, DataType.UNSIGNED8)
-        self._error_code = store.entry(ERROR_CODE, DataType.UNSIGNED16)
-        self._cob_id = store.entry(EMCY_COB_ID, DataType.UNSIGNED32)
+        self._register = store.optional(ERROR_REGISTER, DataType.UNSIGNED8)
+        self._error_code = store.optional(ERROR_CODE, DataType.UNSIGNED16)
+        self._cob_id = store.optional(EMCY_COB_ID, DataType.UNSIGNED32)
         self._default_cob_id = EMCY_BASE + node_id
         self._send = send
         self._count = store.find(_ERROR_HISTORY)

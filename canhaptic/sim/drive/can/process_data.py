@@ -71,9 +71,9 @@ class ProcessData:
         self._pdo_timers = {pdo: timers.add(partial(self._time_out, pdo)) for pdo in self._rpdos}
         self._pdo_timers |= {pdo: timers.add(partial(self._send_by_timer, pdo)) for pdo in self._tpdos}
         self._sync_timer = timers.add(self._lose_sync)
-        self._sync_cob_id = store.entry(SYNC_COB_ID, DataType.UNSIGNED32)
+        self._sync_cob_id = store.optional(SYNC_COB_ID, DataType.UNSIGNED32)
         self._sync_cob_id.check = _check_sync_cob_id
-        self._cycle_period = store.entry(COMMUNICATION_CYCLE_PERIOD, DataType.UNSIGNED32)
+        self._cycle_period = store.optional(COMMUNICATION_CYCLE_PERIOD, DataType.UNSIGNED32)
         self._sync_cob_id.changed = self._cycle_period.changed = on_change
         counter = store.find(SYNC_COUNTER_OVERFLOW)
         if counter is not None:

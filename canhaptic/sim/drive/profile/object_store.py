@@ -170,6 +170,16 @@ class ObjectStore:
             return entry
         return self._hidden.setdefault(place, Entry(index, subindex, data_type, access="ro"))
 
+    def optional(self, index: int, data_type: int, subindex: int = 0) -> Entry:
+        """Returns an object as `entry` does; where the dictionary has it with another type, one of the drive's own.
+
+        The object of the dictionary then is a value without effect, as the master needs none of these to run.
+        """
+        found = self._entries.get((index, subindex))
+        if found is not None and found.data_type != data_type:
+            return self._hidden.setdefault((index, subindex), Entry(index, subindex, data_type, access="ro"))
+        return self.entry(index, data_type, subindex)
+
     def find(self, index: int, subindex: int = 0) -> Entry | None:
         """Returns an object of the dictionary, or None."""
         return self._entries.get((index, subindex))
