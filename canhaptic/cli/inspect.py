@@ -16,7 +16,7 @@ from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
 from canhaptic.logs.log_file import CONVERTIBLE
-from canhaptic.logs.repair import repair
+from canhaptic.logs.repair import repair, require_readable
 from canhaptic.view.energy_table import energy_report, make_console
 from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report
 from canhaptic.view.run_picture import draw_energy
@@ -41,6 +41,9 @@ def execute(arguments: argparse.Namespace) -> int:
         arguments.log = arguments.repair
     if arguments.log.suffix.lower() in {".log", *CONVERTIBLE}:
         return _inspect_frames(arguments, console)
+    for path in (arguments.log, arguments.compare):
+        if path is not None:
+            require_readable(path)
     with EnergyLog.open(arguments.log) as log:
         result = inspect(log, arguments.start, arguments.stop)
         result["checks"] = _checks(result, arguments)

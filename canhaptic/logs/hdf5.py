@@ -42,6 +42,12 @@ class Dataset:
         self._dataset.refresh()
         return len(self)
 
+    def read_tables(self) -> None:
+        """Reads its type, its attributes and the places of its chunks, but no element."""
+        self._dataset.dtype, self.attributes  # noqa: B018 - for what the library does to find them
+        if self._dataset.chunks:
+            self._dataset.id.get_num_chunks()
+
     @property
     def dtype(self) -> np.dtype[Any]:
         """Type of its elements."""
@@ -140,6 +146,11 @@ class Hdf5File:
 
         self._file.visititems(visit)
         yield from found
+
+    def read_tables(self) -> None:
+        """Reads what the library itself keeps of every column: name, type, attributes, places of the chunks."""
+        for _, dataset in self.datasets():
+            dataset.read_tables()
 
     def copy_to(self, other: "Hdf5File") -> None:
         """Copies everything, compressed chunks as they are, and the root's attributes."""

@@ -1,5 +1,7 @@
 """Saves what can be read of an energy log that a kill, a full disk or a bad sector left behind."""
 
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -7,6 +9,7 @@ from canhaptic.errors import InputError, LogFormatError
 from canhaptic.host.output_file import require_writable_place
 from canhaptic.logs.column_check import FoundColumns, found_columns, usual_length
 from canhaptic.logs.energy_reader import DAMAGE, open_file
+from canhaptic.logs.own_process import in_own_process
 from canhaptic.logs.packing import repack, unfinished
 
 _STEP: Final = 512  # rows tried at a time
@@ -23,13 +26,35 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
         (rows saved, rows that could not be read).
 
     Raises:
-        LogFormatError: Nothing can be read: the file is no log, or a column of it is missing or of another type.
+        LogFormatError: Nothing can be read: the file is no log, a column of it is missing or of another type, or HDF5
+            crashes on it.
         InputError: Source and target are the same file, or the copy cannot be written.
     """
     source, target = Path(source), Path(target)
     if target.exists() and source.samefile(target):
         raise InputError(f"{target}: the repaired copy needs another name than the log itself")
     require_writable_place(target)
+    try:
+        return in_own_process(source, partial(_repair, source, target))
+    finally:
+        unfinished(target)
+
+
+def require_readable(source: Path) -> None:
+    """Returns if HDF5 survives the tables that it keeps in a log; other damage is found where it is read.
+
+    Raises:
+        LogFormatError: It crashes on them.
+    """
+    in_own_process(source, partial(_read_tables, source))
+
+
+def _read_tables(source: Path) -> None:
+    with suppress(*DAMAGE), open_file(source)[0] as file:
+        file.read_tables()
+
+
+def _repair(source: Path, target: Path) -> tuple[int, int]:
     file, description = open_file(source)
     try:
         with file:
@@ -45,15 +70,14 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
         repack(source, target, {"status": f"repaired{note}"}, (readable, notes))
     except OSError as error:
         if error.errno is None:  # of the library that reads, not of the system that writes
-            raise _lost(source, target, error) from error
+            raise _lost(source, error) from error
         raise InputError(f"{target}: the repaired copy cannot be written ({error}); name another file") from error
     except DAMAGE as error:
-        raise _lost(source, target, error) from error
+        raise _lost(source, error) from error
     return readable, max(0, expected - readable)
 
 
-def _lost(source: Path, target: Path, error: Exception) -> LogFormatError:
-    unfinished(target)
+def _lost(source: Path, error: Exception) -> LogFormatError:
     return LogFormatError(f"{source}: too damaged to be saved ({error})")
 
 

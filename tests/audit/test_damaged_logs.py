@@ -1,10 +1,13 @@
 """Every column of an energy log, damaged in every way: one error that names it, or a finding; nothing passes."""
 
 import contextlib
+import ctypes
+import os
 import re
 import resource
 import struct
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +17,7 @@ import h5py
 import numpy as np
 import pytest
 
+from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -162,6 +166,24 @@ def test_repair_keeps_the_rows_that_every_column_has_and_refuses_what_it_cannot_
     for damage in (missing, of_another_type, one_value):
         with pytest.raises(LogFormatError, match=r"damaged\.h5: ports/handle/h_i "):
             repair(damaged(whole, damage, "ports/handle/h_i"), saved)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process has no copies on Windows")
+@pytest.mark.parametrize("crash", [lambda *_: ctypes.string_at(0), lambda *_: os.abort()])
+def test_a_crash_of_the_library_is_one_error_and_leaves_nothing(
+    whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], crash: Callable[..., Any]
+) -> None:
+    folder = Path(tempfile.mkdtemp(dir=whole.parent))
+    monkeypatch.setattr("canhaptic.logs.packing._copy_column", crash)
+    assert main(["inspect", str(whole), "--repair", str(folder / "repaired.h5")]) == 2
+    assert re.fullmatch(
+        rf"canhaptic: error: {whole}: too damaged: the HDF5 library crashes on it \(exit status SIG\w+\)\n",
+        capsys.readouterr().err,
+    )
+    assert list(folder.iterdir()) == []
+    monkeypatch.setattr("canhaptic.logs.hdf5.Dataset.attributes", property(crash))
+    assert main(["inspect", str(whole)]) == 2
+    assert "the HDF5 library crashes on it" in capsys.readouterr().err
 
 
 def test_a_log_that_is_being_written_may_be_a_chunk_short_in_some_columns_and_no_more(whole: Path) -> None:

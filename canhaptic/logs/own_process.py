@@ -1,0 +1,77 @@
+"""Reads a damaged file in a copy of this process: HDF5 follows damaged addresses, and may crash."""
+
+import faulthandler
+import os
+import pickle
+import signal
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from canhaptic.errors import LogFormatError
+
+_Result = TypeVar("_Result")
+
+
+def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
+    """Returns what `work` returns, done in a copy of this process where the system makes one (Linux, macOS).
+
+    Args:
+        path: The file that is read, for the error.
+        work: Returns or raises something that can be pickled; what it changes in memory is lost.
+
+    Raises:
+        LogFormatError: The copy crashed.
+        Exception: What `work` raised.
+    """
+    if sys.platform == "win32":
+        return work()
+    reader, writer = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks with other threads: h5py guards its own lock
+        child = os.fork()
+    if child == 0:
+        os.close(reader)
+        _answer(writer, work)
+    os.close(writer)
+    content = b""
+    try:
+        with os.fdopen(reader, "rb") as pipe:
+            content = pipe.read()
+    finally:
+        if not content:
+            os.kill(child, signal.SIGKILL)  # after an interrupt; of one that has crashed nothing is left to end
+        _, status = os.waitpid(child, 0)
+    if not content:
+        raise LogFormatError(f"{path}: too damaged: the HDF5 library crashes on it (exit status {_exit(status)})")
+    result, error = pickle.loads(content)
+    if error is not None:
+        raise error
+    answer: _Result = result
+    return answer
+
+
+def _exit(status: int) -> str:
+    return (
+        signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else str(os.waitstatus_to_exitcode(status))
+    )
+
+
+def _answer(writer: int, work: Callable[[], Any]) -> None:
+    """Sends the result or the error of `work` and ends the copy; nothing of the first process is flushed or closed."""
+    import resource
+
+    try:
+        signal.set_wakeup_fd(-1)  # the first process is sent its signals itself
+        faulthandler.disable()
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        try:
+            content = pickle.dumps((work(), None))
+        except Exception as error:
+            content = pickle.dumps((None, error))
+        with os.fdopen(writer, "wb") as pipe:
+            pipe.write(content)
+    finally:
+        os._exit(0)
