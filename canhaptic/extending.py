@@ -1,4 +1,4 @@
-"""The names for parts of your own: environments, algorithms, effects, kinematics and networks.
+"""The names for parts of your own: environments, algorithms, effects, hands, kinematics and networks.
 
 A part is a class with the methods of its protocol. It is known to scenes once a table names it::
 
@@ -24,6 +24,7 @@ from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import Kernel
 from canhaptic.sim.plant.assembly import NonlinearForce, PlantModel
 from canhaptic.sim.plant.effects import EFFECTS, Effect
+from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.units import Parameters, quantity
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "NetworkEnvironment",
     "NonlinearForce",
     "OwnEnvironment",
+    "OwnHand",
     "Parameters",
     "PlantModel",
     "Pose",

@@ -73,7 +73,7 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
         allow_code: Whether program files that the scene names may run.
 
     Raises:
-        InputError: The scene cannot be read, or is not the one of the run.
+        InputError: The scene cannot be read, is not the one of the run, or names other code than ran then.
     """
     from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
 
@@ -93,15 +93,18 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
         allow_code: Whether program files that the scene names may run.
 
     Raises:
-        InputError: The scene cannot be read, or is not the one of the run.
+        InputError: The scene cannot be read, is not the one of the run, or names other code than ran then.
     """
     from canhaptic.scene.load import load_scene
+    from canhaptic.scene.own_code import require_same_code
 
     overrides = json.loads(str(log.attributes.get("config_overrides", "[]")))
     path = config or Path(str(log.attributes.get("config_source", "")))
     if not path.is_file():
         raise InputError(f"{log.path}: its scene {str(path)!r} is not there; name it with --config")
     scene = load_scene(path, overrides, allow_code=allow_code)
+    resolved = json.loads(str(log.attributes.get("config_resolved", "{}")))
+    require_same_code(scene.own_code, resolved.get("own_code", {}), str(log.path))
     if log.attributes.get("config_hash") not in (scene.config_hash(), scene.config_hash(old_names=True)):
         raise InputError(
             f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"

@@ -48,13 +48,21 @@ def add_json(parser: argparse.ArgumentParser, what: str = "one JSON object inste
 def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Scene":
     """Returns the scene that the arguments name; `beyond_bus` as for `load_scene`.
 
+    A command without `--allow-code` runs no scene, and leaves own code unread.
+
     Raises:
         SceneError: Anything in it is wrong.
     """
     from canhaptic.scene.load import load_scene
 
-    allow_code = getattr(arguments, "allow_code", False)
-    return load_scene(arguments.config, arguments.overrides, allow_code=allow_code, beyond_bus=beyond_bus)
+    allow_code: bool | None = getattr(arguments, "allow_code", None)
+    return load_scene(
+        arguments.config,
+        arguments.overrides,
+        allow_code=bool(allow_code),
+        leave_code=allow_code is None,
+        beyond_bus=beyond_bus,
+    )
 
 
 def check_picture(path: Path) -> None:

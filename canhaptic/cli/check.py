@@ -87,6 +87,7 @@ class _CheckFindings(NamedTuple):
             f"{len(self.findings)} drive{'s fit' if len(self.findings) != 1 else ' fits'} by its dictionary",
             f"{unknown} to be read from the drive" if unknown else "",
             f"bus load {100.0 * load:.0f} %",
+            f"{', '.join(self.scene.unread)} not run, so its parameters are not checked" if self.scene.unread else "",
             f"{len(self.exceeded)} limit{'s' if len(self.exceeded) != 1 else ''} exceeded" if self.exceeded else "",
         ]
         return f"{'not ready' if self.refused else 'ready'}: {', '.join(part for part in parts if part)}"
@@ -99,7 +100,8 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         "status": "ok",
         "ready": not found.refused,
         "verdict": found.verdict(),
-        "config_hash": scene.config_hash(),
+        "config_hash": None if scene.unread else scene.config_hash(),  # it holds the defaults of own code
+        "unread": list(scene.unread),
         "to_set": [guess._asdict() for guess in guesses_left(scene)],
         "config": scene.resolved(),
         **({"buses": buses} if scene.bus_name else {"bus": buses[""]}),
@@ -128,7 +130,8 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool) -> None:
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
     console.print(f"[bold {colour}]{escape(found.verdict())}[/]", soft_wrap=True)
     where = "; ".join(f"{bus.parameters.interface} {bus.parameters.channel or ''}".strip() for bus in scene.buses)
-    line = f"configuration {scene.config_hash()[:12]} on {where} at {1.0 / scene.bus.sample_time:g} Hz"
+    name = "configuration" if scene.unread else f"configuration {scene.config_hash()[:12]}"
+    line = f"{name} on {where} at {1.0 / scene.bus.sample_time:g} Hz"
     console.print(line + ("" if resolved else "; every value: --resolved"), markup=False, soft_wrap=True)
     if guesses := guesses_left(scene):
         console.print("real drives do not run on guesses:")

@@ -7,7 +7,7 @@ from canhaptic.cli.output import note_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.errors import InputError
 from canhaptic.scene.models import Scene
-from canhaptic.study.algorithms import chosen_algorithms
+from canhaptic.study.algorithms import chosen_algorithms, own_algorithms
 from canhaptic.study.comparison import compare
 from canhaptic.study.scenes import cycles_of
 from canhaptic.view.energy_table import make_console
@@ -22,7 +22,7 @@ def execute(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     if scene.groups:
         return _compare_groups(scene, arguments)
-    algorithms = chosen_algorithms(arguments.algorithms)
+    algorithms = chosen_algorithms(arguments.algorithms, own_algorithms(scene))
     if arguments.png is not None:
         check_picture(arguments.png)
     total = cycles_of(scene, arguments.duration) * len(algorithms) * len(scene.axes)

@@ -22,7 +22,7 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The log or the scene cannot be used.
     """
-    scene = None if arguments.config is None else load_scene(arguments.config)
+    scene = None if arguments.config is None else load_scene(arguments.config, leave_code=True)
     skipped = Counter[SkippedKind]()
     for frame in _decode_log(arguments.bus_log, scene, arguments.start, arguments.stop, skipped):
         if not arguments.only or frame["kind"].lower() in {kind.lower() for kind in arguments.only}:

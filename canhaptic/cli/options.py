@@ -219,6 +219,12 @@ def _replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bus_log", type=Path, metavar="BUSLOG", help="candump text, BLF, TRC or ASC")
     parser.add_argument("--config", type=Path, metavar="CONFIG", required=True, help="scene of the recorded run")
     add_overrides(parser)
+    parser.add_argument(
+        "--energy-log",
+        type=Path,
+        metavar="LOG",
+        help="of the same run: the scene as it ran then, and the code it named, which must be the same",
+    )
     parser.add_argument("--realtime", action="store_true", help="keep the pace of the recording")
     parser.add_argument(
         "--from-sync", action="store_true", help="leave the start of the drives out, even if it was recorded"

@@ -5,9 +5,12 @@ from typing import Any
 
 from rich.text import Text
 
+from canhaptic.audit.recompute import scene_of as scene_of_log
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
+from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import describe_skipped
+from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.view.energy_table import energy_report, make_console
 
@@ -18,7 +21,16 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The recording or the scene cannot be used.
     """
-    scene = scene_of(arguments)
+    if arguments.energy_log is not None:
+        with EnergyLog.open(arguments.energy_log) as log:
+            scene = scene_of_log(log, arguments.config, allow_code=arguments.allow_code)
+    else:
+        scene = scene_of(arguments)
+        if scene.own_code:
+            raise InputError(
+                f"{arguments.bus_log}: frames do not say with which code they were made, and the scene names "
+                f"{', '.join(scene.own_code)}; name the energy log of the same run with --energy-log, which does"
+            )
     result = replay_bus_log(arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync)
     if arguments.json:
         write_json(result)

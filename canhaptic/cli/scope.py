@@ -82,7 +82,7 @@ def _log_of(arguments: argparse.Namespace) -> Path:
         return Path(arguments.log)
     if arguments.config is None:
         raise InputError("scope: name the log, or a scene that names it with --config")
-    energy = load_scene(arguments.config).log.energy
+    energy = load_scene(arguments.config, leave_code=True).log.energy
     if energy is None:
         raise InputError(f"{arguments.config}: names no energy log; give it under log.energy, or name the log itself")
     return energy

@@ -90,6 +90,7 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
         "engine": arguments.engine,
         "chunk": arguments.chunk,
         "beyond_bus": arguments.beyond_bus,
+        "allow_code": arguments.allow_code,
     }
 
 

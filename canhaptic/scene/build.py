@@ -140,10 +140,14 @@ def build(
         bus_log: Bus log (candump text) to write; by default what the scene names under `log`.
 
     Raises:
-        InputError: Free pace without simulated drives, or a bus that python-can cannot use.
+        InputError: Free pace without simulated drives, a bus that python-can cannot use, or own code left unread.
         LinkError: The bus cannot be opened.
         LogWriteError: A log cannot be written.
     """
+    if scene.unread:
+        raise InputError(
+            f"{scene.source}: {', '.join(scene.unread)} was left unread; load the scene with allow_code=True"
+        )
     if pace == "free" and not scene.simulated:
         raise InputError(
             f"{scene.source}: pace 'free' needs drives simulated in this process (bus.interface: virtual and a "

@@ -1,6 +1,7 @@
 """Fields of the scene whose model is chosen by name from a table, or imported only where the scene has the key."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
@@ -9,7 +10,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.scene.own_code import OwnCode, names_own_code
+from canhaptic.scene.own_code import OWN_MODULE, OwnCode
 from canhaptic.units import Parameters, shown
 
 READY: Final = "ready"
@@ -25,7 +26,16 @@ class ComponentSpec(NamedTuple):
 
     def as_plain(self, selector: str) -> dict[str, Any]:
         """Returns the section of a scene, defaults included, as plain values."""
+        if isinstance(self.parameters, UnreadParameters):
+            return {selector: self.name, **self.parameters.written}
         return {selector: self.name, **self.parameters.model_dump(mode="json")}
+
+
+class UnreadParameters(Parameters):
+    """Stands for the parameters of own code that was left unread."""
+
+    written: dict[str, Any]
+    """The section as written."""
 
 
 class ComponentOf:
@@ -73,7 +83,10 @@ class ComponentOf:
             if not isinstance(name, str):
                 seen = "missing" if name is None else f"got {shown(name)}"
                 raise ParameterError(f"{seen}, expected one of: {', '.join(sorted(self.table))}")
-            own = _permitted(info).load(name, self.kind) if names_own_code(name) else None
+            code = _permitted(info)
+            if name not in self.table and code.is_left(name, self.kind):
+                return ComponentSpec(name, UnreadParameters(written=dict(value.without(self.selector, *self.apart))))
+            own = None if name in self.table else code.find(name, self.kind)
             model = self._model(name) if own is None else _own_parameters(own, name)
         except ParameterError as error:
             raise self._refused(str(error)) from error
@@ -99,6 +112,47 @@ class ComponentOf:
         required = [key for key in model.get("required", []) if key != self.selector]
         properties = {self.selector: {"const": name}, **own}
         return {**model, "properties": properties, "required": [self.selector, *required]}
+
+
+class OwnModel:
+    """Annotation of a field with a model of its own: a section with `type` is read by a subclass of the user's own.
+
+    Args:
+        kind: What the model is, for messages and plug-ins.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        read = partial(self._read, source)
+        plain = core_schema.plain_serializer_function_ser_schema(_with_type)
+        return core_schema.with_info_wrap_validator_function(read, handler(source), serialization=plain)
+
+    def _read(self, model: type[Parameters], value: Any, handler: Callable[[Any], Any], info: ValidationInfo) -> Any:
+        if not isinstance(value, MarkedMapping) or "type" not in value:
+            return handler(value)
+        name, code = value["type"], _permitted(info)
+        if not isinstance(name, str):
+            raise ValueError(f"type: got {shown(name)}, expected FILE.py:Class")
+        if code.is_left(name, self._kind):
+            return model()
+        try:
+            own = code.find(name, self._kind)
+        except ParameterError as error:
+            raise PydanticCustomError(READY, "{text}", {"text": str(error)}) from error
+        if not (isinstance(own, type) and issubclass(own, model)):
+            seen = "which is unknown" if own is None else f"which is no {model.__name__}"
+            raise ValueError(f"type: got {name!r}, {seen}; expected FILE.py:Class, a subclass of {model.__name__}")
+        return validated(own, value.without("type"), info.context)
+
+
+def _with_type(value: Parameters | None) -> dict[str, Any] | None:
+    """Returns the values of a model, headed by the name of a class of the user's own."""
+    if value is None:
+        return None
+    own = type(value).__module__.startswith(OWN_MODULE)
+    return {**({"type": type(value).__name__} if own else {}), **value.model_dump(mode="json")}
 
 
 class OnDemand:

@@ -141,11 +141,11 @@ def _check_parts(
 ) -> AxisMap | None:
     """Makes the parts once and lets them say what they cannot do; returns the PDO map that the dictionary permits."""
     try:
-        if not axis.group:
+        if not axis.group and axis.is_read:
             build_axis_controller(axis)
     except ParameterError as error:
         faults.add(_passivity_section(axis, entry, sections, scene).mark, str(error))
-    if axis.simulation is not None:
+    if axis.simulation is not None and axis.is_read:
         try:
             build_plant(axis.simulation, scene.bus.sample_time_ns)
         except ParameterError as error:

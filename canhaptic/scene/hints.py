@@ -44,6 +44,9 @@ def stability_hints(axis: AxisScene) -> list[Hint]:
     """Returns the limits of one axis; none of them is enforced here, the passivity algorithm is what protects."""
     if axis.group:
         return []  # see `group_hints`
+    if not axis.is_read:
+        text = "not known: environment or algorithm is own code, which is not run here"
+        return [Hint(axis.parameters.name, "stiffness and damping", None, None, "", text)]
     return [*_stiffness_hints(axis), _quantisation_hint(axis), *_damping_hints(axis), *_certificate_hints(axis)]
 
 

@@ -19,13 +19,18 @@ from canhaptic.scene.layout import SECTIONS, laid_out
 from canhaptic.scene.models import Scene, SceneContext, scene_adapter
 from canhaptic.scene.old_names import rename_old
 from canhaptic.scene.overrides import apply_overrides
-from canhaptic.scene.own_code import OwnCode
+from canhaptic.scene.own_code import CodeUse, OwnCode
 
 MAX_BYTES: Final = 1_000_000
 
 
 def load_scene(
-    path: str | Path, overrides: Sequence[str] = (), *, allow_code: bool = False, beyond_bus: bool = False
+    path: str | Path,
+    overrides: Sequence[str] = (),
+    *,
+    allow_code: bool = False,
+    leave_code: bool = False,
+    beyond_bus: bool = False,
 ) -> Scene:
     """Returns the validated scene of a YAML file.
 
@@ -33,13 +38,16 @@ def load_scene(
         path: The scene file.
         overrides: Values laid over it, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
+        leave_code: Whether such files, and plug-ins, are left unread instead: for a look at the rest of a scene, from
+            which nothing is built.
         beyond_bus: Whether a rate is taken that its bus cannot carry; for a study, no run could keep it.
 
     Raises:
         SceneError: The file cannot be read, or anything in it is wrong; lists every fault with its line.
     """
     text = _text(Path(path), str(path))
-    return scene_from_text(text, str(path), overrides, allow_code=allow_code, beyond_bus=beyond_bus)
+    use: CodeUse = "left" if leave_code else _use(allow_code)
+    return _from_text(text, str(path), overrides, use, beyond_bus)
 
 
 def scene_from_text(
@@ -57,11 +65,19 @@ def scene_from_text(
     Raises:
         SceneError: Anything in it is wrong; lists every fault with its line.
     """
+    return _from_text(text, source, overrides, _use(allow_code), beyond_bus)
+
+
+def _from_text(text: str, source: str, overrides: Sequence[str], use: CodeUse, beyond_bus: bool) -> Scene:
     faults = Diagnostics()
     document = parse_yaml(text, source, faults)
     if len(faults) and not isinstance(document, MarkedMapping):
         faults.raise_if_any()
-    return _read(document, source, text, overrides, faults, allow_code, beyond_bus=beyond_bus)
+    return _read(document, source, text, overrides, faults, use, beyond_bus=beyond_bus)
+
+
+def _use(allow_code: bool) -> CodeUse:
+    return "run" if allow_code else "refused"
 
 
 def scene_from_mapping(
@@ -72,7 +88,7 @@ def scene_from_mapping(
     Raises:
         SceneError: Anything in it is wrong; lists every fault.
     """
-    return _read(mark_plain(values, source), source, "", overrides, Diagnostics(), allow_code)
+    return _read(mark_plain(values, source), source, "", overrides, Diagnostics(), _use(allow_code))
 
 
 def _text(path: Path, source: str) -> str:
@@ -99,7 +115,7 @@ def _read(
     text: str,
     overrides: Sequence[str],
     faults: Diagnostics,
-    allow_code: bool,
+    use: CodeUse,
     *,
     beyond_bus: bool = False,
 ) -> Scene:
@@ -113,7 +129,7 @@ def _read(
     rename_old(sections, faults)
     apply_overrides(sections, overrides, faults)
     rename_old(sections, faults)  # what overrides brought
-    code = OwnCode(Path(source).parent, allow_code)
+    code = OwnCode(Path(source).parent, use)
     scene = _validated(sections, laid_out(sections, source, text, overrides, faults), faults, code)
     if scene is None or len(faults):
         raise faults.error()
@@ -126,7 +142,7 @@ def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics
     """Returns the scene; None when it has faults, which are all noted."""
     try:
         scene = scene_adapter().validate_python(laid, context=SceneContext(code=code))
-        return _completed(replace(scene, own_code=code.hashes))
+        return _completed(replace(scene, own_code=code.hashes, unread=tuple(code.left)))
     except ValidationError as error:
         note_errors(Scene, laid, error, faults)
     except RecursionError:

@@ -24,7 +24,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.logs.log_parameters import LogParameters
-from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OnDemand
+from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OnDemand, OwnModel, UnreadParameters
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.old_names import in_old_names
 from canhaptic.scene.own_code import OwnCode
@@ -63,7 +63,7 @@ class SceneContext(UnitContext):
     """Context of the validation of a scene."""
 
     bus: BusParameters | None = None  # once it is validated
-    code: OwnCode = field(default_factory=lambda: OwnCode(Path(), allowed=False))
+    code: OwnCode = field(default_factory=lambda: OwnCode(Path()))
 
 
 class RunParameters(Parameters):
@@ -133,7 +133,7 @@ class AxisSimulation:
 
     drive: SimulatedDriveParameters
     plant: PlantParameters
-    user: UserParameters | None = None
+    user: Annotated[UserParameters, OwnModel("hand")] | None = None
     effects: tuple[Annotated[ComponentSpec, ComponentOf(EFFECTS, "effect")], ...] = ()
     seed: int = 0
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)
@@ -169,6 +169,12 @@ class AxisScene:
     bus: str = ""  # name of the one it is on
     group: str = ""  # name of the group that renders on it; environment and passivity then say so
     simulated_drive: SimulatedDriveParameters | None = None  # of an axis whose motor moves a simulated mechanism
+
+    @property
+    def is_read(self) -> bool:
+        """Whether environment, algorithm and effects are known: False where one is own code that was left unread."""
+        parts = (self.environment, self.passivity, *(self.simulation.effects if self.simulation else ()))
+        return not any(isinstance(part.parameters, UnreadParameters) for part in parts)
 
     def dictionary_hash(self) -> str:
         """Returns the SHA-256 of the drive's EDS or DCF."""
@@ -231,7 +237,8 @@ class Scene:
     accuracy_choices: Mapping[str, Any] = field(default_factory=dict)  # axis -> what was chosen for it, and why
     groups: tuple[GroupScene, ...] = ()
     mechanisms: tuple[MechanismScene, ...] = ()
-    own_code: Mapping[str, str] = field(default_factory=dict)  # file -> SHA-256 of what ran
+    own_code: Mapping[str, str] = field(default_factory=dict)  # file or plug-in -> SHA-256 of what ran
+    unread: tuple[str, ...] = ()  # own code that was named and left unread; nothing is built from such a scene
 
     @property
     def accuracy_tolerance(self) -> float | None:

@@ -1,25 +1,40 @@
-"""A user's own environment, algorithm or effect, named in a scene as `file.py:Class`. It runs only where allowed.
+"""A user's own environment, algorithm, effect or hand: `file.py:Class` of the scene's folder, or of a plug-in.
 
-The file must be a regular file in the folder of the scene itself, once symbolic links are followed. It is run under a
-private module name; its folder never becomes a place to import from. The hash of each file that ran belongs to the
-configuration, so a log tells with which code it was made.
+A file runs only where the user allowed it. It must be a regular file in the folder of the scene itself, once symbolic
+links are followed. It is run under a private module name; its folder never becomes a place to import from. A plug-in
+is a package that the user installed and that names its classes as entry points (`canhaptic.environments`, ...); a scene
+can choose among them and nothing else. The hash of each file that ran belongs to the configuration, so a log says with
+which code it was made.
+
+Commands that run nothing leave own code unread: they neither import it nor check its parameters.
 """
 
 import hashlib
 import importlib.util
 import stat
 import sys
+from collections.abc import Mapping
 from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
-from canhaptic.errors import ParameterError
+from canhaptic.errors import InputError, ParameterError
 
+CodeUse = Literal["refused", "run", "left"]
+"""What happens to own code that a scene names: refused with one error, run, or left unread."""
 _MARK: Final = ".py:"
+OWN_MODULE: Final = "_canhaptic_own_"
+"""Begins the name of the private module of a file."""
 _LARGEST: Final = 1_000_000  # [bytes]
-OWN_CODE_KINDS: Final = ("environment", "passivity algorithm", "effect")
-"""What may be a user's own."""
+ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
+    "environment": "canhaptic.environments",
+    "passivity algorithm": "canhaptic.algorithms",
+    "effect": "canhaptic.effects",
+    "hand": "canhaptic.hands",
+}
+"""What may be a user's own -> group of the entry points of plug-ins."""
 
 
 def names_own_code(name: object) -> bool:
@@ -27,21 +42,60 @@ def names_own_code(name: object) -> bool:
     return isinstance(name, str) and _MARK in name
 
 
+def installed(kind: str) -> dict[str, EntryPoint]:
+    """Returns the classes that installed plug-ins offer as a kind of component, by name; none is imported."""
+    group = ENTRY_POINT_GROUPS.get(kind)
+    return {} if group is None else {found.name: found for found in entry_points(group=group)}
+
+
 class OwnCode:
-    """The files that a scene names, and whether they may run.
+    """The code of its user that a scene names, and whether it may run.
 
     Args:
         folder: Of the scene.
-        allowed: Whether the user permitted the scene's code, by `--allow-code` or `allow_code=True`.
+        use: "run" where the user permitted the scene's files, by `--allow-code` or `allow_code=True`; "left" where
+            nothing is built from the scene, files and plug-ins alike.
 
     Attributes:
-        hashes: File as the scene names it -> SHA-256 of what ran.
+        hashes: File as the scene names it, or plug-in -> SHA-256 of what ran.
+        left: What was named and left unread.
     """
 
-    def __init__(self, folder: Path, allowed: bool) -> None:
+    def __init__(self, folder: Path, use: CodeUse = "refused") -> None:
         self._folder = folder
-        self._allowed = allowed
+        self._use = use
         self.hashes: dict[str, str] = {}
+        self.left: list[str] = []
+
+    def is_left(self, reference: str, kind: str) -> bool:
+        """Returns whether a name is of own code that this scene leaves unread; it is then noted in `left`."""
+        if self._use != "left" or not (names_own_code(reference) or reference in installed(kind)):
+            return False
+        self.left.append(reference)
+        return True
+
+    def find(self, reference: str, kind: str) -> Any:
+        """Returns the class of the user's own that a name means; None where it means none.
+
+        Raises:
+            ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
+        """
+        if names_own_code(reference):
+            return self.load(reference, kind)
+        found = installed(kind).get(reference)
+        return None if found is None else self._plug_in(found)
+
+    def _plug_in(self, found: EntryPoint) -> Any:
+        package = f"{found.dist.name} {found.dist.version}" if found.dist is not None else found.value
+        try:
+            chosen = found.load()
+            source = Path(str(sys.modules[chosen.__module__].__file__)).read_bytes()
+        except Exception as error:  # whatever the code of others raises
+            raise ParameterError(
+                f"{found.name}: the plug-in {package} cannot be used ({type(error).__name__}: {error})"
+            ) from error
+        self.hashes[f"{found.name} ({package})"] = hashlib.sha256(source).hexdigest()
+        return chosen
 
     def load(self, reference: str, kind: str) -> Any:
         """Returns the class that `file.py:Class` names; the file is run once.
@@ -50,9 +104,9 @@ class OwnCode:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
         """
         name, _, attribute = reference.partition(":")
-        if kind not in OWN_CODE_KINDS:
+        if kind not in ENTRY_POINT_GROUPS:
             raise ParameterError(f"got {reference!r}, expected a built-in {kind}; own code can be {_listed()}")
-        if not self._allowed:
+        if self._use != "run":
             raise ParameterError(
                 f"names the program file {name!r}, which was not run; read it, and if you trust it "
                 "repeat the command with --allow-code (from Python: allow_code=True)"
@@ -86,8 +140,28 @@ class OwnCode:
         return path
 
 
+def require_same_code(ran: Mapping[str, str], recorded: Mapping[str, str], where: str) -> None:
+    """Refuses code that is not what was recorded.
+
+    Args:
+        ran: `OwnCode.hashes` of what would run now.
+        recorded: The same of the run that is looked at.
+        where: What recorded it, for the message.
+
+    Raises:
+        InputError: A file or a plug-in is another, or is missing.
+    """
+    for name in {**recorded, **ran}:
+        now, then = ran.get(name, "nothing"), recorded.get(name, "nothing")
+        if now != then:
+            raise InputError(
+                f"{name}: is not the code of {where}: SHA-256 {now[:12]} now, {then[:12]} there; put that version back"
+            )
+
+
 def _listed() -> str:
-    return f"{', '.join(OWN_CODE_KINDS[:-1])} or {OWN_CODE_KINDS[-1]}"
+    *first, last = ENTRY_POINT_GROUPS
+    return f"{', '.join(first)} or {last}"
 
 
 def _content(path: Path) -> bytes:
@@ -101,7 +175,7 @@ def _content(path: Path) -> bytes:
 @cache
 def _module(path: Path, digest: str, content: bytes) -> ModuleType:
     """Returns the module made of a file; the same content of the same file is run once."""
-    name = f"_canhaptic_own_{digest[:16]}"
+    name = f"{OWN_MODULE}{digest[:16]}"
     spec = importlib.util.spec_from_loader(name, loader=None, origin=str(path))
     if spec is None:
         raise ParameterError(f"{path.name}: no module can be made of it")

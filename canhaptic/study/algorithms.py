@@ -31,20 +31,33 @@ class _AbleAxis(NamedTuple):
         return f"told {', '.join(shown)} of the plant" if self.told else ""
 
 
-def chosen_algorithms(algorithms: Sequence[str] | None) -> list[str]:
+def own_algorithms(scene: Scene) -> list[str]:
+    """Returns the names of the user's own algorithms that a scene has."""
+    return list(dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None))
+
+
+def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ()) -> list[str]:
     """Returns the names asked for, each known; for None all of them, the one that is meant for a rig first.
+
+    Args:
+        algorithms: Asked for.
+        own: Names of the user's own that may be asked for as well; for None they come first.
 
     Raises:
         ParameterError: One is unknown.
     """
-    chosen = [algorithm_now(name, "algorithms") for name in algorithms or ("guarded", *ALGORITHMS)]
+    chosen = [algorithm_now(name, "algorithms") for name in algorithms or (*own, "guarded", *ALGORITHMS)]
     for name in chosen:
+        if name in own:
+            continue
         load(ALGORITHMS, name, "passivity algorithm")
     return list(dict.fromkeys(chosen))
 
 
 def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
     """Returns an axis under another algorithm, with what the two have in common (alpha, velocity, ...) kept."""
+    if axis.passivity.name == name:
+        return axis
     name = algorithm_now(name, axis.parameters.name)
     model: type[Parameters] = load(ALGORITHMS, name, "passivity algorithm").parameters_type
     given = axis.passivity.parameters

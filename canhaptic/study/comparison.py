@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.study.algorithms import able_under, chosen_algorithms
+from canhaptic.study.algorithms import able_under, chosen_algorithms, own_algorithms
 from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.figures import figures
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
@@ -66,7 +66,7 @@ def compare(
     Raises:
         InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
     """
-    names = chosen_algorithms(algorithms)
+    names = chosen_algorithms(algorithms, own_algorithms(scene))
     _require_comparable(scene)
     if rate is not None:
         if over_can:

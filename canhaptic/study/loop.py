@@ -3,7 +3,7 @@
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,10 +46,14 @@ class LoopCase:
     torque_quantum: float | None = None  # None: ideal torque [N or N*m]
     torque_limit: float | None = None  # of the drive [N or N*m]
     device_damping: float = 0.0  # that the device has for certain [N*s/m or N*m*s/rad]
+    own: type[Any] | None = None  # algorithm of the user's own, in place of `algorithm`
     device_friction: float = 0.0  # Coulomb friction in motion that the device has for certain [N or N*m]
 
     def controller(self) -> Controller:
         """Returns the algorithm, at rest."""
+        if self.own is not None:
+            controller: Controller = self.own(self.environment, self.parameters, self.loop)
+            return controller
         return build_controller(self.environment, self.algorithm, self.parameters, self.loop)
 
 

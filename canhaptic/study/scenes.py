@@ -88,6 +88,7 @@ def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
     return LoopCase(
         environment=environment_of(axis),
         algorithm=axis.passivity.name,
+        own=axis.passivity.own,
         parameters=axis.passivity.parameters,
         loop=axis.loop,
         make_plant=lambda: build_plant(simulation, sample_time_ns),

@@ -4,15 +4,28 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import canhaptic
 from canhaptic.audit.recompute import scene_of
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
+from canhaptic.scene.accuracy_choice import textbook_model
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.parts import build_plant
+from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.textbook.event_location import reference
+from canhaptic.study.accuracy.continuous_loop import continuous_loop
+from canhaptic.study.batch.engine import chosen_engine
+from canhaptic.study.sweep.points import make_points
+from canhaptic.study.sweep.recipe import make_recipe
+from canhaptic.study.sweep.recipe import scene_of as scene_of_row
+from canhaptic.study.sweep.vary import parse_vary
 
 ROOT = Path(__file__).resolve().parents[2]
 SPRING = """
@@ -69,7 +82,7 @@ def test_from_python_it_runs_with_permission_alone(folder: Path) -> None:
     assert list(result.scene.own_code) == ["my_wall.py"]
 
 
-COMMANDS = ("run", "compare", "accuracy", "sweep", "design", "check", "drive", "commission", "preflight")
+COMMANDS = ("run", "compare", "accuracy", "sweep", "design", "drive", "commission")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -124,7 +137,7 @@ def test_a_log_names_the_code_and_another_code_is_not_its_scene(folder: Path, tm
         with pytest.raises(SceneError, match="--allow-code"):
             scene_of(log)
         (folder / "my_wall.py").write_text(SPRING + "\n# changed\n")
-        with pytest.raises(InputError, match="changed since"):
+        with pytest.raises(InputError, match="is not the code of"):
             scene_of(log, allow_code=True)
     (folder / "ran").unlink()
     assert main(["inspect", str(path)]) == 0
@@ -139,3 +152,202 @@ def test_its_folder_is_no_place_to_import_from(folder: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["False", "False"]
+
+
+HAND = """
+from canhaptic.extending import OwnHand
+
+(__import__("pathlib").Path(__file__).parent / "ran").touch()
+
+
+class Pull(OwnHand):
+    strength: float = 0.0
+
+    def force(self, time: float, position: float, velocity: float) -> float:
+        return -self.strength if time > 0.1 else 0.0
+"""
+ALGORITHM = """
+from canhaptic.control.passivity.unprotected import Unprotected
+
+(__import__("pathlib").Path(__file__).parent / "ran").touch()
+
+
+class Mine(Unprotected):
+    pass
+"""
+
+
+def test_check_and_readers_leave_own_code_unread(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = folder / "scene.yaml"
+    text = scene.read_text().replace("type: spring_damper_wall", "type: my_wall.py:CenteringSpring")
+    scene.write_text(text.replace("  position: -0.05 m\n", "").replace("log:", "#log:"))
+    assert main(["check", str(scene), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["unread"] == ["my_wall.py:CenteringSpring"]
+    assert found["config"]["axes"]["handle"]["environment"]["stiffness"] == "100 N/m"
+    assert found["config_hash"] is None
+    assert main(["check", str(scene)]) == 0
+    assert "not run, so its parameters are not checked" in " ".join(capsys.readouterr().out.split())
+    assert main(["preflight", str(scene)]) == 0
+    (folder / "bus.log").write_text("(0.000000) vcan0 080#\n")
+    assert main(["decode", str(folder / "bus.log"), "--config", str(scene)]) == 0
+    assert main(["scope", "--config", str(scene)]) == 2  # the scene names no log, and is read so far
+    assert "names no energy log" in capsys.readouterr().err
+    assert main(["schema"]) == 0
+    assert not ran(folder)
+
+
+def test_what_was_left_unread_is_not_built(folder: Path) -> None:
+    scene = load_scene(folder / "scene.yaml", [ENVIRONMENT], leave_code=True)
+    with pytest.raises(InputError, match="left unread"):
+        canhaptic.build(scene)
+
+
+def test_an_own_hand_pulls_at_the_handle(folder: Path) -> None:
+    (folder / "my_hand.py").write_text(HAND)
+    user = {"type": "my_hand.py:Pull", "strength": 3.0, "stiffness": 60.0, "damping": 5.0}
+    with pytest.raises(SceneError, match="--allow-code"):
+        canhaptic.simulate(folder / "scene.yaml", {"simulation.user": user}, duration=0.1)
+    assert not ran(folder)
+    path = folder / "scene.yaml"
+    pulled = canhaptic.simulate(path, {"simulation.user": user}, duration=4.0, allow_code=True)
+    assert pulled.to_numpy()["true.handle.position"][-1] == pytest.approx(-0.05, abs=1e-3)  # 3 N against 60 N/m
+    assert list(pulled.scene.own_code) == ["my_hand.py"]
+    assert pulled.scene.resolved()["axes"]["handle"]["simulation"]["user"]["type"] == "Pull"
+    wrong = {"simulation.user": {"type": "my_wall.py:CenteringSpring"}}
+    with pytest.raises(SceneError, match="subclass of UserParameters"):
+        canhaptic.simulate(path, wrong, duration=0.1, allow_code=True)
+
+
+def test_the_plant_moves_with_an_own_hand_as_the_textbook_says(folder: Path) -> None:
+    pytest.importorskip("scipy")
+    text = "import math\n" + HAND.replace("-self.strength if time > 0.1 else 0.0", "self.strength * math.sin(9 * time)")
+    (folder / "my_hand.py").write_text(text)
+    user = "simulation.user={type: my_hand.py:Pull, strength: 3.0, stiffness: 60.0, damping: 5.0}"
+    scene = load_scene(folder / "scene.yaml", [user], allow_code=True)
+    [axis] = scene.axes
+    assert axis.simulation is not None
+    exact = reference(textbook_model(axis.simulation), [0.0] * 500, scene.bus.sample_time_ns)
+    errors = []
+    for substeps in (1, 4):
+        finer = replace(axis.simulation, accuracy=AccuracyParameters(substeps=substeps))
+        plant = build_plant(finer, scene.bus.sample_time_ns)
+        found = plant.run(np.zeros(500))
+        errors.append(np.abs(found - exact.position[-500:]).max())
+        energy = plant.energy()
+        assert energy.motor + energy.user - energy.dissipated - energy.stored == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(found) > 0.01
+    assert errors[0] < 1e-6
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)  # second order
+
+
+def test_an_own_wall_has_a_continuous_reference(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("scipy")
+    (folder / "my_wall.py").write_text(SPRING)
+    same = "environment={type: my_wall.py:CenteringSpring, stiffness: 100, damping: 10, position: -0.05, side: below}"
+    own = load_scene(folder / "scene.yaml", [same], allow_code=True).axes[0]
+    wall = load_scene(folder / "scene.yaml").axes[0]
+    step, steps = 2_000_000, 800
+    mine, known = continuous_loop(own, step, steps), continuous_loop(wall, step, steps)
+    assert np.abs(known.impulse).max() > 0.1
+    assert mine.position == pytest.approx(known.position, abs=1e-9)
+    assert mine.interaction == pytest.approx(known.interaction, abs=1e-9)
+    words = ["accuracy", str(folder / "scene.yaml"), "--set", same, "--duration", "0.4", "--budget", "0", "--json"]
+    assert main([*words, "--allow-code"]) == 0
+
+
+def test_a_wall_with_another_contact_says_where_it_switches_itself(folder: Path) -> None:
+    pytest.importorskip("scipy")
+    text = SPRING + "\n    def contact(self, position: float) -> int:\n        return int(position < -0.06)\n"
+    (folder / "my_wall.py").write_text(text)
+    axis = load_scene(folder / "scene.yaml", [ENVIRONMENT], allow_code=True).axes[0]
+    with pytest.raises(InputError, match="`surfaces`"):
+        continuous_loop(axis, 1_000_000, 10)
+
+
+def test_an_own_algorithm_is_compared_with_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "mine.py").write_text(ALGORITHM)
+    words = ["compare", str(folder / "scene.yaml"), "--set", "passivity={algorithm: mine.py:Mine}"]
+    words += ["--algorithms", "mine.py:Mine,unprotected", "--duration", "1.5", "--json"]
+    assert main(words) == 2
+    assert not ran(folder)
+    capsys.readouterr()
+    assert main([*words, "--allow-code"]) == 0
+    found = json.loads(capsys.readouterr().out)["axes"]["handle"]["algorithms"]
+    mine, known = (
+        {key: value for key, value in found[name].items() if key != "microseconds_per_step"}
+        for name in ("mine.py:Mine", "unprotected")
+    )
+    assert mine == known
+    assert mine["status"] == "completed"
+
+
+@pytest.fixture
+def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package, installed, that offers a wall."""
+    site = tmp_path / "site"
+    about = site / "bumpy_walls-1.2.dist-info"
+    about.mkdir(parents=True)
+    (site / "bumpy_walls_for_tests.py").write_text(SPRING)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: bumpy-walls\nVersion: 1.2\n")
+    (about / "entry_points.txt").write_text(
+        "[canhaptic.environments]\nbumpy = bumpy_walls_for_tests:CenteringSpring\nlost = bumpy_walls_for_tests:Absent\n"
+    )
+    monkeypatch.syspath_prepend(str(site))
+    yield site
+    sys.modules.pop("bumpy_walls_for_tests", None)
+
+
+def test_an_installed_plug_in_is_named_by_its_entry_point(folder: Path, plug_in: Path) -> None:
+    path, environment = folder / "scene.yaml", ["environment={type: bumpy, stiffness: 300 N/m}"]
+    left = load_scene(path, environment, leave_code=True)
+    assert left.unread == ("bumpy",)
+    assert not ran(plug_in)
+    scene = load_scene(path, environment)
+    assert list(scene.own_code) == ["bumpy (bumpy-walls 1.2)"]
+    assert canhaptic.simulate(scene, duration=0.2).account.passive == "yes"
+    with pytest.raises(SceneError, match=r"bumpy-walls 1\.2 cannot be used"):
+        load_scene(path, ["environment={type: lost}"])
+    with pytest.raises(SceneError, match="expected one of"):
+        load_scene(path, ["environment={type: bumpy_walls_for_tests.CenteringSpring}"])
+
+
+def test_a_replay_takes_the_code_of_the_run_and_no_other(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, energy, frames = (str(folder / name) for name in ("scene.yaml", "run.h5", "run.log"))
+    words = ["run", path, "--set", ENVIRONMENT, "--duration", "0.2", "--pace", "free", "--allow-code"]
+    assert main([*words, "--log", energy, "--bus-log", frames]) == 0
+    replay = ["replay", frames, "--config", path]
+    (folder / "ran").unlink()
+    assert main([*replay, "--energy-log", energy]) == 2
+    assert not ran(folder)
+    assert main([*replay, "--set", ENVIRONMENT, "--allow-code"]) == 2
+    assert "--energy-log" in capsys.readouterr().err
+    assert main([*replay, "--energy-log", energy, "--allow-code"]) == 0
+    (folder / "my_wall.py").write_text(SPRING + "\n# changed\n")
+    assert main([*replay, "--energy-log", energy, "--allow-code"]) == 2
+    assert "my_wall.py: is not the code of" in capsys.readouterr().err
+
+
+def test_a_sweep_gives_its_workers_the_code_of_the_flag_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, vary = folder / "scene.yaml", "environment.stiffness=100:300:3"
+    words = ["sweep", str(path), "--set", ENVIRONMENT, "--vary", vary, "--cycles", "300", "--workers", "2"]
+    assert main([*words, "--allow-code", "--json"]) == 0
+    scene = load_scene(path, [ENVIRONMENT], allow_code=True)
+    points = make_points([parse_vary(vary)], [], 0, 0)
+    engine = chosen_engine("python", pays=False)
+    recipe = make_recipe(scene, points, metrics=("margin",), engine=engine, cycles=10)
+    assert recipe.allow_code
+    row = (("environment.stiffness", 200.0),)
+    refused = scene_of_row(replace(recipe, allow_code=False), row)
+    assert "--allow-code" in refused.remark
+    (folder / "my_wall.py").write_text(SPRING + "\n# changed\n")
+    assert "is not the code of" in scene_of_row(replace(recipe, cycles=11), row).remark
+
+
+def test_a_varied_value_may_name_code_with_the_flag(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "other.py").write_text(SPRING)
+    values = "environment={type: my_wall.py:CenteringSpring, stiffness: 100, damping: 1}"
+    vary = "environment.type=my_wall.py:CenteringSpring,other.py:CenteringSpring"
+    words = ["sweep", str(folder / "scene.yaml"), "--set", values, "--vary", vary, "--cycles", "100"]
+    assert main([*words, "--allow-code", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == {"completed": 2}

@@ -12,7 +12,7 @@ are known, override `stored_energy` and `state_of_energy` as well.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, ClassVar, Final, Literal
 
 from canhaptic.control.environments.sides import is_beyond, kept_on_side
@@ -62,6 +62,13 @@ class OwnEnvironment(Parameters):
         """Returns the force [N or N*m] at a state [m or rad]; by default the slope of `potential`."""
         step = _DERIVATIVE_STEP * max(abs(state), 1e-3)
         return (self.potential(state + step) - self.potential(state - step)) / (2.0 * step)
+
+    def surfaces(self) -> Sequence[float]:
+        """Returns the positions where contact begins or ends [m or rad], for the continuous environment.
+
+        Whoever writes `contact` or `true_state` anew writes this anew as well; else there is no continuous reference.
+        """
+        return () if self.side == "both" else (self.position,)
 
     def contact(self, position: float) -> int:
         """Returns 1 where the environment is felt, else 0."""

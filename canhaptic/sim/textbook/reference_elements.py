@@ -135,7 +135,21 @@ class ReferenceHand(_Smooth):
         velocity = state[self._place.velocity]
         force = stiffness * (place - self._place.position(state)) + damping * (speed - velocity) + self._push
         forces[-1] += force
-        rates[-1] = force * velocity
+        rates[-1] += force * velocity
+
+
+class ReferenceOwnHand(_Smooth):
+    """A force of the user's own on the motor, by time, position and velocity; its work goes to the last state."""
+
+    def __init__(self, force: Callable[[float, float, float], float]) -> None:
+        self._force = force
+
+    def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
+        """Adds the force and its power."""
+        velocity = float(state[VELOCITY])
+        force = self._force(time, float(state[POSITION]), velocity)
+        forces[0] += force
+        rates[-1] += force * velocity
 
 
 class LuGre(_Smooth):

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.reference_elements import (
@@ -23,6 +24,7 @@ from canhaptic.sim.textbook.reference_elements import (
     ReferenceContact,
     ReferenceDetents,
     ReferenceHand,
+    ReferenceOwnHand,
     ReferenceStickSlip,
     Shaft,
     Transition,
@@ -48,7 +50,7 @@ class Model:
         effects: As for `Plant`.
 
     Raises:
-        ParameterError: An effect has no equations here, or is given twice and has them once.
+        ParameterError: An effect or the hand has no equations here, or an effect is given twice and has them once.
 
     Attributes:
         names: Of the states.
@@ -144,6 +146,10 @@ class Model:
         self._elements.append(ReferenceContact(sides, limit, stiffness, damping, depth))
 
     def _add_hand(self, user: UserParameters | None) -> None:
+        if isinstance(user, OwnHand):
+            self._elements.append(ReferenceOwnHand(user.force))
+        elif user is not None and type(user) is not UserParameters:
+            raise ParameterError(f"user: {type(user).__name__} has no equations here; make it a subclass of OwnHand")
         if user is None or not (user.stiffness or user.damping or user.push):
             return
         grasps = [(0.0, user.stiffness, user.damping)]

@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.scene.models import AxisSimulation
+from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.textbook.reference_motion import Motion
@@ -22,7 +23,8 @@ _EXPRESSIBLE: Final = ("viscous_friction", "encoder_noise", "encoder_quantisatio
 
 def inexpressible(simulation: AxisSimulation) -> list[str]:
     """Returns the effects of a scene that this joint does not have."""
-    return [effect.name for effect in simulation.effects if effect.name not in _EXPRESSIBLE]
+    hand = ["a hand of one's own"] if isinstance(simulation.user, OwnHand) else []
+    return hand + [effect.name for effect in simulation.effects if effect.name not in _EXPRESSIBLE]
 
 
 class MujocoPlant:

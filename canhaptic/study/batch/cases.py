@@ -52,6 +52,10 @@ def why_not_beforehand(scene: Scene) -> str:
     simulation = scene.axes[0].simulation
     if simulation is None:
         return "axis is not simulated"
+    if scene.axes[0].passivity.own is not None:
+        return f"algorithm {scene.axes[0].passivity.name} is own code"
+    if type(simulation.user) not in (UserParameters, type(None)):
+        return "the hand is own code"
     return why_not_linear(simulation)
 
 

@@ -83,13 +83,29 @@ def surfaces(environment: Environment) -> list[float]:
         InputError: There are no equations for an environment of this class.
     """
     names = _SURFACES.get(type(environment))
+    if names is None and _has_own_surfaces(environment):
+        return [float(place) for place in environment.surfaces()]  # type: ignore[attr-defined]
     if names is None:
         known = ", ".join(kind.__name__ for kind in _SURFACES)
         raise InputError(
             f"environment: got {type(environment).__name__}, for which there is no continuous run, expected one of: "
-            f"{known}; what needs none is measured all the same"
+            f"{known}, or an OwnEnvironment with `surfaces` of its `contact`; what needs none is measured all the same"
         )
     return [float(getattr(environment, name)) for name in names]
+
+
+def _has_own_surfaces(environment: Environment) -> bool:
+    """Whether an environment of the user's own says where it switches, and is a force of its place alone.
+
+    `surfaces` must be written where `contact` and `true_state` are, or below: otherwise it speaks of another contact.
+    """
+    where = {
+        name: place
+        for place, kind in reversed(list(enumerate(type(environment).__mro__)))
+        for name in ("surfaces", "contact", "true_state")
+        if name in vars(kind)
+    }
+    return "surfaces" in where and not environment.relaxes and where["surfaces"] == min(where.values())
 
 
 class _EnvironmentForce:

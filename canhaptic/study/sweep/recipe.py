@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 from canhaptic.errors import InputError, ParameterError, SceneConflictError, SceneError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.own_code import require_same_code
 from canhaptic.study.algorithms import PLANT_OF, able_under, chosen_algorithms
 from canhaptic.study.batch.engine import ChosenEngine
 from canhaptic.study.scenes import at_rate, cycles_of
@@ -47,7 +48,8 @@ class Recipe:
         engine: For scenes that fit a batch; chosen once, so that workers need not agree on it.
         beyond_bus: Whether a rate is judged that the bus could not carry.
         seed: From which every scene's own follows.
-        allow_code: Whether the program files that the scene names may run; so it was for the scene itself.
+        allow_code: Whether the program files that scenes name may run, here and in workers.
+        own_code: (file or plug-in, SHA-256) of what the scene names; a worker that has another refuses the scene.
         alone: Why every scene runs by itself although it might fit a batch; "" where batches pay.
     """
 
@@ -65,6 +67,7 @@ class Recipe:
     seed: int
     alone: str = ""
     allow_code: bool = False
+    own_code: tuple[tuple[str, str], ...] = ()
 
 
 class Built(NamedTuple):
@@ -94,6 +97,7 @@ def make_recipe(
     duration: float | None = None,
     cycles: int | None = None,
     beyond_bus: bool = False,
+    allow_code: bool = False,
 ) -> Recipe:
     """Returns the recipe of a sweep, every value tried on its own.
 
@@ -121,7 +125,8 @@ def make_recipe(
         engine,
         beyond_bus,
         scene.simulation.seed if scene.simulation else 0,
-        allow_code=bool(scene.own_code),
+        allow_code=allow_code or bool(scene.own_code),
+        own_code=tuple(scene.own_code.items()),
     )
     for varied in recipe.varied:
         _try_alone(recipe, varied)
@@ -208,7 +213,11 @@ def _try_alone(recipe: Recipe, varied: Varied) -> None:
 
 def _read(recipe: Recipe, overrides: list[str]) -> Scene:
     every = [*recipe.overrides, *overrides]
-    return scene_from_text(recipe.text, recipe.source, every, allow_code=recipe.allow_code)
+    scene = scene_from_text(recipe.text, recipe.source, every, allow_code=recipe.allow_code)
+    expected = dict(recipe.own_code)
+    common = {name: digest for name, digest in scene.own_code.items() if name in expected}  # a varied value has its own
+    require_same_code(common, {name: expected[name] for name in common}, recipe.source)
+    return scene
 
 
 def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool = False) -> list[str]:

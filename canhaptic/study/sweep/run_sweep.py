@@ -119,6 +119,7 @@ def _make_sweep(
     engine: Engine = "auto",
     chunk: int | None = None,
     beyond_bus: bool = False,
+    allow_code: bool = False,
 ) -> _Sweep:
     """Returns a sweep, everything checked that can be before a scene runs.
 
@@ -134,6 +135,8 @@ def _make_sweep(
         engine: For scenes that fit a batch; "auto" is numba where it is installed and pays.
         chunk: Scenes that are finished together; changes nothing but how much a kill can lose.
         beyond_bus: Whether to judge rates that the bus could not carry, instead of refusing them.
+        allow_code: Whether program files that a varied value names may run; those of the scene may where it was loaded
+            so.
 
     Raises:
         InputError: Anything is wrong.
@@ -153,6 +156,7 @@ def _make_sweep(
         duration=duration,
         cycles=cycles,
         beyond_bus=beyond_bus,
+        allow_code=allow_code,
     )
     together = _together(recipe, points)
     if together < _FEWEST_TOGETHER:

@@ -1,0 +1,67 @@
+"""Base of a hand of one's own: write the force that it adds to the grip.
+
+    class Startled(OwnHand):
+        def force(self, time: float, position: float, velocity: float) -> float:
+            return -5.0 if 1.0 < time < 1.2 else 0.0
+
+Stiffness, damping, push and motion of the grip are those of every hand; the force comes on top of them. It is held over
+each substep at the middle of the substep and solved together with the motion (`splitting.py`): second order in the
+substep where it is smooth.
+"""
+
+from canhaptic.errors import ParameterError
+from canhaptic.sim.plant.assembly import Account, PlantModel
+from canhaptic.sim.plant.user import UserParameters
+
+
+class OwnHand(UserParameters):
+    """A grip and a force of one's own on the handle."""
+
+    def force(self, time: float, position: float, velocity: float) -> float:
+        """Returns the force on the handle, towards +q [N or N*m].
+
+        Args:
+            time: Since the start of the plant [s].
+            position: Of the handle [m or rad].
+            velocity: Of the handle [m/s or rad/s].
+        """
+        raise NotImplementedError(f"{type(self).__name__}: write force(time, position, velocity)")
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Adds the grip and the force.
+
+        Raises:
+            ParameterError: The handle is not the motor's body.
+        """
+        if len(scene.bodies) > 1:
+            raise ParameterError("user: a hand of one's own holds the motor's body; leave shaft_compliance out", "user")
+        super().add_to(scene)
+        scene.efforts.append(_OwnForce(self))
+
+
+class _OwnForce:
+    """The force of the hand as an effort of the plant; its work is the user's."""
+
+    state_names: tuple[str, ...] = ()
+    account: Account | None = "user"
+
+    def __init__(self, hand: OwnHand) -> None:
+        self._hand = hand
+        self._time = 0.0
+
+    def reset(self) -> None:
+        """Returns to the start."""
+        self._time = 0.0
+
+    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
+        """Returns the force at the middle of a substep [N or N*m]."""
+        velocity = travel / duration if duration else 0.0
+        return self._hand.force(self._time + 0.5 * duration, position + 0.5 * travel, velocity)
+
+    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
+        """Takes the substep as done."""
+        self._time += duration
+
+    def stored(self, position: float) -> float:
+        """Returns 0: the hand stores nothing that the account knows."""
+        return 0.0
