@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 JOBS ?= auto
 SOURCES := canhaptic tests tools
 
-.PHONY: demo test test-all test-socketcan format bench docs clean
+.PHONY: demo test test-all test-socketcan format bench docs docs-version clean
 
 # One stamp per set of extras: a changed pyproject.toml installs again.
 $(VENV)/bin/pip:
@@ -53,6 +53,10 @@ bench: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 # The documentation as a site in site/, strict; NO_MKDOCS_2_WARNING silences the theme's notice of its successor.
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# The same as one more version of a site, committed to the branch gh-pages: make docs-version VERSION=0.2.0
+docs-version: $(VENV)/.installed-docs
+	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 mike deploy --update-aliases $(VERSION) latest
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info demo_output bench_output site

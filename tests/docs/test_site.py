@@ -11,20 +11,44 @@ import pytest
 import canhaptic
 from canhaptic import extending
 from tests.docs.documents import ROOT
+from tests.view.chromium import chromium
 
 _ASKED = re.compile(r"<(?:script|link|img|iframe|source|video)\b[^>]*?\b(?:src|href)=[\"']?(?:https?:)?//[^\"'> ]+")
 _ASKED_BY_STYLE = re.compile(r"(?:url\(\s*[\"']?|@import\s+[\"'])(?:https?:)?//[^)\"']+")
 
 
-@pytest.mark.slow
-def test_the_site_builds_strictly_and_asks_nothing_of_a_network(tmp_path: Path) -> None:
+def _build(folder: Path) -> str:
+    """Builds the site into a folder and returns what the builder wrote on standard error."""
     for module in ("mkdocs", "material", "mkdocstrings_handlers.python"):
         pytest.importorskip(module, reason="needs the extra `docs`")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     built = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
-    assert "WARNING" not in built.stderr
+    return built.stderr
+
+
+@pytest.mark.slow
+def test_the_search_works_from_a_folder(tmp_path: Path) -> None:
+    """Without a server, where a browser starts no worker."""
+    _build(tmp_path)
+    with chromium() as page:
+        page.open((tmp_path / "decisions" / "index.html").as_uri())
+        page.wait_for("document.readyState === 'complete' && document.querySelector('[data-md-toggle=search]')")
+        page.value("document.querySelector('[data-md-toggle=search]').click()")
+        page.value(
+            "{const query = document.querySelector('[data-md-component=search-query]'); query.value = 'bus-off';"
+            " query.dispatchEvent(new Event('keyup', {bubbles: true}))}"
+        )
+        page.wait_for("document.querySelector('.md-search-result__item a')")
+        found = page.value("[...document.querySelectorAll('.md-search-result__item a')].map(each => each.href).join()")
+        assert "socketcan.html" in found
+        assert page.faults == []
+
+
+@pytest.mark.slow
+def test_the_site_builds_strictly_and_asks_nothing_of_a_network(tmp_path: Path) -> None:
+    assert "WARNING" not in _build(tmp_path)
     html = {file: file.read_text(encoding="utf-8") for file in tmp_path.rglob("*.html")}
     assert len(html) > 20
     assert {file.name: found for file, text in html.items() if (found := _ASKED.findall(text))} == {}
