@@ -14,6 +14,7 @@ import pytest
 
 from canhaptic.sim.plant import effects as effects_package
 from canhaptic.sim.plant.plant import Plant
+from canhaptic.study.accuracy.operations import executed_bytecodes as operations
 from tests.plant.plant_scenes import MS, make_plant, run
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -27,6 +28,7 @@ LUGRE = {
 }  # fmt: skip
 TREMOR = {"type": "tremor", "amplitude": 1e-3}
 SATURATION = {"type": "torque_saturation", "limit": 1.0}
+FAR_STOP = {**STOP, "position": 0.5}
 VISCOUS = {"type": "viscous_friction", "damping": 0.2}
 THERMAL = {"type": "thermal_derating", "torque_limit": 2, "copper_loss": 1, "thermal_resistance": 9, "time_constant": 1}
 BARE = ("position", "velocity", "motion_sine", "motion_cosine", "torque", "one")
@@ -120,8 +122,24 @@ def test_a_bare_scene_executes_the_same_bytecodes_when_every_effect_is_gone(monk
         monkeypatch.delitem(sys.modules, name)
     without = executed(make_plant())
     assert with_package == without
-    assert sum(without.values()) // 4 <= 130  # per hold
+    assert sum(without.values()) // 4 <= 115  # per hold
     assert {file for file, _ in without} == {"plant.py", "hybrid_automaton.py"}
+
+
+@pytest.mark.parametrize("effects", [[SATURATION], [FAR_STOP], [FAR_STOP, SATURATION], [COULOMB]])
+def test_a_clip_or_a_guard_that_this_hold_cannot_reach_adds_no_bytecode(effects):
+    """The torque is 0, the hand sets out slowly, and what breaks away is far from its level."""
+    assert executed(make_plant(*effects), 60) == executed(make_plant(), 60)
+
+
+def test_a_stop_in_reach_and_a_clip_that_acts_add_bytecodes():
+    near = executed(make_plant({**STOP, "position": 1e-6}), 60)
+    assert sum(near.values()) > 2 * sum(executed(make_plant(), 60).values())
+    clipped, bare = make_plant(SATURATION), make_plant()
+    clipped.begin(0)
+    bare.begin(0)
+    assert operations(lambda: clipped.advance_to(MS, 1.01)) > operations(lambda: bare.advance_to(MS, 1.01))
+    assert operations(lambda: clipped.advance_to(2 * MS, 1.0)) == operations(lambda: bare.advance_to(2 * MS, 1.0))
 
 
 def test_an_effect_that_leaks_a_bytecode_is_caught(monkeypatch):

@@ -7,7 +7,7 @@ its effects added; nothing is switched off at run time.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple, Protocol
+from typing import ClassVar, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -100,6 +100,9 @@ class _TorqueCommand(Protocol):
     """Changes the torque of a hold before it reaches the motor."""
 
     state_names: tuple[str, ...]
+    passes: float
+    """Largest torque that it lets through as it is, in both directions [N or N*m]; -1 when it changes any, or keeps
+    something of each."""
 
     def reset(self) -> None:
         """Returns to the start."""
@@ -179,6 +182,49 @@ class PlantModel:
         """Components of the state vector, in order."""
         extra = ("travel", "effort") if self.efforts else ()
         return (*self.states, *extra, "torque", "one")
+
+
+class _Source(Protocol):
+    """What a scene names: the moving mass, the user, an effect."""
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Adds what it consists of."""
+
+
+class _Effect(_Source, Protocol):
+    """An effect of the scene."""
+
+    rank: ClassVar[int]
+
+    @property
+    def type(self) -> str:
+        """Its name in a scene."""
+
+
+def collect(axis: _Source, user: _Source | None, effects: Sequence[_Effect], sample_time: float) -> PlantModel:
+    """Returns the scene of a plant: body, shaft and motor first, then the hand, then the other effects.
+
+    Raises:
+        ParameterError: An effect needs another that is not there, or two exclude each other.
+    """
+    scene = PlantModel(sample_time)
+    axis.add_to(scene)
+    ranked = sorted(effects, key=lambda effect: effect.rank)
+    for effect in (effect for effect in ranked if effect.rank == 0):
+        _add(effect, scene)
+    if user:
+        user.add_to(scene)
+    for effect in (effect for effect in ranked if effect.rank > 0):
+        _add(effect, scene)
+    return scene
+
+
+def _add(effect: _Effect, scene: PlantModel) -> None:
+    try:
+        effect.add_to(scene)
+    except ParameterError as error:
+        error.part = effect.type
+        raise
 
 
 class Rows:

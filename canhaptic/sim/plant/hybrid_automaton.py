@@ -4,15 +4,16 @@ Modes are compiled when they are first entered; a scene that never slides backwa
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import add
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from canhaptic.errors import EventLimitError
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.guard_horizon import GuardHorizon
 from canhaptic.sim.plant.mode_matrices import Exit, Mode, compile_mode, first_key, initial_state
 from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.sim.plant.stepper import (
@@ -26,6 +27,8 @@ from canhaptic.sim.plant.stepper import (
     ModeTables,
     StepperSettings,
 )
+
+_ACCOUNTS: Final = ("motor", "user", "dissipated")
 
 
 class _Snapshot(NamedTuple):
@@ -54,6 +57,9 @@ class HybridAutomaton:
         self._index: dict[tuple[str, ...], int] = {}
         self._tables = ModeTables(*([] for _ in ModeTables._fields))
         self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
+        booked = list(scene.works.values())
+        self._sums_of = np.array([[of == account for of in booked] for account in _ACCOUNTS], dtype=float)
+        self._pairs = _pairs(booked)
         names = scene.names
         sines = [name for name in names if name.endswith("_sine")]
         self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
@@ -61,8 +67,8 @@ class HybridAutomaton:
         self._counts: Any = self._new_counts()
         self._values: Any = [None, None]
         self._first = self._mode_of(first_key(scene))
-        first = self._modes[self._first]
-        self._whole = np.concatenate([matrix_of(first.flows[0]), matrix_of(first.works[0])]).dot
+        self._whole = self._whole_of(self._modes[self._first])
+        self._horizons: dict[int, tuple[GuardHorizon, Any]] = {}  # by mode, with its `_whole`
         self.reset()
 
     def _new_books(self) -> list[Any]:
@@ -82,7 +88,7 @@ class HybridAutomaton:
         self.allow_events(0, TICKS)
         self.run(0)  # a body that starts beyond a stop starts with the stop's energy
         self.totals.fill(0.0)
-        counts[EVENTS] = counts[PRODUCTS] = 0
+        counts[EVENTS] = counts[PRODUCTS] = self._periods = 0
 
     @property
     def mode(self) -> Mode:
@@ -102,7 +108,7 @@ class HybridAutomaton:
     @property
     def products(self) -> int:
         """Steps of flows tried since the start, a machine-independent price."""
-        return int(self._counts[PRODUCTS])
+        return int(self._counts[PRODUCTS]) + self._periods
 
     def save(self) -> _Snapshot:
         """Returns a copy of everything that a hold changes."""
@@ -131,6 +137,16 @@ class HybridAutomaton:
             return [sums[0] + (carries[0] + a), sums[1] + (carries[1] + b), sums[2] + (carries[2] + c)]
         return list(map(add, sums, map(add, carries, totals)))
 
+    def accounts(self) -> list[float]:
+        """Returns the work of the motor, of the user, and what was dissipated, since the start [J]."""
+        works = self.works()
+        if self._pairs is None:
+            summed: list[float] = self._sums_of.dot(works).tolist()
+            return summed
+        works.append(0.0)
+        a, b, c, d, e, f = self._pairs
+        return [works[a] + works[b], works[c] + works[d], works[e] + works[f]]
+
     def tidy(self) -> None:
         """Keeps rounding from growing with the length of a run; called at fixed times, never by who reads.
 
@@ -156,23 +172,42 @@ class HybridAutomaton:
         """Puts one part into another mode, at a time that the scene fixed beforehand."""
         self._counts[MODE] = self._mode_of(self._key_with(self.mode, self._part_index[part], mode))
 
+    @staticmethod
+    def _whole_of(mode: Mode) -> Any:
+        """Returns the product that gives the state after T and the rows of the works."""
+        return np.concatenate([matrix_of(mode.flows[0]), matrix_of(mode.works[0])]).dot
+
+    def holds_without_events(self, largest: float) -> int:
+        """Returns how many whole sample times from now on have no event under torques within +-`largest`.
+
+        They may be taken by `period`, until anything else moves the machine.
+        """
+        place = int(self._counts[MODE])
+        if place not in self._horizons:
+            mode = self._modes[place]
+            count = len(mode.exits)
+            bounds = mode.guards[:count], mode.guards[2 * count :], mode.bounds.slack[0]
+            self._horizons[place] = GuardHorizon(*bounds, matrix_of(mode.flows[0])), self._whole_of(mode)
+        horizon, self._whole = self._horizons[place]
+        return horizon.holds(self.state, largest)
+
     def period(self, torque: float) -> float:
-        """Takes one whole sample time in one step, for scenes without guards; returns the position after it.
+        """Takes one whole sample time in one step, where no event can be; returns the position after it.
 
         The same as `run_free`, written flat and with motion and work in one product: this is the whole plant of most
         scenes, at every SYNC.
         """
         state, books = self.state, self._books
-        this, move = books[0], self._whole
-        moved, contract = this.moved, this.contract
+        this = books[0]
+        moved = this.moved
         if state is moved:
             state = state.copy()
         state[-2] = torque
-        move(state, this.both)
-        contract(this.vector, this.totals_after)
-        books[0], books[1] = books[1], this
+        self._whole(state, this.both)
+        this.contract(this.vector, this.totals_after)
+        books.reverse()
         self.state, self._moved = moved, state
-        self._counts[PRODUCTS] += 1
+        self._periods += 1
         position: float = moved.item(0)
         return position
 
@@ -221,27 +256,6 @@ class HybridAutomaton:
         ]
         return f"{', '.join(modes)}; {', '.join(states)}"
 
-    def run_holds(self, torques: Array, positions: Array) -> None:
-        """Takes one sample time under each torque and writes the position after it.
-
-        Args:
-            torques: Shape (n_holds,) [N or N*m].
-            positions: Written, shape (n_holds,) [m or rad].
-
-        Raises:
-            EventLimitError: One of them has more events than are allowed.
-        """
-        done = 0
-        while done < len(torques):
-            self.state, self._moved, begun, left = self._step_holds(torques[done:], positions[done:])
-            done += begun
-            self._most = int(self._counts[LIMIT]) - 1
-            if self._counts[MISSING] != NONE:
-                self._enter_missing()
-                left = self._run_on(left)
-                positions[done - 1] = self.state[0]
-            self.check_limit(left)
-
     def _run_on(self, ticks: int) -> int:
         while True:
             self.state, self._moved, ticks = self._step(ticks)
@@ -253,12 +267,6 @@ class HybridAutomaton:
         return stepper.run(
             self._tables, self._settings, self.state, self._moved, self._books, self._counts, self._values, ticks
         )
-
-    def _step_holds(self, torques: Array, positions: Array) -> tuple[Array, Array, int, int]:
-        return stepper.run_holds(
-            self._tables, self._settings, self.state, self._moved, self._books, self._counts, self._values,
-            torques, positions,
-        )  # fmt: skip
 
     def _enter_missing(self) -> None:
         """Compiles the mode behind the guard that the stepper stands at; it then goes through by itself."""
@@ -330,3 +338,15 @@ def reset_matrix(leaving: Exit, size: int) -> Array:
     for state, row in leaving.resets:
         matrix[state] = row
     return matrix
+
+
+def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
+    """Returns two places of works for each account, with those of a zero behind the last work where it has fewer.
+
+    None where one has more than two works: only a sum of two is the same in whichever order it is taken.
+    """
+    zero = len(accounts)
+    places = [[place for place, a in enumerate(accounts) if a == account] for account in _ACCOUNTS]
+    if any(len(of) > 2 for of in places):
+        return None
+    return tuple(place for of in places for place in (*of, zero, zero)[:2])

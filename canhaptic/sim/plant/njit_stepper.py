@@ -19,7 +19,7 @@ from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of, reset_matrix
 from canhaptic.sim.plant.mode_matrices import Mode
 from canhaptic.sim.plant.propagator import LEVELS, Array
-from canhaptic.sim.plant.stepper import COUNTS, MODE, NONE, PRODUCTS, ModeTables
+from canhaptic.sim.plant.stepper import COUNTS, LIMIT, MISSING, MODE, NONE, PRODUCTS, ModeTables
 
 _LOGIC: Final = (
     "first_broken",
@@ -189,13 +189,32 @@ class CompiledMachine(HybridAutomaton):
         )
 
     def run_holds(self, torques: Array, positions: Array) -> None:
-        """Takes one sample time under each torque; a mode without guards in one unrolled loop."""
-        if self.mode.exits:
-            super().run_holds(torques, positions)
+        """Takes one sample time under each torque and writes the position after it.
+
+        A mode without guards takes them in one unrolled loop.
+
+        Args:
+            torques: Shape (n_holds,) [N or N*m].
+            positions: Written, shape (n_holds,) [m or rad].
+
+        Raises:
+            EventLimitError: One of them has more events than are allowed.
+        """
+        if not self.mode.exits:
+            size, works = len(self.state), len(self.scene.works)
+            _unrolled_holds(size, works)(*self._free_tables(), self.state, self.totals, torques, positions)
+            self._counts[PRODUCTS] += len(torques)
             return
-        size, works = len(self.state), len(self.scene.works)
-        _unrolled_holds(size, works)(*self._free_tables(), self.state, self.totals, torques, positions)
-        self._counts[PRODUCTS] += len(torques)
+        done = 0
+        while done < len(torques):
+            self.state, self._moved, begun, left = self._step_holds(torques[done:], positions[done:])
+            done += begun
+            self._most = int(self._counts[LIMIT]) - 1
+            if self._counts[MISSING] != NONE:
+                self._enter_missing()
+                left = self._run_on(left)
+                positions[done - 1] = self.state[0]
+            self.check_limit(left)
 
     def _free_tables(self) -> tuple[Array, Array, Array]:
         """Returns the flow over T, the row of the deflection, and the forms as lower triangles, of this mode."""

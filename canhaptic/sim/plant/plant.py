@@ -1,11 +1,13 @@
 """Motor and user behind one drive: exact between two torques, with the energies each part truly took or gave.
 
 Between two SYNCs the torque is constant and the plant piecewise affine, so a hold is a few matrix-vector products and
-every energy a quadratic form of the state (`machine.py`, `compiler.py`); what is not piecewise affine is held over
-substeps around that core (`splitting.py`). A plant contains only what its parameters name. Time is an integer number of
-ticks of T / 2^24 since the plant's epoch, so that k whole sample times are exactly k steps.
+every energy a quadratic form of the state (`hybrid_automaton.py`); what is not piecewise affine is held over substeps
+around that core (`splitting.py`). A hold that no guard can end costs what one without guards does
+(`guard_horizon.py`). A plant contains only what its parameters name. Time is an integer number of ticks of T / 2^24
+since the plant's epoch, so that k whole sample times are exactly k steps.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Annotated, Final
 
@@ -13,11 +15,12 @@ import numpy as np
 from pydantic import model_validator
 
 from canhaptic.errors import EventLimitError, ParameterError
-from canhaptic.extras import install_hint
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows, collect
 from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
+from canhaptic.sim.plant.guard_horizon import HOLDS
+from canhaptic.sim.plant.hybrid_automaton import matrix_of
+from canhaptic.sim.plant.machine_choice import machine_type
 from canhaptic.sim.plant.mode_matrices import Mode, initial_state
 from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
 from canhaptic.sim.plant.splitting import Splitting
@@ -25,8 +28,8 @@ from canhaptic.sim.plant.timetable import Timetable
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
 
-_ACCOUNTS: Final = ("motor", "user", "dissipated")
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
+_WORTH_LOOKING: Final = 8  # holds without events ahead: a look costs as much as two that are judged
 _TIDY: Final = TICKS << 10
 """Ticks between two tidyings of rounding: every 1024 sample times, whoever reads in between."""
 
@@ -125,15 +128,17 @@ class Plant:
         self.seed = seed
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
         self.has_ideal_encoder = not self.scene.encoders
-        machine_type = _compiled_machine() if compiled else HybridAutomaton
-        self._machine = machine_type(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
+        self._machine = machine_type(compiled)(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
+        self._run_holds: Callable[[Array, Array], None] | None = getattr(self._machine, "run_holds", None)
         self._splitting = Splitting(self._machine, self.accuracy.substeps) if self.scene.efforts else None
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
         self._is_linear = self._hold == self._linear_hold
-        accounts = list(self.scene.works.values())
-        self._accounts = np.array([[a == account for a in accounts] for account in _ACCOUNTS], dtype=float)
-        self._pairs = _pairs(accounts)
+        self._is_flat = self._is_linear or self._hold == self._commanded_hold
+        self._passing = min((command.passes for command in self.scene.commands), default=math.inf)
+        self._looks_ahead = self._passing >= 0.0 and not (
+            compiled or self._is_flat or self.scene.efforts or self.scene.schedule
+        )
         kept = [name for command in self.scene.commands for name in command.state_names]
         kept += [name for effort in self.scene.efforts for name in effort.state_names]
         self.state_names = (*self.scene.names, *kept)
@@ -165,6 +170,10 @@ class Plant:
         self.stored_at_start = self._stored()
         self._epoch: int | None = None
         self._tick = 0
+        self._next_tidy = _TIDY
+        self._pause = 0 if self._looks_ahead else _TIDY  # tick at which `_look` is due
+        self._free_torque = self._passing if self._is_flat else -1.0  # until then one product is the hold within it
+        self._largest, self._wait = 0.0, 1
         self._next_period = -1  # [ns] end of the sample time that begins at _tick; -1 inside a sample time
         self.position = self._machine.state.item(0)
 
@@ -245,23 +254,38 @@ class Plant:
         if now == self._next_period:
             self._tick += TICKS
             self._next_period = now + self.sample_time_ns
-            if self._is_linear:
+            if -self._free_torque <= torque <= self._free_torque:
                 self.position = self._machine.period(torque)
             else:
                 self._hold(TICKS, torque)
-            if not self._tick & (_TIDY - 1):
-                self._machine.tidy()
+            if self._tick >= self._pause:
+                self._look()
         elif self._epoch is not None:
             ticks = self._ticks_until(now, self._epoch)
             if ticks:
                 self._hold(ticks, torque)
-                if (self._tick - ticks) // _TIDY != self._tick // _TIDY:
-                    self._machine.tidy()
+                if self._tick >= self._pause:
+                    self._look()
+
+    def _look(self) -> None:
+        """Tidies when that is due, and looks ahead for holds that no guard can end."""
+        if self._tick >= self._next_tidy:
+            self._machine.tidy()
+            self._next_tidy = self._tick - self._tick % _TIDY + _TIDY
+        self._pause = self._next_tidy
+        if self._looks_ahead:
+            largest = min(2.0 * self._largest, self._passing)
+            holds = self._machine.holds_without_events(largest) if self._next_period >= 0 else 0
+            if holds >= _WORTH_LOOKING:
+                self._free_torque, self._wait = largest, 1
+            else:
+                self._free_torque, self._wait, holds = -1.0, min(2 * self._wait, HOLDS), self._wait
+            self._pause = min(self._pause, self._tick + holds * TICKS)
 
     def run(self, torques: Array) -> Array:
         """Moves by one sample time under each torque and returns the positions after them; begins at 0 if need be.
 
-        The same as `advance_to` called for each; compiled, the whole run is one call where nothing but guards acts.
+        The same as `advance_to` called for each; compiled, in one call where nothing but commands and guards acts.
 
         Args:
             torques: Shape (n_holds,) [N or N*m].
@@ -274,7 +298,7 @@ class Plant:
         if self._next_period < 0:
             raise ParameterError(f"run: got a plant {self._tick % TICKS} ticks inside a sample time, expected 0")
         positions = np.empty(len(torques))
-        if self._splitting or self._timetable:
+        if not self._run_holds or self._splitting or self._timetable:
             for k, torque in enumerate(torques.tolist()):
                 self.advance_to(self._next_period, torque)
                 positions[k] = self.position
@@ -283,11 +307,11 @@ class Plant:
         done = 0
         while done < len(held):
             count = min(len(held) - done, ((_TIDY - self._tick % _TIDY) // TICKS))
-            self._machine.run_holds(held[done : done + count], positions[done : done + count])
+            self._run_holds(held[done : done + count], positions[done : done + count])
             self._tick += count * TICKS
             self._next_period += count * self.sample_time_ns
-            if self._tick % _TIDY == 0:
-                self._machine.tidy()
+            if self._tick >= self._pause:
+                self._look()
             done += count
         self.position = self._machine.state.item(0)
         return positions
@@ -301,13 +325,7 @@ class Plant:
 
     def energy(self) -> PlantEnergy:
         """Returns the true energies since the start [J]."""
-        works = self._machine.works()
-        if self._pairs is not None:
-            works.append(0.0)
-            a, b, c, d, e, f = self._pairs
-            motor, user, dissipated = works[a] + works[b], works[c] + works[d], works[e] + works[f]
-        else:
-            motor, user, dissipated = self._accounts.dot(works).tolist()
+        motor, user, dissipated = self._machine.accounts()
         if self._splitting:
             work = self._splitting.work
             motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
@@ -335,6 +353,11 @@ class Plant:
         machine = self._machine
         for command in self.scene.commands:
             torque = command.apply(torque, ticks * machine.tick_time)
+        if self._looks_ahead:
+            if ticks == TICKS and abs(torque) <= self._free_torque:
+                self.position = machine.period(torque)
+                return
+            self._expect(ticks, torque)
         machine.state[-2] = torque
         machine.allow_events(self._tick - ticks, self._tick)
         try:
@@ -344,6 +367,13 @@ class Plant:
                 error.most, error.state, f"plant before {self._tick * machine.tick_time:.9g} s"
             ) from None
         self.position = machine.state.item(0)
+
+    def _expect(self, ticks: int, torque: float) -> None:
+        """Takes note of a torque, and ends what is known ahead of it: more torque came, or it changed inside a hold."""
+        self._largest = max(self._largest, abs(torque))
+        if self._free_torque >= 0.0:
+            self._free_torque = -1.0
+            self._pause = 0 if ticks == TICKS else min(self._next_tidy, self._tick + HOLDS * TICKS)
 
     def _ticks_until(self, now: int, epoch: int) -> int:
         """Returns the ticks from the last call to `now`, and takes the time as passed."""
@@ -356,58 +386,3 @@ class Plant:
         whole, inside = divmod(tick, TICKS)
         self._next_period = -1 if inside else epoch + (whole + 1) * period
         return ticks
-
-
-def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
-    """Returns two places of works for each account, with those of a zero behind the last work where it has fewer.
-
-    None where one has more than two works: only a sum of two is the same in whichever order it is taken.
-    """
-    zero = len(accounts)
-    places = [[place for place, a in enumerate(accounts) if a == account] for account in _ACCOUNTS]
-    if any(len(of) > 2 for of in places):
-        return None
-    return tuple(place for of in places for place in (*of, zero, zero)[:2])
-
-
-def _compiled_machine() -> type[HybridAutomaton]:
-    """Returns the machine whose holds are compiled.
-
-    Raises:
-        ParameterError: numba is not installed.
-    """
-    try:
-        from canhaptic.sim.plant.njit_stepper import CompiledMachine
-    except ImportError as error:
-        raise ParameterError(
-            f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out", "compiled"
-        ) from error
-    return CompiledMachine
-
-
-def collect(
-    parameters: PlantParameters, user: UserParameters | None, effects: Sequence[Effect], sample_time: float
-) -> PlantModel:
-    """Returns the scene of a plant: body, shaft and motor first, then the hand, then the other effects.
-
-    Raises:
-        ParameterError: An effect needs another that is not there, or two exclude each other.
-    """
-    scene = PlantModel(sample_time)
-    parameters.add_to(scene)
-    ranked = sorted(effects, key=lambda effect: effect.rank)
-    for effect in (effect for effect in ranked if effect.rank == 0):
-        _add(effect, scene)
-    if user:
-        user.add_to(scene)
-    for effect in (effect for effect in ranked if effect.rank > 0):
-        _add(effect, scene)
-    return scene
-
-
-def _add(effect: Effect, scene: PlantModel) -> None:
-    try:
-        effect.add_to(scene)
-    except ParameterError as error:
-        error.part = effect.type
-        raise

@@ -55,6 +55,7 @@ class _Winding:
     """The winding's temperature and the torque that it allows."""
 
     state_names: tuple[str, ...] = ("winding_temperature",)
+    passes: float = -1.0
 
     def __init__(self, derating: ThermalDerating) -> None:
         self._derating = derating

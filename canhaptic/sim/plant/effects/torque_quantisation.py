@@ -30,6 +30,7 @@ class _Rounding:
     """The rounding of a held torque."""
 
     state_names: tuple[str, ...] = ()
+    passes: float = -1.0
 
     def __init__(self, quantum: float) -> None:
         self._quantum = quantum

@@ -32,7 +32,7 @@ class _Clip:
     state_names: tuple[str, ...] = ()
 
     def __init__(self, limit: float) -> None:
-        self._limit = limit
+        self.passes = self._limit = limit
 
     def reset(self) -> None:
         """Keeps nothing."""
