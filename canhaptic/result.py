@@ -9,7 +9,7 @@ whether it is passive included, is that of the group, which has `axes`. Energies
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from canhaptic.control.balance import Certificate, Ledger, Verdict, passive_verdict
+from canhaptic.control.balance import Certificate, Ledger, Verdict, account_verdict
 from canhaptic.cycle import Cycle
 from canhaptic.drive.can.servo_drive import ServoDrive
 
@@ -103,7 +103,7 @@ def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, 
     """
     found = {name: dict(account) for name, account in accounts.items()}
     for account in found.values():
-        account["passive"] = passive_verdict(account["least_interaction"], account.get("unsure", 0.0))
+        account["passive"] = account_verdict(account)
     for group, axes in groups.items():
         found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
         for name in axes:

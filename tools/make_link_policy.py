@@ -21,7 +21,8 @@ What becomes of the torque when a drive goes unheard or unwell. This page is mad
 
 ## Missed TPDOs
 
-Counted per axis. One TPDO that comes in time sets the count back to zero.
+Counted per axis. One TPDO that comes in time sets the count back to zero. Axes of a group render together: each of
+them counts the SYNCs at which the TPDO of any of them is missing.
 """
 _READ_BACK: Final = """
 ## What the read-back of the torque lets the rig judge

@@ -119,6 +119,7 @@ def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> Le
         branches={member.name.lower(): int((branch == member).sum()) for member in Branch},
         damping_least=float(rendered.min()) if len(rendered) else 0.0,
         damping_most=float(rendered.max()) if len(rendered) else 0.0,
+        has_open_hold=bool(len(branch) and branch[-1] == Branch.HELD),
     )
 
 

@@ -95,20 +95,24 @@ class ListenedAxis:
         """Clears what was heard, at the next SYNC."""
         self._fields.clear()
 
-    def sample(self, sync_index: int) -> Sample:
+    def sample(self, sync_index: int, *, is_whole: bool = True) -> Sample:
         """Returns what was heard since the last SYNC.
+
+        Args:
+            sync_index: Of that SYNC.
+            is_whole: False where an axis of the same group was not heard.
 
         Raises:
             InputError: Frames and scene disagree on the rated torque, or neither says it.
         """
-        if not self.is_complete:
+        reported = next((self._fields[torque] for torque in _TORQUES if torque in self._fields), 0)
+        if self.is_complete and self._drive.demand_reported == "after":
+            reported, self._reported = self._reported, reported
+        if not (self.is_complete and is_whole):
             self._last = self._last._replace(sync_index=sync_index, fresh=False)
             return self._last
         if not self._per_torque_count:
             self._per_torque_count = self._torque_of_a_count()
-        reported = next(self._fields[torque] for torque in _TORQUES if torque in self._fields)
-        if self._drive.demand_reported == "after":
-            reported, self._reported = self._reported, reported
         position = self._unwrapped(self._fields[od.POSITION_ACTUAL]) * (
             self._drive.direction / self._drive.counts_per_unit
         )

@@ -19,7 +19,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import overall, with_groups
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
+from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, group_places
 from canhaptic.signals import Sample
 
 
@@ -34,6 +34,7 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
     axes = [ListenedAxis(_declared(axis)) for axis in scene.axes]
     on_bus = [[a for a, of in zip(axes, scene.axes, strict=True) if of.bus == bus.name] for bus in scene.buses]
     place_of = Channels(scene).place_of
+    together = {axis: group for group in group_places(scene) for axis in group}
     cycle = -1
     for frame in read_bus_log(bus_log):
         place = place_of(frame)
@@ -47,7 +48,10 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
             return
         if cycle >= 0 or all(axis.is_enabled for axis in axes):
             cycle += 1
-            yield [axis.sample(cycle) for axis in axes]
+            yield [
+                axis.sample(cycle, is_whole=all(axes[other].is_complete for other in together.get(number, ())))
+                for number, axis in enumerate(axes)
+            ]
         for axis in axes:
             axis.forget()
 

@@ -7,6 +7,7 @@ Identity of every step, whatever the algorithm (to 1e-12 of the largest term); f
     paid = min(leak, max(0, h_dis_before + gen + deficit - h_pas))
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, Literal, NamedTuple
@@ -77,16 +78,26 @@ PASSIVE_TOLERANCE: Final = 1e-6
 """Energy below zero that still counts as zero [J]."""
 
 
-def passive_verdict(least_interaction: float, unsure: float = 0.0) -> Verdict:
+def passive_verdict(least_interaction: float, unsure: float = 0.0, *, has_open_hold: bool = False) -> Verdict:
     """Returns whether a port was passive (eq. 3).
 
     Args:
         least_interaction: Least sum of interaction energy after any hold, doubt taken off [J].
         unsure: The doubt in it [J].
+        has_open_hold: Whether the run ended in holds that are not booked, because no position came any more.
     """
     if least_interaction >= -PASSIVE_TOLERANCE:
-        return "yes"
+        return "in doubt" if has_open_hold else "yes"
     return "in doubt" if least_interaction + unsure >= -PASSIVE_TOLERANCE else "no"
+
+
+def account_verdict(account: Mapping[str, Any]) -> Verdict:
+    """Returns whether the port of an account as in `LedgerSummary.as_json` was passive."""
+    return passive_verdict(
+        account["least_interaction"],
+        account.get("unsure", 0.0),
+        has_open_hold=account.get("open_hold", False),
+    )
 
 
 _OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.GROUP.value)
@@ -145,6 +156,7 @@ class LedgerSummary(NamedTuple):
     branches: dict[str, int]  # holds booked by each branch
     damping_least: float  # range of the damping rendered in contact [N*s/m or N*m*s/rad]
     damping_most: float
+    has_open_hold: bool  # the last position was lost: the energy since the one before is not booked
 
     def as_json(self, sample_time: float) -> dict[str, Any]:
         """Returns the account of a port as `run --json` prints it.
@@ -172,6 +184,7 @@ class LedgerSummary(NamedTuple):
             "certificate": self.certificate.name.lower(),
             "branches": dict(self.branches),
             "damping_rendered": {"least": self.damping_least, "most": self.damping_most},
+            "open_hold": self.has_open_hold,
         }
 
 
@@ -303,4 +316,5 @@ class Ledger:
             branches={branch.name.lower(): self._branches[branch] for branch in Branch},
             damping_least=min(self._damping_least, self._damping_most),
             damping_most=self._damping_most,
+            has_open_hold=self._last.branch == Branch.HELD,
         )

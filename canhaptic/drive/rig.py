@@ -48,6 +48,8 @@ class Rig:
         link: The bus, or the buses.
         drives: One per axis, in the order of samples and torques.
         bus: Rate, link policy and the rest; the same for all buses.
+        groups: Places of axes that render together. Where one of them is not heard at a SYNC, none has a sample: the
+            link policy counts SYNCs without the whole set, however the losses are spread over the axes.
 
     Attributes:
         budgets: The worst cycle of each bus.
@@ -62,10 +64,18 @@ class Rig:
         BusBudgetError: The frames of one cycle do not fit a bus.
     """
 
-    def __init__(self, link: Link | Sequence[Link], drives: Sequence[ServoDrive], bus: BusParameters) -> None:
+    def __init__(
+        self,
+        link: Link | Sequence[Link],
+        drives: Sequence[ServoDrive],
+        bus: BusParameters,
+        groups: Sequence[Sequence[int]] = (),
+    ) -> None:
         self.links = (link,) if isinstance(link, Link) else tuple(link)
         self.drives = tuple(drives)
         self._axes = tuple(range(len(self.drives)))
+        together = {axis: tuple(self.drives[other] for other in group) for group in groups for axis in group}
+        self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if groups else []
         self.bus = bus
         self.clock = self.links[0].clock
         self.budgets = [_budget([d for d in self.drives if d.link is link], bus) for link in self.links]
@@ -140,8 +150,13 @@ class Rig:
         self.sync_index = index = self.sync_index + 1
         self._require_no_other_master()
         self._samples = samples = []
-        for drive in self.drives:
-            samples.append(drive.sample(index, exchange.periods))
+        if self._needed:
+            for drive, others in self._needed:
+                is_whole = all(other.is_complete for other in others)
+                samples.append(drive.sample(index, exchange.periods, is_whole=is_whole))
+        else:
+            for drive in self.drives:
+                samples.append(drive.sample(index, exchange.periods))
         for drive in self.drives:
             reason = drive.fault(exchange.heard)
             if reason:
@@ -263,7 +278,7 @@ class Rig:
 
     def _describe(self, drive: ServoDrive, reason: StopReason) -> str:
         details = {
-            StopReason.TPDO_LOST: f"{drive.policy.missed} SYNCs in a row, limit {self.bus.stop_cycles}",
+            StopReason.TPDO_LOST: self._missed(drive),
             StopReason.COMMAND_LOST: f"{self.bus.stop_cycles} SYNCs in a row",
             StopReason.HEARTBEAT_LOST: f"silent for more than {self.bus.drive_silence_ns / 1e6:g} ms",
             StopReason.EMERGENCY: str(drive.emergency),
@@ -274,6 +289,12 @@ class Rig:
         rule = STOP_TABLE[reason]
         what = f"{drive.axis.name}: {rule.meaning} at SYNC {self.sync_index}: {detail}"
         return f"{what}; torque is zero; {self._emergency_remedy(drive) or rule.remedy}"
+
+    def _missed(self, drive: ServoDrive) -> str:
+        others = next((others for one, others in self._needed if one is drive), ())
+        names = ", ".join(other.axis.name for other in others)
+        together = f" without the TPDOs of all of {names}, which render together" if names else ""
+        return f"{drive.policy.missed} SYNCs in a row{together}, limit {self.bus.stop_cycles}"
 
     def _emergency_remedy(self, drive: ServoDrive) -> str:
         """Returns what to do about the drive's EMCY; "" where its code belongs to the drive's own manual."""
@@ -310,7 +331,7 @@ class Rig:
         for link in self.links:
             for name, count in link.statistics.as_dict().items():
                 counts[name] = counts.get(name, 0) + count
-        counts["missed_tpdos"] = sum(drive.policy.missed_total for drive in self.drives)
+        counts["missed_tpdos"] = sum(drive.unheard for drive in self.drives)
         counts["success_rate"] = min((drive.policy.success_rate() for drive in self.drives), default=1.0)
         return counts
 

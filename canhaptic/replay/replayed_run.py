@@ -23,7 +23,7 @@ from canhaptic.result import run_result
 from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.channels import Channels
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_servo_drive
+from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_servo_drive, group_places
 
 _BUS: Final[dict[str, Any]] = {"interface": "virtual", "channel": None, "options": {}}
 
@@ -91,7 +91,7 @@ class _Replay:
         by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
         drives = [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes]
         self._follow_older_master(drives)
-        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus)
+        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, group_places(scene))
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
         """Leaves out the read of 0x1006 for drives of which the recording has none: older masters sent none."""

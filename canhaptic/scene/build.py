@@ -30,6 +30,7 @@ from canhaptic.scene.parts import (
     build_mechanism_drive,
     build_servo_drive,
     build_simulated_drive,
+    group_places,
     shared_motors,
 )
 from canhaptic.signals import SimulatedPeer, Truth
@@ -259,7 +260,9 @@ def _recorder(bus_log: BusLogWriter | None, index: int) -> Recorder | None:
 
 def _build_rig(scene: Scene, links: Sequence[Link]) -> Rig:
     by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
-    return Rig(links, [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes], scene.bus)
+    return Rig(
+        links, [build_servo_drive(axis, *by_name[axis.bus]) for axis in scene.axes], scene.bus, group_places(scene)
+    )
 
 
 def _truths(far_side: Drives | None) -> Callable[[], Sequence[Truth]] | None:

@@ -64,11 +64,16 @@ def build_axis_controllers(scene: Scene) -> list[Controller]:
 
 def build_axis_groups(scene: Scene) -> list[AxisGroup]:
     """Returns the groups of a scene, at rest."""
-    places = {axis.parameters.name: place for place, axis in enumerate(scene.axes)}
     return [
-        AxisGroup(group.name, [places[name] for name in group.axes], build_group(scene, group))
-        for group in scene.groups
+        AxisGroup(group.name, places, build_group(scene, group))
+        for group, places in zip(scene.groups, group_places(scene), strict=True)
     ]
+
+
+def group_places(scene: Scene) -> list[tuple[int, ...]]:
+    """Returns the places of the axes of each group among the axes of the scene."""
+    places = {axis.parameters.name: place for place, axis in enumerate(scene.axes)}
+    return [tuple(places[name] for name in group.axes) for group in scene.groups]
 
 
 def build_group(scene: Scene, group: GroupScene) -> GroupController:

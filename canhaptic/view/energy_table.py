@@ -9,7 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, passive_verdict
+from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, account_verdict
 from canhaptic.units import damping_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable, in_lines
@@ -154,8 +154,7 @@ def _longest_hold(port: _Result) -> str:
 
 def _passive(port: _Result) -> Text:
     """Returns yes, NO, or that only the energy in doubt, booked at its worst, lies between them."""
-    verdict = passive_verdict(port["least_interaction"], port.get("unsure", 0.0))
-    return _VERDICTS[verdict].copy()
+    return _VERDICTS[account_verdict(port)].copy()
 
 
 def _damping(port: _Result) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from canhaptic.audit.extent import rows_between, rows_to_draw
-from canhaptic.control.balance import passive_verdict
+from canhaptic.control.balance import account_verdict
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import CycleTiming
 from canhaptic.view.decimate import decimate
@@ -116,9 +116,7 @@ def _heading(log: EnergyLog, result: dict[str, Any], other: EnergyLog | None, em
 
 def _verdicts(result: dict[str, Any]) -> str:
     accounts = {name: port for name, port in result["ports"].items() if "least_interaction" in port}
-    return verdict_bar(
-        {name: passive_verdict(port["least_interaction"], port.get("unsure", 0.0)) for name, port in accounts.items()}
-    )
+    return verdict_bar({name: account_verdict(port) for name, port in accounts.items()})
 
 
 def _cell(value: Callable[[dict[str, Any]], float], port: dict[str, Any]) -> str:

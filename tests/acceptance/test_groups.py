@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
@@ -13,12 +14,16 @@ from canhaptic.audit.rederive import rederive
 from canhaptic.cli.main import main
 from canhaptic.control.balance import Branch
 from canhaptic.control.mechanisms.five_bar import FiveBar as MastersFiveBar
+from canhaptic.cycle import run
+from canhaptic.errors import TpdoLostError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay.replayed_run import replay_bus_log
-from canhaptic.scene.build import Experiment
+from canhaptic.result import run_result
+from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
 from tests.acceptance.group_runs import AXES, GROUP, REPOSITORY, encoder_bound, identity, logged, run_config
+from tests.drive.drive_bench import TamperedBus
 
 NO_LOSS = "simulation.bus=null"
 CYCLES = 2000
@@ -214,3 +219,32 @@ def test_the_account_on_the_terminal_and_as_json_is_that_of_the_group(capsys: py
     assert heading == ["energy", "account", "stage", "x", "y"]
     passive = next(line for line in shown.splitlines() if "passive (eq. 3)" in line).split()
     assert passive[3:] == ["yes", "-", "-"]
+
+
+@pytest.mark.parametrize("name", ["xy_box", "two_handles"])
+@pytest.mark.parametrize("loses_commands", [False, True])
+def test_a_group_whose_axes_are_heard_in_turn_is_stopped(name: str, loses_commands: bool) -> None:
+    """Each axis is heard at every second SYNC, and no SYNC brings a whole set: nothing is booked, nothing computed."""
+    scene = load_scene(REPOSITORY / "configs" / f"{name}.yaml", lossless(name))
+    syncs, begin, end = 0, 400, scene.bus.stop_cycles
+    with build(scene, "free") as experiment:
+        [link] = experiment.rig.links
+        bus = link._bus = TamperedBus(link._bus)  # type: ignore[assignment]
+
+        def lose(message: can.Message) -> can.Message | None:
+            nonlocal syncs
+            syncs += message.arbitration_id == 0x080
+            lost = 0x181 + syncs % 2, 0x202 - syncs % 2
+            return None if syncs > begin and message.arbitration_id in lost[: 1 + loses_commands] else message
+
+        bus.on_send = bus.on_receive = lose
+        with pytest.raises(TpdoLostError, match=r"without the TPDOs of all of .*, which render together"):
+            run(experiment.cycle, 1500)
+        assert experiment.cycle.cycles <= begin + end
+        assert experiment.far_side is not None
+        assert [drive.torque for drive in experiment.far_side.drives] == [0.0, 0.0]
+        ports = [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes]
+        result = run_result(experiment.cycle, ports, status="", config_hash="", sample_time=1e-3, method="")
+        assert result["passive"] == "in doubt"
+        assert result["truth"][GROUP[name]]["least_interaction"] > -0.01
+        assert result["link"]["missed_tpdos"] == pytest.approx(end, abs=1)  # each SYNC lost the TPDO of one axis

@@ -1,5 +1,7 @@
 """Reaction to missing TPDOs and drive faults: the decision table as data, and the reason codes of a stop.
 
+Of axes that render together each counts the SYNCs at which any of them is missing.
+
 missed TPDOs in a row   0            normal: the controller's torque
                         1 .. hold    the last torque is held
                         .. stop      it ramps to zero, linearly
@@ -159,8 +161,8 @@ class LinkPolicy:
         stop_cycles: Missed cycles after which the rig stops.
 
     Attributes:
-        missed: TPDOs missed in a row.
-        missed_total: TPDOs missed since the start.
+        missed: SYNCs in a row without a TPDO, or without that of an axis that renders together with this one.
+        missed_total: The same since the start, in a row or not.
         cycles: SYNCs since the start.
     """
 

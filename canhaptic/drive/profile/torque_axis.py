@@ -85,6 +85,7 @@ class TorqueAxis(ABC):
         alive_at: When the drive last showed that it is alive [ns].
         answers: Whether the drive answered an SDO since the last start.
         controlword: Sent with the next torque.
+        unheard: SYNCs since the last `reset` whose process data did not come in their window.
         read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from that
             of the hold before and from the one sent, times the displacement [J]. The true torque of a hold lies
             between them unless the current loop overshoots, so that the computed energy is not farther from the true
@@ -131,6 +132,7 @@ class TorqueAxis(ABC):
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
         self.is_complete = False
+        self.unheard = 0
         self.read_back_bound = 0.0
         self._spread = 0  # per mille: how far the measured torque is from what it was, and from what was sent
         self.scaling.reset()
@@ -199,23 +201,29 @@ class TorqueAxis(ABC):
         """Power state of the last statusword."""
         return drive_state(self.statusword)
 
-    def sample(self, sync_index: int, periods: int = 1) -> Sample:
+    def sample(self, sync_index: int, periods: int = 1, *, is_whole: bool = True) -> Sample:
         """Returns what the drive reported for the SYNC that was just answered, or not.
 
         Args:
             sync_index: Of that SYNC.
             periods: Sample times since the SYNC before; more than 1 when SYNCs were skipped.
+            is_whole: False where a drive was not heard whose position is needed together with this one: no torque can
+                be computed from it, and the link policy counts the SYNC as missed.
         """
         self._periods += periods
         self._is_late = periods > 1
         if periods > self.longest_gap:
             self.longest_gap = periods
-        if not self.is_complete:
+        if not (self.is_complete and is_whole):
             if self.policy.missed == 0:
                 self._held = self.limiter.last
             self.policy.on_missed()
             self.longest_hold = max(self.longest_hold, self._periods)
             self._acting = self._commanded
+            if not self.is_complete:
+                self.unheard += 1
+            elif self._shows_next:
+                self._reported = self._values[2]
             self._last = self._last._replace(sync_index=sync_index, fresh=False)
             return self._last
         self.policy.on_tpdo()
