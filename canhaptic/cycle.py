@@ -3,7 +3,7 @@
     SYNC -> position TPDO -> displacement -> energy balance -> torque -> RPDO -> drive -> motor + user
             `drive/`         `control/`                       `drive/`        `sim/` (or real hardware)
 
-One thread walks it. Whatever goes wrong on the way, zero torque is sent first and the exception is raised second.
+One thread walks it. On any error zero torque is sent first and the exception is raised second.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,7 +78,7 @@ class Cycle:
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = EnergyAudit(axes, [group.axes for group in self.groups]) if truths is not None else None
         self.cycles = 0
-        self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time stands still within a cycle
+        self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log = log
         self._truths = truths
 
@@ -153,7 +153,7 @@ class Cycle:
 
 
 class _FailedLog:
-    """Stands where the log was: the cycle asks nobody whether all is well, and finds this in its way when it is not."""
+    """Replaces the log after a failure and raises, so that the hot loop needs no check."""
 
     def __init__(self, reason: str) -> None:
         self._reason = reason
@@ -221,7 +221,7 @@ def run(
         cycle: The rig and its controllers.
         cycles: How many cycles to walk; None: until stopped.
         stop_requested: Asked before each cycle; True ends the run by the operator's stop.
-        progress: Told the number of completed cycles, once per cycle; must be cheap.
+        progress: Called with the number of completed cycles, once per cycle; must be cheap.
 
     Raises:
         RigError: Drive, link or controller failed; every drive has zero torque and is disabled, and the error carries

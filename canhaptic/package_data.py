@@ -10,7 +10,7 @@ _TREE: Final = Path(__file__).resolve().parent.parent
 
 
 def shipped(folder: str) -> Path:
-    """Returns the folder of that name: beside the package in a source tree, else where its wheel has put it.
+    """Returns the folder of that name: next to the package in a source tree, else where its wheel has put it.
 
     Args:
         folder: One of `FOLDERS`.

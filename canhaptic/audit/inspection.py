@@ -163,7 +163,7 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:
 def _timing(log: EnergyLog, rows: slice) -> dict[str, Any]:
     parts = {name: log.timing.read(name, rows.start, rows.stop) for name in CycleTiming._fields}
     if not any(values.any() for values in parts.values()):
-        return {}  # in lock-step virtual time stands still within a cycle: its durations say nothing
+        return {}  # in lock-step virtual time does not advance within a cycle: durations say nothing
     cycle_time = parts["sync_to_last_tpdo"] + parts["compute"] + parts["send"]
     late = parts["wakeup_lateness"] + cycle_time > log.sample_time_ns
     result: dict[str, Any] = {"deadlines_missed": int(late.sum())}

@@ -25,7 +25,7 @@ _TORQUE_COUNTS: Final[Mapping[str, float]] = {"torque_per_cent": 1e-2, "torque_p
 """Quirk -> part of the rated torque per count of 0x6074 and 0x6077 instead of 1e-3."""
 _TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
 _DISAGREES: Final = 0.01
-"""Part of the rated torque by which frames and scene may differ."""
+"""Largest difference of frames and scene, as a part of the rated torque."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """The energy account of a run from its raw bus log and scene alone: frames -> samples -> controllers -> ledger.
 
-What the drives sent is decoded here with the maps and rated torques told in the log's own bring-up; the master's
+What the drives sent is decoded here with the maps and rated torques of the log's own bring-up; the master's
 codecs and its record of the run take no part, so the account can be held against the one that was logged.
 """
 

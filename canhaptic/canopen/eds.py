@@ -2,7 +2,7 @@
 
 `canopen.import_od` raises on empty entries (`PDOMapping=`, `NrOfRXPDO=`), on Latin-1 text and on a subindex listed
 before its object; it reads a hexadecimal default of a signed object as a large positive number and keeps the node ID
-of whoever saved a DCF. This reader returns the same types and differs in:
+of the computer that saved a DCF. This reader returns the same types and differs in:
 
 - a text of UTF-8, UTF-16 (byte order mark) or Windows-1252; keywords and sections in any case and order;
 - an entry that is empty or unreadable counts as not given: no value, no limit, not mappable;

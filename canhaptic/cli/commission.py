@@ -49,7 +49,7 @@ def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
         if not scene.simulated:
             raise InputError(
                 f"{scene.source}: --yes is for drives that are simulated in this process; at a real one somebody must "
-                "stand beside the machine and answer"
+                "stand at the machine and answer"
             )
         return Unattended(write_note)
     if not sys.stdin.isatty():
@@ -60,7 +60,7 @@ def _dialogue(scene: Scene, *, yes: bool) -> Dialogue:
 class _Terminal:
     """A person at a terminal; questions go to standard error, so that the report can be redirected.
 
-    What was typed before a question was asked is no answer to it: nobody agrees to a torque that he has not read of.
+    What was typed before a question was asked is no answer to it: consent to a torque needs the question read first.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""`canhaptic compare CONFIG`: every passivity algorithm on one scene, beside the continuous environment."""
+"""`canhaptic compare CONFIG`: every passivity algorithm on one scene, compared with the continuous environment."""
 
 import argparse
 
@@ -14,7 +14,7 @@ from canhaptic.view.energy_table import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Runs the comparison and prints it; returns 0 whatever the algorithms did.
+    """Runs the comparison and prints it; returns 0 for any result.
 
     Raises:
         InputError: A scene, an algorithm or a picture that cannot be used.
@@ -62,7 +62,7 @@ def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
     if arguments.rate is not None:
         raise InputError("--rate: changes the loop of one axis without a bus; for groups use --set bus.rate=...")
     if arguments.png is not None:
-        raise InputError("--png: draws axes beside their continuous run; draw a group with canhaptic run --png")
+        raise InputError("--png: draws axes with their continuous run; draw a group with canhaptic run --png")
     total = cycles_of(scene, arguments.duration) * len(group_algorithms(arguments.algorithms))
     with run_progress(total, scene.bus.sample_time, "free") as progress:
         result = compare_groups(scene, arguments.algorithms, duration=arguments.duration, progress=progress)

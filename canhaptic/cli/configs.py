@@ -50,11 +50,11 @@ def _copy(target: Path) -> None:
     """Copies both folders.
 
     Raises:
-        InputError: One of them is there already, or cannot be written.
+        InputError: One of them already exists, or cannot be written.
     """
     for folder in FOLDERS:
         if (target / folder).exists():
-            raise InputError(f"{target / folder}: is there already; name another folder, or move it away first")
+            raise InputError(f"{target / folder} already exists; choose another folder, or move it away first")
     try:
         for folder in FOLDERS:
             shutil.copytree(shipped(folder), target / folder)

@@ -15,13 +15,13 @@ def execute(arguments: argparse.Namespace) -> int:
 
     Raises:
         DictionaryError: The drive cannot serve.
-        InputError: The file is there already, or cannot be written.
+        InputError: The file already exists, or cannot be written.
     """
     out = arguments.out
     if out is not None:
         check_folder(out)
         if out.exists():
-            raise InputError(f"{out}: is there already; name another file, or move it away first")
+            raise InputError(f"{out} already exists; choose another name, or move it away first")
     found, profile = survey_of(arguments.file)
     text = starter_scene(found, simulate=arguments.simulate, drive=profile, out=out)
     if out is None:

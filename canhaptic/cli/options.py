@@ -122,7 +122,11 @@ def _design(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `design`."""
     add_scene(parser)
     parser.add_argument(
-        "--margin", metavar="PART", type=float, default=MARGIN, help="part by which both could be larger; default 0.2"
+        "--margin",
+        metavar="PART",
+        type=float,
+        default=MARGIN,
+        help="how much larger both could be, as a part; default 0.2",
     )
     parser.add_argument(
         "--tolerance", metavar="PART", type=float, default=TOLERANCE, help="between asked and rendered; default 0.05"
@@ -283,12 +287,12 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", metavar="N", type=_count, default=0, help="of the hypercube")
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--duration", metavar="S", type=seconds, help="of every scene [s]; by default the scene's")
-    length.add_argument("--cycles", metavar="N", type=_count, help="SYNCs of every scene, whatever its rate")
+    length.add_argument("--cycles", metavar="N", type=_count, help="SYNCs of every scene, at any rate")
     parser.add_argument(
         "--metrics",
         metavar="A,B,...",
         type=names,
-        help="fewer are faster; by default all that need no continuous run beside each scene; a wrong name lists all",
+        help="fewer are faster; by default all that need no continuous run; a wrong name lists all",
     )
     parser.add_argument(
         "--engine", choices=("auto", "numba", "python"), default="auto", help="of scenes that fit a batch"

@@ -40,7 +40,7 @@ def run_progress(
 
 
 class RunProgress:
-    """Told the number of completed cycles; shows it now and then.
+    """Takes the number of completed cycles; shows it now and then.
 
     Args:
         cycles: How many there will be; None when that is not known.

@@ -65,7 +65,7 @@ def _fails(result: Mapping[str, Any]) -> bool:
 def _run(
     experiment: Experiment, duration: float | None, stop: StopSignal
 ) -> tuple[dict[str, Any], CanHapticError | None]:
-    """Runs to the end, whatever it is; returns the account and what went wrong."""
+    """Runs to the end, good or bad; returns the account and what went wrong."""
     scene, clock = experiment.scene, WallClock()
     cycles = None if duration is None else max(1, round(duration / scene.bus.sample_time))
     error: CanHapticError | None = None

@@ -14,7 +14,7 @@ from canhaptic.view.energy_table import make_console
 from canhaptic.view.html_page import require_bokeh
 from canhaptic.view.live_log import LiveLog
 
-_HOST: Final = "127.0.0.1"  # nobody else may look at, or load, a machine that moves
+_HOST: Final = "127.0.0.1"  # no other computer may read, or load, a machine that moves
 _PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into one chunk
 
 
@@ -58,7 +58,7 @@ def execute(arguments: argparse.Namespace) -> int:
 def _stop_on_signals(loop: Any) -> list[int]:
     """Returns the list that takes the signal which stops the loop.
 
-    As an exception Ctrl-C could be swallowed by whatever callback it falls into.
+    As an exception Ctrl-C could be swallowed by the callback that it interrupts.
     """
     ended_by: list[int] = []
 

@@ -1,4 +1,4 @@
-"""Commissioning: from a drive that nobody has tried to a configuration that has been measured, zero torque first.
+"""Commissioning: from an untried drive to a configuration that has been measured, zero torque first.
 
     scan and identify -> stand still at zero torque -> move by hand -> pulse -> sweep -> pull the master -> time
 

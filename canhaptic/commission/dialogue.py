@@ -1,11 +1,11 @@
-"""How commissioning speaks with whoever stands at the machine."""
+"""How commissioning speaks with the person at the machine."""
 
 from collections.abc import Callable
 from typing import Protocol
 
 
 class Dialogue(Protocol):
-    """A person at a terminal, or nobody with a simulated drive.
+    """A person at a terminal, or no person with a simulated drive.
 
     Where a simulated plant knows the answer it is handed in as `truth`; a person is never shown it.
     """
@@ -24,7 +24,7 @@ class Dialogue(Protocol):
 
         Args:
             text: What to do.
-            cycles: After how many it counts as done where nobody answers.
+            cycles: After how many it counts as done where no person answers.
         """
 
 

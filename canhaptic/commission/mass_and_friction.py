@@ -1,7 +1,7 @@
 """Mass and friction from torque and position, without differentiating noise.
 
 Over any weight w(t) the equation of motion m a + b v + c sign(v) + f = tau holds for the weighted means. With a
-triangle of base 2 n T the mean acceleration is (q(j+2n) - 2 q(j+n) + q(j)) / (n T)^2 exactly, whatever happens in
+triangle of base 2 n T the mean acceleration is (q(j+2n) - 2 q(j+n) + q(j)) / (n T)^2 exactly, for any motion in
 between; of the torque, constant between SYNCs, the mean is exact as well. What remains is linear in m, b, c and f.
 """
 

@@ -46,7 +46,7 @@ def commission(session: Session, timing_duration: float) -> None:
 
 
 def _stands_still(session: Session) -> bool:
-    """Returns whether every drive is the one of the configuration, and stands still at zero torque."""
+    """Returns whether every drive is the one of the configuration, and is at rest at zero torque."""
     session.dialogue.tell("1 of 6: who is on the bus (no torque, nothing enabled)")
     identify(session)
     if session.report.failed or session.stop_requested():

@@ -167,7 +167,7 @@ class Session:
 
 
 def _without_hand(scene: Scene) -> Scene:
-    """Returns the scene with nobody at its simulated handles."""
+    """Returns the scene without a hand at its simulated handles."""
     axes = [
         dataclasses.replace(axis, simulation=axis.simulation and dataclasses.replace(axis.simulation, user=None))
         for axis in scene.axes

@@ -1,6 +1,6 @@
 """EnergyBalance: what one step of a controller did with the energy of one hold. Ledger: the sums of a whole run.
 
-Identity of every step, whatever the algorithm (to 1e-12 of the largest term); for axes in a group, of the group's step:
+Identity of every step, for every algorithm (to 1e-12 of the largest term); for axes in a group, of the group's step:
 
     h_s - h_s_before + h_r - h_i - gen + h_pas - deficit + leak = 0
     h_dis - h_dis_before = gen + deficit - h_pas - paid
@@ -207,7 +207,7 @@ def add(running: RunningSum, term: float) -> float:
 
 
 class CompensatedSum:
-    """A sum whose rounding errors are summed beside it (two-sum, Knuth): no drift over any number of terms."""
+    """A sum whose rounding errors are summed separately (two-sum, Knuth): no drift over any number of terms."""
 
     __slots__ = ("_error", "_total")
 

@@ -1,7 +1,7 @@
 """The only module of the package that reads or waits for time. Integer nanoseconds everywhere.
 
 `WallClock` sleeps to within a margin of the deadline and spins the rest: the wake-up is right to a microsecond or so,
-where a plain sleep is late by some 80 us. `VirtualClock` stands still until its owner waits: master and simulated
+where a plain sleep is late by some 80 us. `VirtualClock` advances only when its owner waits: master and simulated
 drives then run in lock-step in one thread, as fast as the machine allows and with the same result every time.
 """
 
@@ -83,7 +83,7 @@ class WallClock:
 
 
 class VirtualClock:
-    """Time that stands still until its owner waits, and then jumps to the next event of the far sides.
+    """Time that advances only when its owner waits, and then jumps to the next event of the far sides.
 
     Args:
         far_sides: Simulated drives that share a virtual bus with the master, in this thread.

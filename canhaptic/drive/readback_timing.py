@@ -5,7 +5,7 @@ shows c[k-2] when the drive samples before the update (the hold that ended) and 
 hold that begins). With an event-driven RPDO nothing is updated at SYNC: either kind of drive shows c[k-1], the hold
 that ended.
 
-A torque that changes at every SYNC shows which of the two it is. The answer goes into `demand_reported` of the axis;
+A torque that changes at every SYNC shows which one applies. The answer goes into `demand_reported` of the axis;
 with the wrong value the energy of every hold is computed with the torque of its neighbour.
 """
 

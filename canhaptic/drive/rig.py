@@ -114,7 +114,7 @@ class Rig:
             self.stop_reason = StopReason.EXCEPTION
             self._disable(Trust.FULL)  # it was never given a torque
             if isinstance(error, RigError):
-                self._require_no_other_master()  # which explains whatever step it disturbed
+                self._require_no_other_master()  # another master explains a failed step
             raise
         self._require_no_other_master()
         self._exchange.skipped = 0
@@ -204,7 +204,7 @@ class Rig:
         self.records.append(_tuple(_CycleRecord, (self._samples, commands)))
         woken, heard = exchange.woken, exchange.heard
         parts = (woken - exchange.deadline, heard - woken, computed - heard, self.clock.now() - computed)
-        timing = self.timing  # at free pace time stands still within a cycle, and it is the same again
+        timing = self.timing  # at free pace time does not advance within a cycle
         self.timing = timing if parts == timing else _tuple(CycleTiming, parts)
         for line in self._sdo_lines:
             if line.busy:

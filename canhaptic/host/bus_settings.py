@@ -33,7 +33,7 @@ class BusSettings(Protocol):
 
 
 class _NamedBusSettings(Protocol):
-    """A bus with the name by which axes refer to it."""
+    """A bus with the name that axes use for it."""
 
     @property
     def name(self) -> str:

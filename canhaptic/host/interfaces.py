@@ -43,7 +43,7 @@ _REMEDIES: Final[Mapping[str, str]] = {
 }
 """What makes an interface usable, by its python-can name."""
 
-logging.getLogger("can").addHandler(logging.NullHandler())  # drivers that are missing are told by our error, once
+logging.getLogger("can").addHandler(logging.NullHandler())  # our error names missing drivers, once
 
 
 def _known_interfaces() -> list[str]:
@@ -53,7 +53,7 @@ def _known_interfaces() -> list[str]:
 
 @cache
 def _accepted_options(interface: str) -> frozenset[str] | None:
-    """Returns the keyword arguments that a backend reads, beside those of the scene; None when it cannot be told.
+    """Returns the keyword arguments that a backend reads, in addition to those of the scene; None when unknown.
 
     Args:
         interface: A name that python-can knows.

@@ -1,7 +1,7 @@
-"""Looks at SocketCAN interfaces before a run: what the kernel says of them beside what the scene asks for.
+"""Looks at SocketCAN interfaces before a run: what the kernel reports, compared with what the scene asks for.
 
 The kernel is asked through `ip -details -statistics -json link show`. What is wrong refuses the run; what is only
-unwise, or cannot be told, is a note.
+unwise, or unknown, is a note.
 
 Bus-off (the controller gave up after too many errors) ends a run, and nothing may bring it back to life unseen. With
 `restart-ms 0` the controller stays off until a person restarts it. With a restart after the rig has certainly stopped
@@ -151,7 +151,7 @@ class _Judged:
         self._add(item, seen, "well", text)
 
     def note(self, item: str, seen: object, text: str) -> None:
-        """Takes one that is unwise, or cannot be told."""
+        """Takes one that is unwise, or unknown."""
         self._add(item, seen, "note", text)
 
     def refuse(self, item: str, seen: object, text: str) -> None:
@@ -205,7 +205,7 @@ def _judge_state(state: str, judged: _Judged) -> None:
     elif state == "ERROR-ACTIVE":
         judged.well("state", state)
     else:
-        judged.note("state", state, "expected ERROR-ACTIVE; nobody acknowledges, or cable and termination are bad")
+        judged.note("state", state, "expected ERROR-ACTIVE; no node acknowledges, or cable and termination are bad")
 
 
 def _judge_modes(modes: list[str], judged: _Judged) -> None:

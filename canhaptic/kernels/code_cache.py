@@ -3,7 +3,7 @@
 numba keeps code too, but its key is the file of one function: a change in a function that it calls, in another file,
 goes unnoticed. Here the key of a folder covers the code of every kernel reached, the constants that they name, the
 versions of Python, numba, llvmlite and NumPy, and the processor. What is loaded is executed, so the folder must belong
-to the user, and nobody else may read it; otherwise nothing is kept.
+to the user, and only the user may read it; otherwise nothing is kept.
 """
 
 import hashlib

@@ -20,7 +20,7 @@ class BusLogWriter:
 
     Args:
         path: The file; an existing one is replaced. With the suffix .blf, .trc or .asc the run is recorded as candump
-            text beside it (PATH.log), which survives a kill, and converted on closing.
+            text next to it (PATH.log), which survives a kill, and converted on closing.
         channel: Name of the bus, as it shall stand in every line; one for each bus where there are several.
         pace: "real" or "free".
         file_size: Bytes after which the file is put aside as NAME.00001.log, ...; 0 for one file without limit.
@@ -116,7 +116,7 @@ class BusLogWriter:
 def _check_channels(channels: Sequence[str]) -> None:
     for name in channels:
         if not name or any(letter.isspace() for letter in name):
-            raise ParameterError(f"channel {name!r}: expected a name without spaces, it stands in every line")
+            raise ParameterError(f"channel {name!r}: expected a name without spaces, since every line has it")
     if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
         raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, each another")
 

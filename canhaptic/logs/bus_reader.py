@@ -107,7 +107,7 @@ def _read_with_python_can(path: Path, skipped: Counter[SkippedKind]) -> Iterator
                 yield Frame(nanoseconds, can_id, data, message.is_rx, number, _channel(path, message.channel))
     except LogFormatError:
         raise
-    except Exception as error:  # its readers raise whatever they stumble over in a damaged file
+    except Exception as error:  # its readers may raise anything on a damaged file
         raise LogFormatError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({error})") from error
 
 

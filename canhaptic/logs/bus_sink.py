@@ -27,7 +27,7 @@ class BusSink:
 
     Args:
         path: The file being written.
-        channels: Name of each bus as it stands in the lines of its frames.
+        channels: Name of each bus in the lines of its frames.
         area: Shared memory with one ring of frames.
         file_size: Bytes after which the file is put aside as NAME.00001.log, NAME.00002.log, ...; 0 for no limit.
         files: How many files are kept in all, the one being written included; the oldest is deleted.

@@ -24,7 +24,7 @@ class FaultSink:
 
     Args:
         path: The file to write after a bad end.
-        channels: Name of each bus as it stands in the lines of its frames.
+        channels: Name of each bus in the lines of its frames.
         area: Shared memory with one ring of frames.
         last_ns: How much of the run to keep [ns].
     """

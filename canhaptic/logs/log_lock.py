@@ -1,4 +1,4 @@
-"""One run writes a log: a lock beside the file, held by the writer process and released with it, however it ends."""
+"""One run writes a log: a lock file next to it, held by the writer process and released with it, however it ends."""
 
 import os
 from pathlib import Path

@@ -52,7 +52,7 @@ class PdoMaps:
                 self._set(index, subindex, value)
 
     def learn(self, access: Access) -> bool:
-        """Takes a confirmed SDO; returns whether it told something of a PDO."""
+        """Takes a confirmed SDO; returns whether it configures a PDO."""
         if not (_is_communication(access.object_index) or _is_mapping(access.object_index)):
             return False
         self._set(access.object_index, access.subindex, int.from_bytes(access.value, "little"))

@@ -10,7 +10,7 @@ _FRAME: Final = 8  # [bytes] of every SDO frame
 
 
 class Access(NamedTuple):
-    """An object whose value a confirmed SDO has told."""
+    """An object whose value a confirmed SDO has shown."""
 
     object_index: int
     subindex: int

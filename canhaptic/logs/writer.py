@@ -85,7 +85,7 @@ def _become_ordinary(patient: bool) -> None:
     """Gives up real-time priority and processor pinning inherited from the controlling process.
 
     Args:
-        patient: Whether to give way to ordinary processes too, as beside a cycle at wall-clock pace.
+        patient: Whether to give way to ordinary processes too, as for a cycle at wall-clock pace.
     """
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -81,7 +81,7 @@ class WriterProcess:
         """Writes one record as soon as the ring has room; returns False when it will have none any more.
 
         Raises:
-            LogWriteError: The writer has failed, the ring is full, and there is no `on_failure` to be told.
+            LogWriteError: The writer has failed, the ring is full, and there is no `on_failure` to call.
         """
         pause = threading.Event()
         while not ring.push(record):
@@ -176,7 +176,7 @@ class WriterProcess:
 
 
 def _trusted_folders() -> list[str]:
-    """Returns where this process imports from, without the working folder: whoever may write there is not trusted."""
+    """Returns where this process imports from, without the working folder, in which others may write."""
     working = Path.cwd().resolve()
     return [folder for folder in sys.path if os.path.isabs(folder) and Path(folder).resolve() != working]
 

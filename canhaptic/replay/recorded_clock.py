@@ -1,4 +1,4 @@
-"""Time as it went in a recording: it stands still until the master waits, and then moves to the next recorded frame.
+"""Time of a recording: it advances only when the master waits, and then moves to the next recorded frame.
 
 A SYNC that was late in the recording is as late in the replay, so that a deadline skipped then is skipped now.
 """

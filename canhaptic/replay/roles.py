@@ -29,7 +29,7 @@ class Roles(NamedTuple):
     def asks_to_leave(self, data: bytes) -> bool:
         """Returns whether an RPDO of the first axis takes back OPERATION ENABLED.
 
-        0x0F keeps it and 0x00 takes it back; told by the majority of bits, so that one flipped bit moves no end.
+        0x0F keeps it and 0x00 takes it back; decided by the majority of bits, so that one flipped bit moves no end.
         """
         (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (_ENABLE_BITS,)
         return (int(controlword) & _ENABLE_BITS).bit_count() < _ENABLE_BITS.bit_count() // 2

@@ -15,7 +15,7 @@ from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 
-_ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that give back what was sent, whatever they are told
+_ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that return sent frames, with any setting
 _SEEDS_APART: Final = 1_000_003  # from one bus to the next
 _PRIVATE: Final = itertools.count()
 
@@ -44,7 +44,7 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
         options = {"preserve_timestamps": True, **bus.options}
     try:
         return can.Bus(interface=bus.interface, channel=channel, **options)
-    except Exception as error:  # backends let through whatever their driver library raises
+    except Exception as error:  # backends pass on any exception of their driver library
         raise opening_error(bus, channel, error) from error
 
 

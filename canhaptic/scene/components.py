@@ -32,7 +32,7 @@ class ComponentSpec(NamedTuple):
 
 
 class UnreadParameters(Parameters):
-    """Stands for the parameters of own code that was left unread."""
+    """Placeholder for the parameters of own code that was not read."""
 
     written: dict[str, Any]
     """The section as written."""

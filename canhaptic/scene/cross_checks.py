@@ -89,7 +89,7 @@ def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> 
     if len(set(is_virtual)) > 1:
         faults.add(
             bus_section(sections, is_virtual.index(True)).value_at("interface"),
-            "got 'virtual' beside a bus of another interface; either all buses are inside this process, or none",
+            "got 'virtual' together with a bus of another interface; either all buses are inside this process, or none",
         )
 
 

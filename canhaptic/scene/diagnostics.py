@@ -21,7 +21,7 @@ class SourceLocation(NamedTuple):
 
     @property
     def folder(self) -> Path:
-        """Where a relative path that stands here starts from: the folder of the file, or the current one."""
+        """Base of a relative path given here: the folder of the file, or the current one."""
         return Path(self.source).parent if self.line else Path()
 
     def below(self, *parts: str) -> "SourceLocation":

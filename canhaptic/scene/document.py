@@ -85,7 +85,7 @@ class MarkedMapping(dict[str, Any]):
         return twin
 
     def over(self, lower: "MarkedMapping") -> "MarkedMapping":
-        """Returns the entries of both; where both have a key this one's wins, and its place stands for the whole."""
+        """Returns the entries of both; where both have a key this one's wins, and its place is that of the whole."""
         twin = self.copy()
         for key, value in lower.items():
             if key not in self:
@@ -127,7 +127,7 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
     Args:
         text: The document.
         source: Named in every fault.
-        faults: Receives syntax errors, duplicate keys and whatever else is not plain data.
+        faults: Receives syntax errors, duplicate keys and anything else that is not plain data.
         path: Where the value belongs in the scene.
         lined: False for text without lines of its own, such as an override.
     """

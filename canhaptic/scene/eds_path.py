@@ -1,4 +1,4 @@
-"""Where the object dictionary of an axis is: beside the scene, or among those that come with the package."""
+"""Where the object dictionary of an axis is: next to the scene, or among those of the package."""
 
 import os
 from pathlib import Path
@@ -14,7 +14,7 @@ _SHIPPED: Final = shipped("eds")
 def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Returns the axis's section with the path of its EDS or DCF found; a fault when there is no such file.
 
-    A relative path is looked for beside the scene file (one given in an override: in the current folder), then in
+    A relative path is looked for next to the scene file (one given in an override: in the current folder), then in
     the `eds/` that comes with the package.
     """
     text = section.get("eds")
@@ -33,7 +33,7 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
 
 
 def path_for_scene(dictionary: Path, scene: Path | None) -> str:
-    """Returns the path by which a scene finds a dictionary.
+    """Returns the path with which a scene finds a dictionary.
 
     Args:
         dictionary: Its file, as seen from the current folder.

@@ -111,7 +111,7 @@ def group_layout(group: Members, units: dict[str, Motion]) -> MarkedMapping:
 
 
 def mechanism_layout(moved: Members) -> MarkedMapping:
-    """Returns a simulated mechanism; its hand is in metres, whatever the motors move in."""
+    """Returns a simulated mechanism; its hand moves in metres, for linear and rotary motors."""
     section = MarkedMapping(moved.section.mark)
     section.put("axes", moved.axes or NOTED, section.mark, moved.section.value_at("axes"))
     section.set("mechanism", moved.section.without("axes", "hand"))

@@ -1,4 +1,4 @@
-"""Stability hints: what the rate, the delay and the device allow, beside what the scene asks for."""
+"""Stability hints: what the rate, the delay and the device allow, compared with what the scene asks for."""
 
 import math
 from collections.abc import Sequence

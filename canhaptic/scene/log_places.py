@@ -17,7 +17,7 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
         bus: Whether its bus log is.
 
     Raises:
-        InputError: A file is there already.
+        InputError: The file already exists.
     """
     homes = (Path.cwd().resolve(), Path(scene.source).resolve().parent)
     notes = []
@@ -30,7 +30,7 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
         if path.exists():
             option = "--log" if key == "log.energy" else "--bus-log"
             raise InputError(
-                f"{scene.source}: {key}: {path} is there already, outside the folder of the scene and the current one; "
+                f"{scene.source}: {key}: {path} already exists, outside the folder of the scene and the current one; "
                 f"give {option} {path} to replace it"
             )
         notes.append(f"{key} of {scene.source} is outside its folder: {path}")

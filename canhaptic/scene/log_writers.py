@@ -19,7 +19,7 @@ _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in ever
 def open_energy_log(
     scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None]
 ) -> "EnergyLogWriter":
-    """Returns the energy log, made and ready; `on_failure` is told, from another thread, when it breaks off.
+    """Returns the energy log, made and ready; `on_failure` is called, from another thread, when it breaks off.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -44,7 +44,7 @@ def open_energy_log(
 def open_bus_log(
     scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None]
 ) -> BusLogWriter:
-    """Returns the bus log, made and ready; `on_failure` is told, from another thread, when it breaks off.
+    """Returns the bus log, made and ready; `on_failure` is called, from another thread, when it breaks off.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -62,7 +62,7 @@ def open_bus_log(
 
 
 def _log_channels(scene: Scene) -> list[str]:
-    """Returns what stands in the bus log for each bus: the channel of the only one, the names of several."""
+    """Returns the label of each bus in the bus log: the channel of a single bus, the names of several."""
     if scene.further_buses:
         return [bus.name for bus in scene.buses]
     channel = scene.bus.channel

@@ -44,7 +44,7 @@ else:
 LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
 _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
-"""Kinematics whose task space is in metres whatever the motors move in."""
+"""Kinematics whose task space is in metres, for linear and rotary motors."""
 
 UnitT = TypeVar("UnitT", bound=str | None)
 BusName = Annotated[Name, Field(pattern=r"^\S+$")]
@@ -93,7 +93,7 @@ class FurtherBus(Parameters):
     """What a bus of several may have of its own; rate, link policy and the rest are those of the first."""
 
     name: BusName
-    """By which an axis's `bus` names it."""
+    """Name used in an axis's `bus`."""
     interface: PrintableText | None = None
     """python-can interface; None: that of the first bus."""
     channel: PrintableText | int | None = None
@@ -311,7 +311,7 @@ class Scene:
 
 
 def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
-    """Returns an axis as it stands in the configuration in effect."""
+    """Returns an axis as it is in the configuration in effect."""
     parameters, bus, drive = axis.pop("parameters"), axis.pop("bus"), axis.pop("simulated_drive")
     del axis["group"]
     simulation = axis["simulation"] if drive is None else {"drive": drive}

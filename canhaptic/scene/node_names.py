@@ -1,4 +1,4 @@
-"""What a scene tells of the nodes on its bus, for words beside recorded frames."""
+"""Names of the nodes on the bus of a scene, to label recorded frames."""
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.logs.decoder import NodeDescription

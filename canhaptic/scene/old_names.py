@@ -46,7 +46,7 @@ def path_now(path: tuple[str, ...], where: str) -> tuple[str, ...]:
 
 
 def rename_old(scene: MarkedMapping, faults: Diagnostics) -> None:
-    """Gives keys and algorithms of a scene the names of now, in place; an old key beside its new one is a fault."""
+    """Gives keys and algorithms of a scene the names of now, in place; an old key with its new one is a fault."""
     for section, is_of_axis in _sections(scene):
         for old in OLD_KEYS.keys() & section.keys():
             new, at = OLD_KEYS[old], section.keys_at[old]

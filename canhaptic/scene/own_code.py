@@ -90,7 +90,7 @@ class OwnCode:
         try:
             chosen = found.load()
             source = Path(str(sys.modules[chosen.__module__].__file__)).read_bytes()
-        except Exception as error:  # whatever the code of others raises
+        except Exception as error:  # foreign code may raise anything
             raise ParameterError(
                 f"{found.name}: the plug-in {package} cannot be used ({type(error).__name__}: {error})"
             ) from error

@@ -78,7 +78,7 @@ passivity:
 $simulation""")
 
 _SIMULATION: Final = Template("""
-# What stands behind the simulated drive. Remove this section and name the real interface under `bus`.
+# The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
 simulation:
   drive:
     rated_torque: $rated N*m
@@ -200,7 +200,7 @@ def _counts(dictionary: ObjectDictionary) -> float:
 
 
 def _stated_counts(dictionary: ObjectDictionary) -> int | None:
-    """Returns the increments of 0x608F; None where they are not stated, or are the 1 of an object that nobody set."""
+    """Returns the increments of 0x608F; None where absent, or the 1 of an object that was never set."""
     increments = stated_value(dictionary, od.ENCODER_RESOLUTION, 1)
     return increments if increments is not None and increments >= _FEWEST_COUNTS else None
 

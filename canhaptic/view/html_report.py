@@ -74,7 +74,7 @@ def write_html(
 def _timing(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
     parts = {name: log.timing.read(name, rows.start, rows.stop) * _S_PER_NS for name in CycleTiming._fields}
     if not any(values.any() for values in parts.values()):
-        return None  # in lock-step virtual time stands still within a cycle
+        return None  # in lock-step virtual time does not advance within a cycle
     shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in parts.values()]))
     time = log.timing["sync_index"][rows][shown] * log.sample_time
     columns = {name: values[shown].astype(np.float32) for name, values in parts.items()}

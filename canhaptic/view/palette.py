@@ -1,4 +1,4 @@
-"""Colours of every picture and page: those of Okabe and Ito, told apart by everyone, and two greys.
+"""Colours of every picture and page: those of Okabe and Ito, which colour-blind readers distinguish, and two greys.
 
 Lines differ in width and style too.
 """

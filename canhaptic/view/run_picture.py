@@ -17,8 +17,8 @@ from canhaptic.view.port_picture import PortPicture
 from canhaptic.view.si import si
 
 _HEIGHTS: Final = {"path": 5.0, "position": 3.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0}
-"""Of the panels, top to bottom, beside each other."""
-_INCH: Final = 0.75  # of one of these
+"""Heights of the panels, in units of `_INCH`."""
+_INCH: Final = 0.75  # per unit of height
 
 
 def draw_energy(

@@ -30,7 +30,7 @@ def in_lines(text: str, width: int) -> str:
 class FigureTable(Table):
     """A table of figures, which are not folded: where its columns do not fit, it becomes several tables.
 
-    Each of them begins with the key columns. Only a column that does not fit beside the keys alone is folded.
+    Each of them begins with the key columns. Only a column that does not fit next to the keys alone is folded.
 
     Args:
         keys: Columns at the left that say what a row is.

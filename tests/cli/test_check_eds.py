@@ -285,7 +285,7 @@ def test_no_scene_is_overwritten(tmp_path: Path, capsys: Captured) -> None:
     out = tmp_path / "rig.yaml"
     out.write_text("mine")
     assert main(["new", str(OURS), "--out", str(out)]) == 2
-    assert "rig.yaml: is there already" in capsys.readouterr().err
+    assert "rig.yaml already exists" in capsys.readouterr().err
     assert out.read_text() == "mine"
     assert main(["new", str(OURS), "--out", str(tmp_path / "none" / "rig.yaml")]) == 2
     assert "no such folder" in capsys.readouterr().err

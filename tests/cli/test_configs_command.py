@@ -20,7 +20,7 @@ def test_a_copy_runs_by_itself_and_is_not_overwritten(tmp_path: Path, capsys: py
     assert main(["check", str(tmp_path / "configs" / "demo.yaml"), "--json"]) == 0
     capsys.readouterr()
     assert main(["configs", "--copy", str(tmp_path)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 def test_the_table_names_the_demo(capsys: pytest.CaptureFixture[str]) -> None:

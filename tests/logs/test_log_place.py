@@ -265,7 +265,7 @@ def test_a_scene_replaces_no_file_outside_its_folder_and_says_where_it_writes(
     target.write_text("mine")
     words = ["run", str(scene), "--duration", "0.1"]
     assert main(words) == 2
-    assert f"log.{key}: ../mine.log is there already, outside the folder of the scene" in capsys.readouterr().err
+    assert f"log.{key}: ../mine.log already exists, outside the folder of the scene" in capsys.readouterr().err
     assert target.read_text() == "mine"
     target.unlink()
     assert main(words) == 0

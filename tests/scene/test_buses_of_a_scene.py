@@ -205,7 +205,7 @@ def test_one_bus_lost_stops_every_axis(lost: str, effect: str) -> None:
         ("bus.1.chanel=x", "bus.1.chanel: unknown key; did you mean 'channel'?"),
         ("bus.1.bitrate=5", "bus.1.bitrate: got 5, expected 10000 <= bitrate <= 1e6"),
         ("bus.1.bitrate=100 kbit/s", "bus.1.rate: the cycle does not fit the bus"),
-        ("bus.1.interface=socketcan", "bus.0.interface: got 'virtual' beside a bus of another interface"),
+        ("bus.1.interface=socketcan", "bus.0.interface: got 'virtual' together with a bus of another interface"),
         ("bus.0=5", "bus.0: got 5, expected a mapping of name, interface, channel, ..."),
         ("bus=[]", "bus: got an empty list, expected at least one bus"),
         ("bus={rate: 1000}", "axes.0.bus: got 'left', but the scene's bus has no name; leave it out"),

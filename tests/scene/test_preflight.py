@@ -108,7 +108,7 @@ def test_what_would_fail_or_harm_refuses_the_run(stdout: str, item: str, words: 
     [
         (changed('"txqlen":64', '"txqlen":5'), "txqueuelen", "expected 8 at least (two cycles of 1 axes)"),
         (changed('"tx":0,"rx":0}', '"tx":128,"rx":0}'), "error counters", "expected below 96"),
-        (changed('"state":"ERROR-ACTIVE"', '"state":"ERROR-PASSIVE"'), "state", "nobody acknowledges"),
+        (changed('"state":"ERROR-ACTIVE"', '"state":"ERROR-PASSIVE"'), "state", "no node acknowledges"),
         (changed('"bus_off":0', '"bus_off":3'), "bus-offs so far", "find the cause"),
         (changed('"bittiming":{"bitrate":1000000,', '"other":{'), "bit rate", "cannot be compared"),
         (changed('"restart_ms":0,', ""), "restart-ms", "cannot be checked"),

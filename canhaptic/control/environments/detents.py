@@ -15,7 +15,7 @@ class Detents(Parameters):
     """
 
     peak: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
-    """Largest effort, a quarter of a pitch beside a resting position."""
+    """Largest effort, a quarter of a pitch from a resting position."""
     pitch: Annotated[float, quantity("m", "rad", gt=0.0)]
     """From one resting position to the next."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0

@@ -1,4 +1,4 @@
-"""What every virtual environment of one axis is: a storage, a damper beside it, and where it can be touched.
+"""What every virtual environment of one axis is: a storage, a damper in parallel, and where it can be touched.
 
 The torque of an environment is always
 
@@ -16,7 +16,7 @@ class Environment(Protocol):
 
     @property
     def damping(self) -> float:
-        """Coefficient of the damper beside the storage [N*s/m or N*m*s/rad], >= 0."""
+        """Coefficient of the damper in parallel with the storage [N*s/m or N*m*s/rad], >= 0."""
 
     @property
     def linear_stiffness(self) -> float | None:

@@ -1,4 +1,4 @@
-"""What environments with a linear spring share: its stored energy, its effort, and the damper beside it."""
+"""What environments with a linear spring share: its stored energy, its effort, and the damper in parallel."""
 
 from math import copysign, sqrt
 from typing import Annotated
@@ -7,12 +7,12 @@ from canhaptic.units import Parameters, quantity
 
 
 class LinearSpring(Parameters):
-    """A spring with the stored energy k x^2 / 2, and a damper beside it."""
+    """A spring with the stored energy k x^2 / 2, and a damper in parallel."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
     """Of the spring."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
-    """Of the damper beside the spring; it acts in contact only."""
+    """Coefficient of the damper in parallel with the spring; it acts in contact only."""
 
     @property
     def linear_stiffness(self) -> float:

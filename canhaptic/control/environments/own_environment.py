@@ -66,7 +66,7 @@ class OwnEnvironment(Parameters):
     def surfaces(self) -> Sequence[float]:
         """Returns the positions where contact begins or ends [m or rad], for the continuous environment.
 
-        Whoever writes `contact` or `true_state` anew writes this anew as well; else there is no continuous reference.
+        A class that overrides `contact` or `true_state` overrides this as well; else there is no continuous reference.
         """
         return () if self.side == "both" else (self.position,)
 

@@ -1,4 +1,4 @@
-"""A viscoelastic medium: a spring that gives way with time (Maxwell), with a damper beside it (Jeffreys)."""
+"""A viscoelastic medium: a spring that gives way with time (Maxwell), with a damper in parallel (Jeffreys)."""
 
 import math
 from typing import Annotated, ClassVar

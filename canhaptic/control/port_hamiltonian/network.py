@@ -77,7 +77,9 @@ class Network:
         self.ports = len(gain[0]) if len(gain) else 0
         check_rows("gain", gain, n, self.ports)
         if self.ports == 0:
-            raise ParameterError("network: gain has no columns, expected one for each port; nobody could touch it")
+            raise ParameterError(
+                "network: gain has no columns, expected one for each port; without ports no hand can touch it"
+            )
         self.structure_at = structure if callable(structure) else None
         dampers = [d for each in dissipators for d in (each.elements() if isinstance(each, DampingMatrix) else [each])]
         self.tables = self._tabled(list(storages), dampers, self._constant(structure), gain)

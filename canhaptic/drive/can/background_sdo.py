@@ -171,15 +171,15 @@ class SdoLine:
             SdoError: It cannot be served.
         """
         if not self._has_room:
-            raise request.failure("the bus has no room for SDO beside its cycle; lower bus.rate, or ask before start")
+            raise request.failure("the bus has no room for SDO during the cycle; lower bus.rate, or ask before start")
         if not self._is_open:
-            raise request.failure("the rig is not running; SDO beside the cycle needs a cycle")
+            raise request.failure("the rig is not running; SDO from another thread needs a running cycle")
         if len(self._waiting) >= _MOST_WAITING:
             raise request.failure(f"{_MOST_WAITING} requests wait already; await some of them first")
         self._start_hander()
         self._waiting.append(request)
         self.busy = True
-        if not self._is_open:  # closed in between: whoever takes it out of the queue answers for it
+        if not self._is_open:  # closed in between: the thread that takes it out of the queue answers it
             with suppress(ValueError):
                 self._waiting.remove(request)
                 raise request.failure("the rig has stopped")

@@ -26,8 +26,8 @@ class _LinkStatistics:
 
     def __init__(self) -> None:
         self.sent = 0
-        self.received = 0  # every frame that came, whatever became of it
-        self.foreign = 0  # nobody waits for its COB-ID, or remote, or with an extended identifier
+        self.received = 0  # every frame received, used or not
+        self.foreign = 0  # COB-ID without a receiver, remote frame, or extended identifier
         self.echoed = 0  # our own frame, given back by the interface
         self.late = 0  # TPDO outside the window of its SYNC, SDO answer after its time
         self.duplicate = 0  # second TPDO for one SYNC

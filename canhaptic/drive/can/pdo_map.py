@@ -187,7 +187,7 @@ def _is_slot(variable: ODVariable | None) -> bool:
 
 
 def _is_decodable(entries: Sequence[MappedObject]) -> bool:
-    """Whether the bytes of a fixed map can be told apart: a single BOOLEAN shifts all that follows it by a bit."""
+    """Whether the bytes of a fixed map can be distinguished: a single BOOLEAN shifts all that follows it by a bit."""
     try:
         codec(entries, [entry.index for entry in entries if entry.entry in _WANTED])
     except DictionaryError:

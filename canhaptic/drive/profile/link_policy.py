@@ -140,12 +140,12 @@ READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
     ),
     "actual": (
         "0x6077 stays within `torque_tolerance` of an old command for `bus.stop_cycles` SYNCs although commands more "
-        "than twice as far from it were sent; what is nearer cannot be told from noise",
+        "than twice as far from it were sent; nearer ones cannot be distinguished from noise",
         "stop after more than `bus.hold_cycles` SYNCs in a row",
         "recorded: the torque that was given is read back; one that is larger than the command, or turned, is no limit",
     ),
     "none": (
-        "cannot be told by the master; the drive's own deadline of the RPDO (0x1400:05) ends it after "
+        "cannot be detected by the master; the drive's own deadline of the RPDO (0x1400:05) ends it after "
         "`bus.heartbeat_timeout`, where its dictionary has that and `watchdog` is on",
         "stop after more than `bus.hold_cycles` SYNCs in a row",
         "TORQUE_LIMITED after more than `bus.hold_cycles` SYNCs in a row, if it was not on at the start",

@@ -280,7 +280,7 @@ class TorqueAxis(ABC):
     def _is_reduced(self, applied: int, commanded: int, tolerance: float) -> bool:
         """Whether a limit that the drive shows (bit 11) explains a torque: it makes one smaller and never turns it.
 
-        Whether the command is followed cannot be told then.
+        Whether the command is followed is unknown then.
         """
         if not self._values[0] & _LIMITED:
             return False

@@ -42,7 +42,7 @@ class TorqueAxisParameters(Parameters):
     read_back: Literal["auto", "demand", "actual", "none"] = "auto"
     """Torque in the TPDO: 0x6074, 0x6077, nothing; auto takes the first that the dictionary allows."""
     torque_tolerance: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 0.05
-    """Part of the rated torque by which a measured torque (0x6077) may differ from its command."""
+    """Largest difference of a measured torque (0x6077) from its command, as a part of the rated torque."""
     demand_reported: Literal["before", "after"] = "before"
     """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
     vendor_id: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None

@@ -76,9 +76,9 @@ class BusEffects(Parameters):
     wire_time: bool = False
     """Whether each frame takes its worst-case time at `bus.bitrate`, one at a time, lowest COB-ID first."""
     freeze: tuple[Window, ...] = ()
-    """When the bus stands still; what waits comes at the end, in one burst."""
+    """When the bus carries no frame; waiting frames come at the end, in one burst."""
     stall: tuple[Window, ...] = ()
-    """When the master's host stands still; needs the master in the same process."""
+    """When the master's host is stalled; needs the master in the same process."""
     bus_off: tuple[Window, ...] = ()
     """When nothing can be sent and what arrives is lost."""
     bring_up: bool = False

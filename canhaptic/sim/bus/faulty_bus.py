@@ -70,7 +70,7 @@ class FaultyBus(can.BusABC):
         self._epoch: int | None = None
 
     def use(self, clock: _BusClock) -> None:
-        """Sets the clock by which frames are late."""
+        """Sets the clock that times late frames."""
         self._clock = clock
 
     # --- a bus of python-can ------------------------------------------------------------------------------------------

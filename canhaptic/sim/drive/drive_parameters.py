@@ -45,7 +45,7 @@ class SimulatedDriveParameters(Parameters):
         torque_read_back: Whether 0x6074 and 0x6077 of a SYNC show the hold that ended, or already the next torque.
         torque_resolution: Part of the rated torque per count of 0x6071, 0x6072, 0x6074 and 0x6077.
         torque_lag: Time constant with which 0x6077 follows the motor's torque, as a filter of the drive; none at 0.
-        torque_ripple: Part of the torque by which 0x6077 wavers with position, as a current sensor's error does.
+        torque_ripple: Variation of 0x6077 with position, as a part of the torque (error of a current sensor).
         torque_ripple_pitch: Period of that [rad or m].
         direction: -1 for a drive mounted the other way round: position and torque both count against the axis.
         reversed: A wrong wiring: only the encoder, or only the motor, counts against the axis.

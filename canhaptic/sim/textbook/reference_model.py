@@ -1,4 +1,4 @@
-"""The textbook plant of a scene: elements collected, states named, and one right-hand side for whatever solves it.
+"""The textbook plant of a scene: elements collected, states named, and one right-hand side for any solver.
 
 State: position, velocity, [twist, load_velocity], [motor_torque], [temperature], [depths, bristle], work of the motor,
 work of the user. Every effect that acts on the motion is there; those of the encoder are not.
@@ -46,7 +46,7 @@ class Model:
 
     Args:
         parameters: Mass and bearings.
-        user: The hand; None when nobody holds the handle.
+        user: The hand; None without a hand.
         effects: As for `Plant`.
 
     Raises:

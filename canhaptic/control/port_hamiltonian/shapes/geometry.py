@@ -1,6 +1,6 @@
 """From task space to the ports of a network: coordinates whose increments move the ports, and their gradients.
 
-A contact with a curved surface has one coordinate, the distance from it. Its increment is exact whatever the curvature;
+A contact with a curved surface has one coordinate, the distance from it. Its increment is exact for any curvature;
 the force acts along its gradient at the start of the hold, and what curvature adds is seen by the account, which is
 kept from the torques.
 """

@@ -18,7 +18,7 @@ class Surface(Parameters):
     hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)] = 0.0
     """Cubic coefficient k3."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
-    """Of the damper beside the spring; it acts in contact only."""
+    """Coefficient of the damper in parallel with the spring; it acts in contact only."""
 
     def network(self) -> Network:
         """Returns spring and damper at one port, engaged below 0."""

@@ -281,7 +281,7 @@ class SimulatedDrive:
     def _lose(self, code: int) -> None:
         """Reacts to a lost connection: EMCY, then what 0x6007 asks for."""
         self._emergency.announce(code)
-        if code == emcy.SYNC_LOST:  # the drive's own interpolation fails, whatever 0x6007 says
+        if code == emcy.SYNC_LOST:  # the drive's own interpolation fails, independent of 0x6007
             self.servo.fault()
             return
         option = self._abort_option

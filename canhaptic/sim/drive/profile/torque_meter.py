@@ -20,7 +20,7 @@ class TorqueMeter:
     """Measures the torque of a motor.
 
     0x6077 = filter(motor torque) * (1 + ripple * sin(2 pi position / pitch)), the filter of first order and exact for a
-    torque that stands since the last measurement. Without lag, ripple and current loop it is the demand itself.
+    torque since the last measurement. Without lag, ripple and current loop it is the demand itself.
 
     Args:
         motor: What is measured.

@@ -1,4 +1,4 @@
-"""Encoder quantisation: the reading is the nearest multiple of `count`, beside the drive's own counts.
+"""Encoder quantisation: the reading is the nearest multiple of `count`, in addition to the drive's own counts.
 
 States added: none. Exact. Energy: none. Typical: 1e-7..1e-4 m. Source: any incremental encoder.
 """

@@ -33,7 +33,7 @@ class LuGreFriction(DryFriction):
     bristle_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Of the bristles."""
     viscous: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """Viscous friction beside the bristles."""
+    """Viscous friction in parallel with the bristles."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the bristle as an effort."""

@@ -1,7 +1,7 @@
 """Mechanisms that several drives move together, one a file, and the table that names them.
 
 A mechanism is a frozen parameter model with `build(hand, sample_time_ns, substeps)`; what a scene does not name is
-never imported. Its hand holds the handle in task space, in metres, whatever the motors move in.
+never imported. Its hand holds the handle in task space, in metres, for linear and rotary motors.
 """
 
 from typing import ClassVar, Final, Protocol
@@ -37,7 +37,7 @@ class Mechanism(Protocol):
         """Order of the error in the substep; None when it is exact between its events."""
 
     def begin(self, now: int) -> None:
-        """Starts its clock at `now` [ns]; until then it stands still."""
+        """Starts its clock at `now` [ns]; until then it is at rest."""
 
     def advance_to(self, now: int, torques: tuple[float, ...]) -> None:
         """Moves to `now` [ns] under torques [N*m or N] that were constant since the last call; still before `begin`.
@@ -68,7 +68,7 @@ class MechanismParameters(Protocol):
         """Returns it at rest where its parameters say, before `begin`.
 
         Args:
-            hand: What holds the handle; None when nobody does.
+            hand: What holds the handle; None without a hand.
             sample_time_ns: T [ns].
             substeps: In one sample time, for a mechanism that is not exact.
 

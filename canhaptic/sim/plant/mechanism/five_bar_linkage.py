@@ -24,7 +24,7 @@ from canhaptic.sim.plant.propagator import TICKS
 from canhaptic.units import Motion, Parameters, quantity
 
 _ITERATIONS: Final = 60
-_CONVERGED: Final = 1e-15  # [rad] of a correction, beside what rounding leaves of the step
+_CONVERGED: Final = 1e-15  # [rad] of a correction, in addition to the rounding of the step
 _ACCEPTED: Final = 1e-12  # [rad] where rounding lets it stagnate; or
 _ENERGY_OPEN: Final = 1e-15  # of the energy at hand, which is all that it then leaves open
 _FURTHEST: Final = 1.0  # [rad] in one substep; further away a solver has lost its way
@@ -117,7 +117,7 @@ class _FiveBarMotion:
 
     Args:
         links: Lengths and masses.
-        hand: At the handle; None when nobody holds it.
+        hand: At the handle; None without a hand.
         sample_time_ns: T [ns].
         substeps: In one sample time.
 

@@ -14,7 +14,7 @@ class SharedMechanism:
     """A mechanism and its motors.
 
     Args:
-        mechanism: Before `begin`; it stands still until the last of its drives is enabled.
+        mechanism: Before `begin`; it is at rest until the last of its drives is enabled.
         axes: How many motors it has.
 
     Attributes:

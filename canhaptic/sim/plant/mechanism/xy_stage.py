@@ -55,7 +55,7 @@ class _XYMotion:
 
     Args:
         stage: Masses and guides.
-        hand: At the handle; None when nobody holds it.
+        hand: At the handle; None without a hand.
         sample_time_ns: T [ns].
 
     Attributes:
