@@ -9,7 +9,8 @@ One thread walks it. On any error zero torque is sent first and the exception is
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from canhaptic.control.balance import EnergyBalance, Ledger
+from canhaptic.control.balance import Branch, EnergyBalance, Ledger
+from canhaptic.control.energy_resolution import EnergyResolution
 from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import VirtualClock
@@ -17,6 +18,8 @@ from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
 from canhaptic.histogram import DurationHistogram
 from canhaptic.signals import CycleTiming, Sample, Truth
+
+_HELD = Branch.HELD.value
 
 
 class _CycleLog(Protocol):
@@ -45,12 +48,14 @@ class Cycle:
         log: Where every cycle goes; None for none.
         truths: What the simulated axes really did, read right after their SYNC; None with real drives.
         groups: Axes that render together, each group with one account.
+        resolutions: What sensors and drive leave open, one per axis; None where they are ideal.
 
     Raises:
         InputError: There is not one controller for each axis.
 
     Attributes:
         ledgers: The account of each axis; of one in a group its part of the interaction.
+        resolutions: How well the energy of each axis is known.
         judge: What the simulated plant says of them; None without truth.
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
@@ -63,6 +68,7 @@ class Cycle:
         log: _CycleLog | None = None,
         truths: Callable[[], Sequence[Truth]] | None = None,
         groups: Sequence[AxisGroup] = (),
+        resolutions: Sequence[EnergyResolution] | None = None,
     ) -> None:
         self.rig = rig
         self.controllers = tuple(controllers)
@@ -74,6 +80,7 @@ class Cycle:
                 f"cycle: got controllers for {axes} axes and a rig of {len(rig.drives)}; give each axis one"
             )
         self.ledgers = [Ledger() for _ in range(axes)]
+        self.resolutions = resolutions or [EnergyResolution() for _ in range(axes)]
         self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = EnergyAudit(axes, [group.axes for group in self.groups]) if truths is not None else None
@@ -124,8 +131,10 @@ class Cycle:
         index = samples[0].sync_index
         for axis in self._axes:
             self.ledgers[axis].add(balances[axis], index)
+            if balances[axis].branch != _HELD:
+                self.resolutions[axis].take(samples[axis].position, samples[axis].torque_applied)
         if self.judge is not None and truths is not None:
-            self.judge.compare(self.ledgers, truths)
+            self.judge.compare(self.ledgers, truths, [balance.branch != _HELD for balance in balances])
         if self.groups:
             samples, balances, truths = self._account_groups(samples, balances, truths)
         timing = self.rig.timing
@@ -179,29 +188,44 @@ class EnergyAudit:
 
     Attributes:
         least: Least true sum of h_i after any hold, per axis, then per group: of its motors together [J].
+        least_at_handle: The same with what friction and bearings have dissipated [J].
         interaction: True sum of h_i, per axis and group [J].
         believed_error: Largest |believed - true| sum of h_i after any hold, per axis and group [J].
     """
 
     def __init__(self, axes: int, groups: Sequence[Sequence[int]] = ()) -> None:
         self.least = [0.0] * (axes + len(groups))
+        self.least_at_handle = [0.0] * (axes + len(groups))
         self.interaction = [0.0] * (axes + len(groups))
         self.believed_error = [0.0] * (axes + len(groups))
         self._axes = tuple(range(axes))
         self._groups = [(axes + place, tuple(members)) for place, members in enumerate(groups)]
 
-    def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth]) -> None:
-        """Takes the truth of the SYNC whose balances the ledgers have just taken."""
+    def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], booked: Sequence[bool]) -> None:
+        """Takes the truth of the SYNC whose balances the ledgers have just taken.
+
+        Args:
+            ledgers: Of each axis.
+            truths: Of each axis.
+            booked: Whether the hold of an axis was booked; where its position was lost, belief waits for the next.
+        """
         for axis in self._axes:
-            self._take(axis, -truths[axis].energy.motor, ledgers[axis].interaction)
+            energy = truths[axis].energy
+            self._take(axis, -energy.motor, energy.dissipated, ledgers[axis].interaction, booked[axis])
         for place, axes in self._groups:
             true = -sum([truths[axis].energy.motor for axis in axes])
-            self._take(place, true, sum([ledgers[axis].interaction for axis in axes]))
+            dissipated = sum([truths[axis].energy.dissipated for axis in axes])
+            believed = sum([ledgers[axis].interaction for axis in axes])
+            self._take(place, true, dissipated, believed, booked[axes[0]])
 
-    def _take(self, place: int, true: float, believed: float) -> None:
+    def _take(self, place: int, true: float, dissipated: float, believed: float, booked: bool) -> None:
         self.interaction[place] = true
         if true < self.least[place]:
             self.least[place] = true
+            if true + dissipated < self.least_at_handle[place]:
+                self.least_at_handle[place] = true + dissipated
+        if not booked:
+            return
         error = believed - true
         if error < 0.0:
             error = -error

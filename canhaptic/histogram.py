@@ -24,6 +24,8 @@ class DurationHistogram:
 
     def quantile(self, fraction: float) -> float:
         """Returns the duration [s] that `fraction` of all entries do not exceed, rounded up to a bin; 0 when empty."""
+        if not self.total:
+            return 0.0
         needed = fraction * self.total
         seen = 0
         for index, count in enumerate(self._counts):

@@ -65,6 +65,7 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
             **_ledger(cycle.ledgers[axis], sample_time, [drive], None if axis in grouped else next(alone)),
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
+            "energy_resolution": cycle.resolutions[axis].value + drive.read_back_bound,
         }
     for group in cycle.groups:
         accounts[group.name] = {
@@ -73,6 +74,8 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
             "supplied": group.supplied,
             "unsure": group.unsure,
             "limits": dict(group.limits),
+            "energy_resolution": group.unsure
+            + sum(accounts[ports[axis][0]]["energy_resolution"] for axis in group.axes),
         }
     return with_groups(accounts, {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups})
 
@@ -90,6 +93,7 @@ def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], co
     covered = getattr(controller, "max_consecutive_losses", 0) if all(drive.longest_gap == 1 for drive in drives) else 0
     if longest > 1 + covered and (account["in"] or account["out"]):
         account["certificate"] = Certificate.NONE.name.lower()
+        account["certificates"] = [account["certificate"]]
     return account
 
 
@@ -121,6 +125,7 @@ def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, dict[str, float]]:
         name: {
             "interaction": judge.interaction[place],
             "least_interaction": judge.least[place],
+            "least_at_handle": judge.least_at_handle[place],
             "believed_error": judge.believed_error[place],
         }
         for place, name in enumerate(names)

@@ -115,7 +115,9 @@ def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> Le
         margin_value=margin,
         margin_cycle=cycle,
         least_interaction=_least(_running(h_i))[0],
-        certificate=Certificate(int(certificates.max(initial=0))),
+        certificates=tuple(
+            Certificate(int(number)) for number in np.unique(certificates[column("torque_command") != 0.0])
+        ),
         branches={member.name.lower(): int((branch == member).sum()) for member in Branch},
         damping_least=float(rendered.min()) if len(rendered) else 0.0,
         damping_most=float(rendered.max()) if len(rendered) else 0.0,

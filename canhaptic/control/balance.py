@@ -152,11 +152,16 @@ class LedgerSummary(NamedTuple):
     margin_value: float  # least value of sum(h_i) - sum(h_r) after any hold (eq. 4)
     margin_cycle: int  # and the cycle at which it was reached
     least_interaction: float  # least value of sum(h_i) after any hold (eq. 3)
-    certificate: Certificate  # the weakest used
+    certificates: tuple[Certificate, ...]  # that bounded a torque, weakest last
     branches: dict[str, int]  # holds booked by each branch
     damping_least: float  # range of the damping rendered in contact [N*s/m or N*m*s/rad]
     damping_most: float
     has_open_hold: bool  # the last position was lost: the energy since the one before is not booked
+
+    @property
+    def certificate(self) -> Certificate:
+        """The weakest that bounded a torque; EXACT where no torque acted."""
+        return self.certificates[-1] if self.certificates else Certificate.EXACT
 
     def as_json(self, sample_time: float) -> dict[str, Any]:
         """Returns the account of a port as `run --json` prints it.
@@ -182,6 +187,7 @@ class LedgerSummary(NamedTuple):
             },
             "least_interaction": self.least_interaction,
             "certificate": self.certificate.name.lower(),
+            "certificates": [certificate.name.lower() for certificate in self.certificates],
             "branches": dict(self.branches),
             "damping_rendered": {"least": self.damping_least, "most": self.damping_most},
             "open_hold": self.has_open_hold,
@@ -230,6 +236,11 @@ class CompensatedSum:
         return self._total + self._error
 
 
+def certificates_of(bits: int) -> tuple[Certificate, ...]:
+    """Returns the certificates of a set in which each is one bit, weakest last."""
+    return tuple(certificate for certificate in Certificate if bits >> certificate & 1)
+
+
 class Ledger:
     """The compensated sums of a run: one `add` per cycle, one `summary` whenever it is wanted.
 
@@ -248,19 +259,18 @@ class Ledger:
         self._last = AT_REST
         self.interaction = self._least_interaction = self._least_margin = self._surplus_max = 0.0
         self._least_margin_cycle = 0
-        self._certificate = 0
+        self._certificates = 0  # one bit each
         self._damping_least, self._damping_most = float("inf"), 0.0
 
     def add(self, balance: EnergyBalance, cycle: int) -> None:
         """Adds the account of the hold that ended at SYNC `cycle`."""
-        # A slice of a tuple of fields is a plain tuple, which comes apart in one go.
-        h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance[1:]
+        torque, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance
         self._branches[branch] += 1
         self._last = balance
         if surplus > self._surplus_max:
             self._surplus_max = surplus
-        if certificate > self._certificate:
-            self._certificate = certificate
+        if torque:  # without one nothing was to be bounded
+            self._certificates |= 1 << certificate
         if h_i or h_r:
             self._add_flows(h_i, h_r, cycle)
         if h_pas or leak or deficit or gen:
@@ -312,7 +322,7 @@ class Ledger:
             margin_value=self._least_margin,
             margin_cycle=self._least_margin_cycle,
             least_interaction=self._least_interaction,
-            certificate=Certificate(self._certificate),
+            certificates=certificates_of(self._certificates),
             branches={branch.name.lower(): self._branches[branch] for branch in Branch},
             damping_least=min(self._damping_least, self._damping_most),
             damping_most=self._damping_most,

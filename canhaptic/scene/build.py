@@ -28,6 +28,7 @@ from canhaptic.scene.parts import (
     build_axis_controllers,
     build_axis_groups,
     build_mechanism_drive,
+    build_resolutions,
     build_servo_drive,
     build_simulated_drive,
     group_places,
@@ -80,7 +81,8 @@ class Experiment:
             ]
             self.rig = _build_rig(scene, links)
             controllers, truths = build_axis_controllers(scene), _truths(self.far_side)
-            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, build_axis_groups(scene))
+            groups_of_axes, resolutions = build_axis_groups(scene), build_resolutions(scene)
+            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, groups_of_axes, resolutions)
             if self._log_failure:  # before there was a cycle to stop
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()

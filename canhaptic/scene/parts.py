@@ -5,6 +5,7 @@ from typing import cast
 import can
 
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.control.energy_resolution import EnergyResolution, SensorErrors
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import build_group_controller
@@ -74,6 +75,11 @@ def group_places(scene: Scene) -> list[tuple[int, ...]]:
     """Returns the places of the axes of each group among the axes of the scene."""
     places = {axis.parameters.name: place for place, axis in enumerate(scene.axes)}
     return [tuple(places[name] for name in group.axes) for group in scene.groups]
+
+
+def build_resolutions(scene: Scene) -> list[EnergyResolution]:
+    """Returns what sensors and drive of each axis leave open of its energy: half a count of the position."""
+    return [EnergyResolution(SensorErrors(position=0.5 * axis.loop.encoder_count)) for axis in scene.axes]
 
 
 def build_group(scene: Scene, group: GroupScene) -> GroupController:

@@ -106,7 +106,8 @@ def test_the_worst_of_a_run_is_in_its_account(log: Path, tmp_path: Path) -> None
         port = file["ports/handle"]
         port["statusword"][20:25] |= 0x0800  # internal limit active
         port["torque_applied"][7] = -99.0
-        port["certificate"][9] = Certificate.HAND_SPEED
+        certified = int(np.flatnonzero(port["torque_command"][:])[0])  # holds without a torque have no certificate
+        port["certificate"][certified] = Certificate.HAND_SPEED
     with EnergyLog.open(log) as opened:
         before = inspect(opened)["ports"]["handle"]
     with EnergyLog.open(path) as opened:

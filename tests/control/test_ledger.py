@@ -52,14 +52,15 @@ def test_energy_drawn_before_any_was_put_in_is_seen():
 
 def test_the_weakest_certificate_and_the_range_of_damping_in_contact_are_kept():
     ledger = Ledger()
-    ledger.add(hold(damping_rendered=3.0, certificate=Certificate.DEVICE_DAMPING.value), 0)
-    ledger.add(hold(damping_rendered=7.0, certificate=Certificate.HAND_SPEED.value), 1)
+    ledger.add(hold(torque=1.0, damping_rendered=3.0, certificate=Certificate.DEVICE_DAMPING.value), 0)
+    ledger.add(hold(torque=1.0, damping_rendered=7.0, certificate=Certificate.HAND_SPEED.value), 1)
+    ledger.add(AT_REST._replace(certificate=Certificate.NONE.value), 1)  # without a torque nothing is certified
     ledger.add(AT_REST, 2)
     summary = ledger.summary()
     assert (summary.damping_least, summary.damping_most) == (3.0, 7.0)
     assert summary.certificate is Certificate.HAND_SPEED
     assert summary.branches == {
-        branch.name.lower(): {"free": 1, "exact": 2}.get(branch.name.lower(), 0) for branch in Branch
+        branch.name.lower(): {"free": 2, "exact": 2}.get(branch.name.lower(), 0) for branch in Branch
     }
 
 

@@ -234,7 +234,7 @@ class GuardedGroup:
         certificate = Certificate.EXACT
         if not covered or factor < 1.0:
             certificate = Certificate.HAND_SPEED
-            if by_damping >= factor:
+            if by_damping >= factor > 0.0:  # of no share at all, what `_split` adds is by hand force
                 certificate = Certificate.DEVICE_DAMPING
             elif by_force >= factor:
                 certificate = Certificate.HAND_FORCE

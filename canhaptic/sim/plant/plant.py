@@ -189,6 +189,11 @@ class Plant:
         return self._machine.state.item(names.index("motor_torque")) if "motor_torque" in names else None
 
     @property
+    def state(self) -> Array:
+        """A copy of the state of its linear core, in the order of `scene.names`."""
+        return self._machine.state.copy()
+
+    @property
     def encoder_position(self) -> float:
         """Position that the encoder reports [m or rad]; the same however often it is read at one instant."""
         position = self.position

@@ -15,7 +15,7 @@ from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import Length, TaskHand
-from canhaptic.sim.plant.propagator import LEVELS, TICKS
+from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
 from canhaptic.units import Motion, Parameters, quantity
 
 _NAMES: Final = ("x", "y")
@@ -89,6 +89,11 @@ class _XYMotion:
         """True velocities in x and y [m/s]."""
         state = self._machine.state
         return tuple(state.item(i) for i in self._velocities)
+
+    @property
+    def state(self) -> Array:
+        """A copy of its state, in the order of `state_names`."""
+        return self._machine.state.copy()
 
     @property
     def handle(self) -> tuple[float, float]:

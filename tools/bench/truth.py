@@ -1,0 +1,151 @@
+"""Does the account ever claim what the simulated plant denies? Random scenes, judged by the plant's own energy.
+
+Effects, timing, deviations of the drive, limits and algorithms in any combination, on one axis and on groups of two,
+all declarations true (`tools/truth`). `--runs N` runs N seeds from `--seed` on, in all processors; what has run is kept
+in `truth_runs.jsonl`, so that the same command goes on where it was stopped. `--only SEED` runs one seed, says what is
+false of it and leaves it, made smaller, as a scene file. A run counts when it lasted 1 s and something pushed or asked
+for 0.5 N.
+"""
+
+import argparse
+import json
+import os
+from collections.abc import Iterable
+from multiprocessing import Pool
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+from rich.console import Console
+from rich.table import Table
+
+from tools.bench.report import Row, out_folder, publish, write_result
+from tools.truth.judge import ROUNDING, Outcome, judged
+from tools.truth.scenes import random_scene
+from tools.truth.shrink import shrunk, write_scene
+
+_PACKAGES: Final = ("canhaptic", "numpy")
+_KEPT: Final = "truth_runs.jsonl"
+_SHRUNK_AT_MOST: Final = 5
+
+
+def outcome_of(seed: int) -> Outcome:
+    """Returns what the run of a seed came to."""
+    return judged(random_scene(seed))[1]
+
+
+def run_all(seeds: Iterable[int], kept: Path, jobs: int) -> list[Outcome]:
+    """Runs the seeds that are not among those kept; returns all of them."""
+    wanted, done = list(seeds), {outcome.seed: outcome for outcome in _read(kept)}
+    missing = [seed for seed in wanted if seed not in done]
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    with Pool(jobs) as pool, kept.open("a", encoding="utf-8") as file:
+        for number, outcome in enumerate(pool.imap_unordered(outcome_of, missing, chunksize=8), 1):
+            done[outcome.seed] = outcome
+            file.write(json.dumps(outcome.as_json()) + "\n")
+            if number % 500 == 0:
+                print(f"{number} of {len(missing)}", flush=True)
+    return [done[seed] for seed in wanted]
+
+
+def _read(kept: Path) -> list[Outcome]:
+    """Returns the outcomes of earlier calls; JSON knows no tuples."""
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
+    found: list[Any] = [json.loads(line) for line in lines]
+    for one in found:
+        one.update({name: tuple(value) for name, value in one.items() if isinstance(value, list)})
+    return [Outcome(**one) for one in found]
+
+
+def is_false(outcome: Outcome) -> bool:
+    """Whether a run with true declarations claimed what the plant denies."""
+    return outcome.declared and bool(outcome.false_claims)
+
+
+def table_of(outcomes: list[Outcome]) -> list[dict[str, Any]]:
+    """Returns one row for each thing that scenes name, with counts of runs by what their account said."""
+    names = sorted({tag for outcome in outcomes for tag in outcome.tags})
+    rows = []
+    for name in ["all", *names]:
+        those = [outcome for outcome in outcomes if outcome.counts and (name == "all" or name in outcome.tags)]
+        verdicts = [outcome.verdict for outcome in those]
+        rows.append(
+            {
+                "named": name,
+                "runs": len(those),
+                **{verdict: verdicts.count(verdict) for verdict in ("yes", "in doubt", "no")},
+                "no torque in contact": sum(outcome.is_silent for outcome in those),
+                "declaration false": sum(not outcome.declared for outcome in those),
+                "false claims": sum(map(is_false, those)),
+            }
+        )
+    return rows
+
+
+def _figures(outcomes: list[Outcome]) -> list[Row]:
+    counted = [outcome for outcome in outcomes if outcome.counts]
+    wrong = sum(map(is_false, outcomes))
+    promised = [o for o in counted if o.declared and "algorithm:guarded" in o.tags and o.least >= -ROUNDING]
+    said = [o for o in promised if o.verdict == "yes" and o.certificates]
+    ratios = [o.resolution / o.error for o in counted if o.error > 1e-9]
+    share = len(said) / len(promised) if promised else 0.0
+    ratio = median(ratios) if ratios else 0.0
+    return [
+        Row("runs of at least 1 s with a contact of 0.5 N", len(counted), "1", target=">= 20000"),
+        Row("false claims", wrong, "1", target="0", met=wrong == 0),
+        Row("passive runs of algorithms that promise", len(promised), "1"),
+        Row("of these, passive yes with a certificate", share, "1", target=">= 0.8", met=share >= 0.8),
+        Row("stated resolution over the error seen, median", ratio, "1", target="<= 20", met=ratio <= 20.0),
+        Row("runs that ended before their time", sum(o.status == "stopped" for o in outcomes), "1"),
+        Row("scenes refused", sum(o.status == "refused" for o in outcomes), "1"),
+    ]
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    """Prints the table by what scenes name."""
+    table = Table(title="what the account said, by what the scene names")
+    for heading in rows[0]:
+        table.add_column(heading, justify="left" if heading == "named" else "right")
+    for row in rows:
+        table.add_row(*map(str, row.values()))
+    Console(width=150).print(table)
+
+
+def explain(seed: int) -> None:
+    """Runs one seed, prints what it came to, and writes the smaller scene where a claim is false."""
+    scene, outcome = judged(random_scene(seed))
+    for name, value in outcome.as_json().items():
+        print(f"{name}: {value}")
+    if outcome.false_claims:
+        smaller, found = shrunk(scene, outcome)
+        print(f"smaller: {write_scene(smaller, found, out_folder())}: {'; '.join(found.false_claims)}")
+
+
+def main() -> None:
+    """Runs, tells, publishes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=0, help="the first one")
+    parser.add_argument(
+        "--only", type=int, help="this seed alone, with a smaller scene where it claims something false"
+    )
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--new", action="store_true", help="forget the runs kept")
+    arguments = parser.parse_args()
+    if arguments.only is not None:
+        explain(arguments.only)
+        return
+    kept = out_folder() / _KEPT
+    if arguments.new:
+        kept.unlink(missing_ok=True)
+    outcomes = run_all(range(arguments.seed, arguments.seed + arguments.runs), kept, arguments.jobs)
+    rows = table_of(outcomes)
+    show(rows)
+    for outcome in list(filter(is_false, outcomes))[:_SHRUNK_AT_MOST]:
+        print(f"seed {outcome.seed}: {'; '.join(outcome.false_claims)}; {', '.join(outcome.tags)}")
+    publish("truth", _figures(outcomes), _PACKAGES)
+    write_result(out_folder() / "truth_table.json", _PACKAGES, {"table": rows})
+
+
+if __name__ == "__main__":
+    main()

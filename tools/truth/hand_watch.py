@@ -1,0 +1,146 @@
+"""How hard a simulated hand really pulled and pushed: whether a declared hand force was true.
+
+Read from the states of the simulated plant at every SYNC. What else can move the body at the encoder beside motor and
+bearings counts as hand: dry friction and cogging by their largest values, a shaft by its own torque.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from canhaptic.scene.build import Experiment
+from canhaptic.scene.models import MechanismScene
+from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.user import UserParameters
+
+_MEMORY: Final = 4
+"""SYNCs in which a hand force counts for a torque: from the hold before the first torque under way to its own."""
+_BETWEEN_SYNCS: Final = 1.1
+"""A force read at SYNCs may be so much larger between them."""
+_Force = Callable[[], float]
+
+
+class HandWatch:
+    """Largest force of everything but motor and bearings, along the torque that acts.
+
+    Args:
+        experiment: Not run yet.
+        outward: Sign of the direction out of the wall, of each axis; 0 where it is that of the torque.
+
+    Attributes:
+        pull: Largest force out of the wall while a torque points there; per axis [N or N*m].
+        push: Largest force into the wall while a torque points there; per axis [N or N*m].
+    """
+
+    def __init__(self, experiment: Experiment, outward: Sequence[int]) -> None:
+        self._rig = experiment.rig
+        self._forces = _readers(experiment)
+        self._outward = tuple(outward)
+        self._seen: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
+        self._torques: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
+        self.pull = [0.0] * len(self._forces)
+        self.push = [0.0] * len(self._forces)
+
+    def __call__(self, _cycles: int) -> None:
+        """Reads the forces of the SYNC that was just answered; given to `run` as its progress."""
+        sent = self._rig.records[-1].torques_per_mille
+        for axis, read in enumerate(self._forces):
+            self._seen[axis].append(read())
+            self._torques[axis].append(self._rig.drives[axis].scaling.torque(sent[axis]))
+            for sign in (1, -1):
+                if any(torque * sign > 0.0 for torque in self._torques[axis]):
+                    self._take(axis, sign, max(force * sign for force in self._seen[axis]))
+
+    def _take(self, axis: int, sign: int, force: float) -> None:
+        outward = self._outward[axis]
+        kept = self.push if outward and sign != outward else self.pull
+        kept[axis] = max(kept[axis], force * _BETWEEN_SYNCS)
+
+
+def _readers(experiment: Experiment) -> list[_Force]:
+    drives, mechanisms = experiment.far_side.drives if experiment.far_side else (), experiment.scene.mechanisms
+    readers = []
+    for drive, axis in zip(drives, experiment.scene.axes, strict=True):
+        motor: Any = drive.servo.motor
+        if isinstance(motor, Plant):
+            readers.append(_of_plant(motor))
+        else:
+            of = next(of for of in mechanisms if axis.parameters.name in of.axes)
+            readers.append(_of_stage(motor.shared.mechanism, of, motor.axis))
+    return readers
+
+
+def _of_plant(plant: Plant) -> _Force:
+    margin = sum(_largest(effect) for effect in plant.effects)
+    shafts = [effect for effect in plant.effects if effect.type == "shaft_compliance"]
+    force = _of_shaft(plant, shafts[0]) if shafts else _of_hand(plant, plant.user)
+    return lambda: math.copysign(abs(force()) + margin, force())
+
+
+def _largest(effect: Any) -> float:
+    """Returns what an effect that is no hand may push with; viscous friction cannot."""
+    if effect.type in ("coulomb_friction", "stribeck_friction", "lugre_friction"):
+        return float(max(effect.static, effect.kinetic))
+    return float(effect.amplitude) if effect.type == "cogging" else 0.0
+
+
+def _of_hand(plant: Plant, user: UserParameters | None) -> _Force:
+    if user is None:
+        return lambda: 0.0
+    places = {name: place for place, name in enumerate(plant.scene.names)}
+    grasps, swings = [(user.stiffness, user.damping)], []
+    for effect in plant.effects:
+        of: Any = effect
+        if effect.type == "grasp_change":
+            grasps.append((of.stiffness, of.damping))
+        elif effect.type == "tremor":
+            swings.append((of.amplitude, 2.0 * math.pi * of.frequency, places["tremor_sine"]))
+    if user.motion is not None:
+        swings.append((user.motion.amplitude, 2.0 * math.pi * user.motion.frequency, places["motion_sine"]))
+    rest = user.rest + (user.motion.offset if user.motion else 0.0)
+
+    def force() -> float:
+        state = plant.state
+        stretch, rate = rest - plant.position, -plant.velocity
+        for amplitude, omega, sine in swings:
+            stretch += amplitude * state.item(sine)
+            rate += amplitude * omega * state.item(sine + 1)
+        return user.push + max((stiffness * stretch + damping * rate for stiffness, damping in grasps), key=abs)
+
+    return force
+
+
+def _of_shaft(plant: Plant, shaft: Any) -> _Force:
+    places = {name: place for place, name in enumerate(plant.scene.names)}
+    twist, load = places["twist"], places["load_velocity"]
+
+    def force() -> float:
+        state = plant.state
+        return -float(shaft.stiffness * state.item(twist) + shaft.damping * (plant.velocity - state.item(load)))
+
+    return force
+
+
+def _of_stage(stage: Any, of: MechanismScene, axis: int) -> _Force:
+    hand = of.hand
+    if hand is None:
+        return lambda: 0.0
+    places = {name: place for place, name in enumerate(stage.state_names)}
+    stiffness, damping = hand.stiffness_matrix, hand.damping_matrix
+    k = (stiffness.xx, stiffness.xy) if axis == 0 else (stiffness.xy, stiffness.yy)
+    d = (damping.xx, damping.xy) if axis == 0 else (damping.xy, damping.yy)
+
+    def force() -> float:
+        state, total = stage.state, hand.push[axis]
+        for body, (name, motion) in enumerate(zip("xy", hand.motions, strict=True)):
+            stretch = hand.rest[body] - state.item(places[f"{name}_position"])
+            rate = -state.item(places[f"{name}_velocity"])
+            if motion is not None:
+                sine, omega = places[f"{name}_motion_sine"], 2.0 * math.pi * motion.frequency
+                stretch += motion.offset + motion.amplitude * state.item(sine)
+                rate += motion.amplitude * omega * state.item(sine + 1)
+            total += k[body] * stretch + d[body] * rate
+        return float(total)
+
+    return force

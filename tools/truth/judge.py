@@ -1,0 +1,206 @@
+"""Runs a scene and compares what its account claims with what the simulated plant really took and gave.
+
+A claim is false when
+
+    error         |believed - true| sum of interaction is larger than the energy resolution that is stated
+    passive yes   and the true sum fell below minus that resolution
+    passive no    and the true sum never fell below zero
+    certificate   is named that the scene does not declare, or with a true sum below minus that resolution
+
+after any hold.
+"""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+from canhaptic.cycle import run
+from canhaptic.errors import CanHapticError, SceneError
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.load import scene_from_mapping
+from tools.truth.hand_watch import HandWatch
+from tools.truth.scenes import SOURCE, TruthScene
+
+ROUNDING: Final = 1e-9
+"""Energy that counts as none [J]."""
+TOUCH: Final = 0.5
+"""Force of a contact that counts [N]."""
+_TRIES: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one run claimed, and what was true. Energies in [J]."""
+
+    seed: int
+    tags: tuple[str, ...]
+    status: str  # "completed", "stopped", or "refused" by the scene's own checks
+    verdict: str  # passive at the motor, of the worst port
+    at_handle: str
+    certificates: tuple[str, ...]
+    resolution: float  # of the worst port, as its error over its resolution goes
+    error: float  # of the same port
+    least: float  # true sum of interaction, of the worst port
+    peak: float  # largest torque that was sent [N]
+    asked: float  # largest effort that the environment asked for [N]
+    declared: bool  # whether hand force and push were within what was declared
+    false_claims: tuple[str, ...]
+    text: str = ""
+
+    @property
+    def counts(self) -> bool:
+        """Whether it ran for long enough and touched."""
+        return self.status == "completed" and max(self.peak, self.asked) >= TOUCH
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether something asked for a force and none was rendered."""
+        return self.counts and self.peak < 0.1 * TOUCH
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns all fields as plain values."""
+        return asdict(self)
+
+
+def judged(scene: TruthScene) -> tuple[TruthScene, Outcome]:
+    """Returns the scene with its hand force raised to what the hand really did, and what its run came to."""
+    outcome, watch = _run(scene)
+    for _ in range(_TRIES):
+        if outcome.declared or watch is None:
+            break
+        scene = _with_true_hand(scene, watch)
+        outcome, watch = _run(scene)
+    return scene, outcome
+
+
+def _with_true_hand(scene: TruthScene, watch: HandWatch) -> TruthScene:
+    values = copy.deepcopy(scene.values)
+    raised = replace(scene, values=values)
+    section = raised.passivity
+    for key, seen in (("hand_force", max(watch.pull)), ("hand_push", max(watch.push))):
+        if section.get(key) is not None and seen > section[key]:
+            section[key] = float(f"{1.2 * seen:.4g}")
+    return raised
+
+
+def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
+    """Returns what a run came to, and who watched its hand; nobody where the scene was refused."""
+    try:
+        loaded = scene_from_mapping(scene.values, SOURCE)
+        experiment = build(loaded, "free")
+    except (SceneError, CanHapticError) as error:
+        return _refused(scene, str(error)), None
+    status, text = "completed", ""
+    with experiment:
+        watch, asked = HandWatch(experiment, scene.outward), _Asked(experiment)
+
+        def each(cycles: int) -> None:
+            watch(cycles)
+            asked()
+
+        try:
+            run(experiment.cycle, max(1, round(scene.duration / loaded.bus.sample_time)), progress=each)
+        except CanHapticError as error:
+            status, text = "stopped", str(error)
+        account = experiment_account(experiment, status, 1.0)
+    return _outcome(scene, account, watch, asked, status, text), watch
+
+
+def _refused(scene: TruthScene, text: str) -> Outcome:
+    empty: Any = {"verdict": "in doubt", "at_handle": "", "certificates": (), "resolution": 0.0, "error": 0.0}
+    energies: Any = {"least": 0.0, "peak": 0.0, "asked": 0.0}
+    return Outcome(
+        scene.seed, tuple(sorted(scene.tags)), "refused", **empty, **energies, declared=True, false_claims=(), text=text
+    )
+
+
+class _Asked:
+    """Largest torque that was sent, and largest effort that a wall asked for at the true position."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._rig = experiment.rig
+        self._plants = experiment.plants
+        self._axes = [axis for axis in experiment.scene.axes if not axis.group]
+        self.peak = self.asked = 0.0
+
+    def __call__(self) -> None:
+        sent = self._rig.records[-1].torques_per_mille
+        for drive, per_mille in zip(self._rig.drives, sent, strict=True):
+            self.peak = max(self.peak, abs(drive.scaling.torque(per_mille)))
+        for axis, plant in zip(self._axes, self._plants, strict=False):
+            environment: Any = axis.environment.parameters
+            if not environment.relaxes and environment.contact(plant.position):
+                state = environment.true_state(plant.position, 0.0, 0.0)
+                self.asked = max(self.asked, abs(environment.effort(state)))
+
+
+def _outcome(
+    scene: TruthScene, account: Mapping[str, Any], watch: HandWatch, asked: _Asked, status: str, text: str
+) -> Outcome:
+    ports = {name: port for name, port in account["ports"].items() if "passive" in port}
+    section = scene.passivity
+    pull, push = max(watch.pull), max(watch.push)
+    declared = not scene.promises or (
+        pull <= section.get("hand_force", 0.0) and (section.get("hand_push") is None or push <= section["hand_push"])
+    )
+    claims = [
+        claim for name, port in ports.items() for claim in _false_claims(name, port, account["truth"][name], section)
+    ]
+    worst = max(
+        ports, key=lambda name: account["truth"][name]["believed_error"] / (_resolution(ports[name]) + ROUNDING)
+    )
+    handles = [port["passive_at_handle"] for port in ports.values() if "passive_at_handle" in port]
+    return Outcome(
+        seed=scene.seed,
+        tags=tuple(sorted(scene.tags)),
+        status=status,
+        verdict=str(account["passive"]),
+        at_handle=max(handles, key=("yes", "in doubt", "no").index) if handles else "",
+        certificates=tuple(sorted({name for port in ports.values() for name in certificates(port)})),
+        resolution=_resolution(ports[worst]),
+        error=account["truth"][worst]["believed_error"],
+        least=min(account["truth"][name]["least_interaction"] for name in ports),
+        peak=asked.peak,
+        asked=asked.asked,
+        declared=declared,
+        false_claims=tuple(claims),
+        text=text,
+    )
+
+
+def _resolution(port: Mapping[str, Any]) -> float:
+    value = port.get("energy_resolution", 0.0)
+    return float("inf") if value is None else float(value)
+
+
+def certificates(port: Mapping[str, Any]) -> list[str]:
+    """Returns the names of the certificates that an account names; "exact" where none had to bound a torque."""
+    return [name for name in port["certificates"] if name != "none"]
+
+
+def _false_claims(
+    name: str, port: Mapping[str, Any], truth: Mapping[str, float], section: Mapping[str, Any]
+) -> list[str]:
+    resolution, least, error = _resolution(port), truth["least_interaction"], truth["believed_error"]
+    allowance = section.get("energy_allowance", 0.0)
+    claims = []
+    if error > resolution + ROUNDING:
+        claims.append(f"{name}: error {error:.3g} J, resolution {resolution:.3g} J")
+    if port["passive"] == "yes" and least < -resolution - allowance - ROUNDING:
+        claims.append(f"{name}: passive yes, true least {least:.3g} J, resolution {resolution:.3g} J")
+    if port["passive"] == "no" and least >= -ROUNDING:
+        claims.append(f"{name}: passive no, true least {least:.3g} J")
+    if port.get("passive_at_handle") == "yes" and truth["least_at_handle"] < -resolution - ROUNDING:
+        claims.append(f"{name}: passive at the handle yes, true least {truth['least_at_handle']:.3g} J")
+    if port.get("passive_at_handle") == "no" and truth["least_at_handle"] >= -ROUNDING:
+        claims.append(f"{name}: passive at the handle no, true least {truth['least_at_handle']:.3g} J")
+    # with a declared damping the promise is that of the handle, whichever certificate is the weakest of a run
+    below = truth["least_at_handle"] if section.get("device_damping") else least
+    for certificate in certificates(port):
+        if certificate != "exact" and section.get(certificate) is None:
+            claims.append(f"{name}: certificate {certificate}, which is not declared")
+        if below < -resolution - allowance - ROUNDING:
+            claims.append(f"{name}: certificate {certificate}, true least {below:.3g} J")
+    return claims
