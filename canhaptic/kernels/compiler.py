@@ -5,7 +5,6 @@ operation is reordered or fused, and a division by zero gives an infinity, so th
 Reference counts of arrays are left out - a kernel makes no array - which makes it ten times faster.
 """
 
-import builtins
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -17,6 +16,7 @@ from numba.extending import overload_method
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from canhaptic.kernels import new
+from canhaptic.kernels.binding import Binding
 from canhaptic.kernels.code_cache import kept_code
 
 _OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
@@ -51,7 +51,7 @@ def compiled(function: Callable[..., Any], instead: Mapping[Any, Any] | None = N
         return numba.njit(rebound, cache=can_keep, **_OPTIONS)
 
 
-class _Compiling:
+class _Compiling(Binding):
     """Functions found on the way, each compiled once.
 
     Attributes:
@@ -59,44 +59,29 @@ class _Compiling:
     """
 
     def __init__(self, instead: Mapping[Any, Any]) -> None:
-        self._instead = instead
-        self._known: dict[Any, Any] = {new: _made}
+        super().__init__(instead, lambda function: numba.njit(function, **_OPTIONS), {new: _made})
         self.sources: list[str] = [repr(_OPTIONS), Path(__file__).read_text(encoding="utf-8")]
 
     def rebound(self, function: Any) -> FunctionType:
         """Returns the same code with compiled functions in the place of its global names."""
         self.sources.append(_text_of(function.__code__) + repr(function.__defaults__))
-        found: dict[str, Any] = {"__name__": function.__module__, "__builtins__": builtins}
-        for name in sorted(_names_in(function.__code__)):
-            if name in function.__globals__:
-                found[name] = self._value(name, function.__globals__[name])
-        return FunctionType(function.__code__, found, function.__name__, function.__defaults__)
+        return super().rebound(function)
 
-    def _value(self, name: str, value: Any) -> Any:
-        value = self._instead.get(name, value)
-        if not callable(value):
-            self.sources.append(f"{name}={value!r}")
-            return value
-        value = self._instead.get(value, value)
-        if value in self._known:
-            return self._known[value]
-        known = value
-        if isinstance(value, FunctionType):
-            known = numba.njit(self.rebound(value), **_OPTIONS)
-        elif isinstance(value, type):
+    def constant(self, name: str, value: Any) -> Any:
+        """Returns a value that a function names, and takes it down."""
+        self.sources.append(f"{name}={value!r}")
+        return value
+
+    def of(self, name: str, value: Any) -> Any:
+        """Returns what takes the place of a function or class, and takes down what of a class matters."""
+        if value not in self._known and isinstance(value, type):
             self.sources.append(f"{name}={value.__qualname__}{getattr(value, '_fields', ())}")
             for method in METHODS:
                 if isinstance(getattr(value, method, None), FunctionType):
                     self.rebound(getattr(value, method))
-        else:
+        elif not isinstance(value, FunctionType):
             self.sources.append(f"{name}={getattr(value, '__name__', name)}")
-        self._known[value] = known
-        return known
-
-
-def _names_in(code: CodeType) -> set[str]:
-    inner = [_names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
-    return {*code.co_names}.union(*inner)
+        return super().of(name, value)
 
 
 def _text_of(code: CodeType) -> str:

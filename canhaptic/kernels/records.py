@@ -45,6 +45,11 @@ def records_of(values: Iterable[Any]) -> Records:
     return np.array(rows, dtype=flat).view(kind)
 
 
+def number_in(state: Any, name: str) -> Any:
+    """Returns a number of a dataclass, or of the record that stands for it."""
+    return state[name] if isinstance(state, np.void) else getattr(state, name)
+
+
 def _flat(kind: np.dtype[Any], path: str = "", offset: int = 0) -> Iterable[_Part]:
     """Yields the numbers of a record type, by their dotted names."""
     for name, (part, at, *_) in (kind.fields or {}).items():

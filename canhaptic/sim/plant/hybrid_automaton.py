@@ -170,7 +170,7 @@ class HybridAutomaton:
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Puts one part into another mode, at a time that the scene fixed beforehand."""
-        self._counts[MODE] = self._mode_of(self._key_with(self.mode, self._part_index[part], mode))
+        self._counts[MODE] = self.number_with(int(self._counts[MODE]), part, mode)
 
     @staticmethod
     def _whole_of(mode: Mode) -> Any:
@@ -245,15 +245,18 @@ class HybridAutomaton:
             EventLimitError: It has.
         """
         if left and self.events > self._most:
-            raise EventLimitError(self._settings.max_events, self._described())
+            raise EventLimitError(self._settings.max_events, self.described(self._counts[MODE], self.state.tolist()))
 
-    def _described(self) -> str:
-        """Returns parts with their modes, and the states."""
-        modes = [f"{part.name} {mode}" for part, mode in zip(self.scene.parts, self.mode.key, strict=True)
+    def described(self, mode: int, state: Sequence[float]) -> str:
+        """Returns parts with their modes, and the states.
+
+        Args:
+            mode: Number of the mode.
+            state: z, shape (n,).
+        """
+        modes = [f"{part.name} {of_part}" for part, of_part in zip(self.scene.parts, self._modes[mode].key, strict=True)
                  if len(part.modes) > 1]  # fmt: skip
-        states = [
-            f"{name} {value:.6g}" for name, value in zip(self.scene.names[:-1], self.state.tolist(), strict=False)
-        ]
+        states = [f"{name} {value:.6g}" for name, value in zip(self.scene.names[:-1], state, strict=False)]
         return f"{', '.join(modes)}; {', '.join(states)}"
 
     def _run_on(self, ticks: int) -> int:
@@ -270,14 +273,29 @@ class HybridAutomaton:
 
     def _enter_missing(self) -> None:
         """Compiles the mode behind the guard that the stepper stands at; it then goes through by itself."""
-        mode, guard = self._counts[MODE], self._counts[MISSING]
-        through = self._modes[mode].exits[guard]
-        target = self._mode_of(self._key_with(self._modes[mode], through.part, through.mode))
+        mode, guard = int(self._counts[MODE]), int(self._counts[MISSING])
         self._counts[MISSING] = NONE
-        self._connect(mode, guard, target)
+        self.connect(mode, guard)
 
-    def _connect(self, mode: int, guard: int, target: int) -> None:
-        self._tables.targets[mode][guard] = target
+    def connect(self, mode: int, guard: int) -> None:
+        """Compiles the mode behind a guard of a mode, and puts it into the tables."""
+        through = self._modes[mode].exits[guard]
+        self._tables.targets[mode][guard] = self._mode_of(self._key_with(self._modes[mode], through.part, through.mode))
+
+    def number_with(self, mode: int, part: str, part_mode: str) -> int:
+        """Returns the number of a mode in which one part is in another mode, compiled if need be."""
+        return self._mode_of(self._key_with(self._modes[mode], self._part_index[part], part_mode))
+
+    @property
+    def modes(self) -> Sequence[Mode]:
+        """Every mode that is compiled, by its number."""
+        return self._modes
+
+    @property
+    def targets(self) -> Sequence[Sequence[int]]:
+        """By mode and guard the number of the mode it leads to, NONE where that is not compiled yet."""
+        targets: Sequence[Sequence[int]] = self._tables.targets
+        return targets
 
     def _key_with(self, mode: Mode, part: int, part_mode: str) -> tuple[str, ...]:
         return (*mode.key[:part], part_mode, *mode.key[part + 1 :])

@@ -1,39 +1,26 @@
 """The functions of `stepper.py` compiled by numba, and the machine that runs them; needs the extra `fast`.
 
 The logic is the same source: each function of the stepper is compiled as it stands. Only the six that touch numbers in
-bulk are written again here, as loops over arrays (for a dozen states a call into BLAS costs more than the product).
-Matrices are stored by columns, so that the inner loop runs over rows and needs no sum to be reordered.
+bulk are others, loops over arrays (`mode_arrays`): for a dozen states a call into BLAS costs more than the product.
 """
 
-import math
 from collections.abc import Callable
 from functools import cache
-from types import FunctionType
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, cast
 
 import numba
 import numpy as np
 
+from canhaptic.kernels.compiler import compiled
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of, reset_matrix
+from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
+from canhaptic.sim.plant.mode_arrays import Books, book, evaluate, flat_tables, largest_term, move, pace, stored
 from canhaptic.sim.plant.mode_matrices import Mode
 from canhaptic.sim.plant.propagator import LEVELS, Array
 from canhaptic.sim.plant.stepper import COUNTS, LIMIT, MISSING, MODE, NONE, PRODUCTS, ModeTables
 
-_LOGIC: Final = (
-    "first_broken",
-    "least",
-    "may_dip",
-    "leave",
-    "settle",
-    "judge",
-    "run_free",
-    "run",
-    "free_holds",
-    "run_holds",
-)
-"""Functions of the stepper, each after those that it calls."""
+_BULK: Final = (move, evaluate, pace, largest_term, stored, book)
 
 
 @cache
@@ -73,105 +60,28 @@ def _unrolled_holds(size: int, works: int) -> Callable[..., None]:
         state[:] = now
         totals += sums
 
-    return cast(Callable[..., None], numba.njit(fastmath={"contract"})(holds))
-
-
-class _FlatBooks(NamedTuple):
-    """Totals and the room for one product."""
-
-    totals: Array  # shape (works,) [J]
-    rows: Array  # [y, Q y for each work], shape (n * (1 + works),)
-
-
-def move(columns: Array, state: Array, moved: Array) -> None:
-    """Writes the product with the state; `columns` has shape (n, n_rows)."""
-    moved[:] = 0.0
-    for column in range(columns.shape[0]):
-        factor = state[column]
-        for row in range(columns.shape[1]):
-            moved[row] += columns[column, row] * factor
-
-
-def evaluate(guards: Array, state: Array, values: Array) -> Array:
-    """Writes and returns all rows of the guards times the state."""
-    for row in range(guards.shape[0]):
-        total = 0.0
-        for column in range(guards.shape[1]):
-            total += guards[row, column] * state[column]
-        values[row] = total
-    return values
-
-
-def pace(values: Array, first: int) -> float:
-    """Returns the length of the scaled rates of the state, the values from `first` on."""
-    total = 0.0
-    for row in range(first, len(values)):
-        total += values[row] * values[row]
-    return math.sqrt(total)
-
-
-def largest_term(guards: Array, guard: int, state: Array) -> float:
-    """Returns the largest term in the sum that is the value of a guard."""
-    largest = 0.0
-    for column in range(guards.shape[1]):
-        largest = max(largest, abs(guards[guard, column] * state[column]))
-    return largest
-
-
-def stored(storage: Array, state: Array) -> float:
-    """Returns the kinetic and elastic energy [J]."""
-    total = 0.0
-    for row in range(storage.shape[0]):
-        for column in range(storage.shape[1]):
-            total += state[row] * storage[row, column] * state[column]
-    return total
-
-
-def book(columns: Array, state: Array, books: Any) -> None:
-    """Adds the work of a step that begins at `state` to the totals; `columns` has shape (n, n * (1 + works))."""
-    [only] = books
-    move(columns, state, only.rows)
-    size = len(state)
-    for work in range(len(only.totals)):
-        total = 0.0
-        first = size * (1 + work)
-        for i in range(size):
-            total += only.rows[first + i] * only.rows[i]
-        only.totals[work] += total
-
-
-_BULK: Final = (move, evaluate, pace, largest_term, stored, book)
+    return cast(Callable[..., None], numba.njit(holds))
 
 
 @cache
-def _compiled_stepper() -> dict[str, Callable[..., Any]]:
-    """Returns the functions of the stepper by name, compiled at their first call."""
-    names = dict(vars(stepper))
-    for function in _BULK:
-        names[function.__name__] = numba.njit(_rebound(function, names), fastmath={"contract"})
-    for name in _LOGIC:
-        names[name] = numba.njit(_rebound(getattr(stepper, name), names))
-    return names
-
-
-def _rebound(function: Any, names: dict[str, Any]) -> FunctionType:
-    """Returns the same code with other global names."""
-    return FunctionType(function.__code__, names, function.__name__, function.__defaults__)
+def _compiled_stepper(name: str) -> Any:
+    """Returns a function of the stepper, compiled at its first call; the machine code is kept for the next process."""
+    products = {getattr(stepper, function.__name__): function for function in _BULK}
+    return compiled(getattr(stepper, name), products, keep=True)
 
 
 class CompiledMachine(HybridAutomaton):
     """A machine whose holds, and whose whole runs, are compiled."""
 
     def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
-        functions = _compiled_stepper()
-        self._run, self._free, self._holds = functions["run"], functions["run_free"], functions["run_holds"]
+        self._run, self._free, self._holds = map(_compiled_stepper, ("run", "run_free", "run_holds"))
         self._flat: ModeTables | None = None
         self._free_modes: dict[int, tuple[Array, Array, Array]] = {}
         super().__init__(scene, max_events, event_bits)
 
     def _new_books(self) -> list[Any]:
         size, works = len(self.scene.names), len(self.scene.works)
-        return [_FlatBooks(np.zeros(works), np.zeros(size * (1 + works)))]
+        return [Books(np.zeros(works), np.zeros(size * (1 + works)))]
 
     def _new_counts(self) -> Any:
         return np.zeros(COUNTS, dtype=np.int64)
@@ -244,8 +154,9 @@ class CompiledMachine(HybridAutomaton):
         )  # fmt: skip
         return result
 
-    def _connect(self, mode: int, guard: int, target: int) -> None:
-        super()._connect(mode, guard, target)
+    def connect(self, mode: int, guard: int) -> None:
+        """Compiles the mode behind a guard of a mode, and puts it into the tables."""
+        super().connect(mode, guard)
         self._flat = None
 
     def _add(self, mode: Mode) -> None:
@@ -255,44 +166,7 @@ class CompiledMachine(HybridAutomaton):
     def _arrays(self) -> ModeTables:
         """Returns the tables as arrays, every table of one shape for all modes."""
         if self._flat is None:
-            self._flat = _flat_tables(self._modes, self._tables.targets, len(self.scene.works))
+            self._flat = flat_tables(self.modes, self.targets, len(self.scene.works))
             width = self._flat.guards.shape[1]
             self._values = (np.zeros(width), np.zeros(width))
         return self._flat
-
-
-def _flat_tables(modes: list[Mode], targets: list[list[int]], works: int) -> ModeTables:
-    """Returns the tables of the modes as arrays; guards that a mode does not have are zero.
-
-    Args:
-        modes: As compiled.
-        targets: By mode and guard, the mode it leads to.
-        works: Number of works.
-    """
-    size, count = len(modes[0].storage), max(len(mode.exits) for mode in modes)
-    guards = np.zeros((len(modes), 2 * count + size, size))
-    slack = np.zeros((len(modes), LEVELS + 1, count))
-    chord, spread = np.zeros((2, len(modes), LEVELS + 1, count, size))
-    bend = np.zeros((len(modes), count, size))
-    target, loss = np.full((len(modes), count), NONE), np.zeros((len(modes), count), dtype=np.int64)
-    jumps, resets = np.zeros((len(modes), count), dtype=bool), np.zeros((len(modes), count, size, size))
-    for i, mode in enumerate(modes):
-        guards[i, : len(mode.guards)] = mode.guards
-        exits, rates = mode.bounds.bend.shape
-        slack[i, :, :exits], bend[i, :exits, :rates] = mode.bounds.slack, mode.bounds.bend
-        chord[i, :, :exits, :rates], spread[i, :, :exits, :rates] = mode.bounds.chord, mode.bounds.spread
-        for j, leaving in enumerate(mode.exits):
-            target[i, j], loss[i, j], jumps[i, j] = targets[i][j], leaving.work, bool(leaving.resets)
-            resets[i, j] = reset_matrix(leaving, size).T
-    flows = np.array([[matrix_of(flow).T for flow in mode.flows] for mode in modes])
-    forms = np.array([[_columns(matrix_of(work), size, works) for work in mode.works] for mode in modes])
-    return ModeTables(
-        flows, forms, np.array([mode.base for mode in modes]), guards, np.array([len(mode.exits) for mode in modes]),
-        slack, chord, bend, spread, target, jumps, resets, loss, np.array([mode.storage for mode in modes]),
-    )  # fmt: skip
-
-
-def _columns(stacked: Array, size: int, works: int) -> Array:
-    """Returns [y, Q y for each work] by columns, out of the matrix of `Mode.works` for one level."""
-    forms = stacked[: works * (size + works)].reshape(works, size + works, size)[:, :size]
-    return np.concatenate([stacked[works * (size + works) :], *forms]).T

@@ -4,15 +4,17 @@
     run_batch(scene, {"environment.stiffness": k, "bus.rate": rates}, cycles=1000, engine="auto")
     run_scalar(scene, cycles=1000)               # the same names, one scene, any plant
 
-**One source.** The kernels of a controller (`canhaptic.kernels`), the plant's flow over a hold and the sums of the
-figures run in one loop (`closed_loop`): in machine code, or in Python with the same bits (but for the sine and the
-exponential of `detents` and `viscoelastic_medium`, whose last bit is that of its library). What the plant adds is
-stated in `plants`. Scenes are computed one after the other, so that none knows of another.
+**One source.** The kernels of a controller (`canhaptic.kernels`), the plant and the sums of the figures run in one loop
+(`closed_loop`): in machine code, or in Python with the same bits (but for the functions of the C library, sine and
+exponential, whose last bit is that of its library). A linear plant moves by its flow over a hold (`plants`), one with
+events by the stepper of `canhaptic.sim.plant` (`event_plant`). Scenes are computed one after the other, so that none
+knows of another.
 
 Compiling takes some 10 s once for each algorithm and environment; the machine code is kept (`code_cache`).
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -20,7 +22,13 @@ import numpy as np
 from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.batch_case import NotBatchableError
-from canhaptic.study.batch.cases import batch_case, check_values, why_not_batchable, why_not_beforehand
+from canhaptic.study.batch.cases import (
+    batch_case,
+    check_values,
+    why_not_batchable,
+    why_not_beforehand,
+    why_not_compared,
+)
 from canhaptic.study.batch.engine import Engine
 from canhaptic.study.batch.marching import march
 from canhaptic.study.batch.radius import spectral_radius
@@ -40,6 +48,7 @@ __all__ = [
     "scene_with",
     "spectral_radius",
     "why_not_batchable",
+    "why_not_compared",
 ]
 
 _DELAY: Final = "loop.delay"
@@ -51,6 +60,9 @@ def run_batch(
     cycles: int,
     engine: Engine = "auto",
     metrics: Sequence[str] | None = None,
+    *,
+    seeds: Array | None = None,
+    stopped: dict[int, str] | None = None,
 ) -> Mapping[str, Array]:
     """Returns the figures of many scenes, each of shape (n_scenes,); the order of the scenes changes nothing.
 
@@ -61,6 +73,8 @@ def run_batch(
         engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and pays, else "python".
         metrics: Names of `ALL`; None for `METRICS`. Those of
             `CONTINUOUS` march a continuous run beside every loop and are NaN where it has no closed form.
+        seeds: Of everything random in each scene, shape (n_scenes,); that of the scene by default.
+        stopped: Takes the number of every scene whose plant could not be moved on, and why; its figures are NaN.
 
     Raises:
         ParameterError: A key that cannot vary inside a batch, a value out of its range, an unknown metric.
@@ -81,6 +95,11 @@ def run_batch(
         rows = np.arange(count) if delays is None else np.flatnonzero(delays == delay)
         of_delay = scene if delay is None else scene_with(scene, {_DELAY: delay})
         case = batch_case(of_delay, {key: np.ascontiguousarray(values[rows]) for key, values in arrays.items()})
-        for name, values in march(case, len(rows), cycles, engine, names).items():
+        if seeds is not None:
+            case = replace(case, numbers={**case.numbers, "seed": seeds[rows].astype(float)})
+        ended: dict[int, str] = {}
+        for name, values in march(case, len(rows), cycles, engine, names, ended).items():
             found[name][rows] = values
+        if stopped is not None:
+            stopped |= {int(rows[row]): reason for row, reason in ended.items()}
     return found

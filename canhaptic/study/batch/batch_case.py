@@ -1,11 +1,13 @@
 """Many loops of one kind: what they have in common, and the numbers in which they differ."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError
+from canhaptic.study.batch.event_plants import PlantValues
+from canhaptic.study.batch.signal_effects import SignalEffects
 from canhaptic.study.loop import Array
 from canhaptic.units import Parameters
 
@@ -18,9 +20,12 @@ class NotBatchableError(InputError, NotImplementedError):
 class BatchCase:
     """What many loops have in common, and the numbers in which they differ.
 
+    A plant that is linear is among the numbers; plants with events are apart, each different one once.
+
     `numbers` holds what may differ by name: of the models `environment`, `passivity` and `loop` field by field; of the
     drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the meter `last_from`, `damping_per_time` and
-    `friction`; of the plant `start.ROW`, `flow.ROW.COLUMN` and, where it is known in closed form, `rate.ROW.COLUMN`. A
+    `friction`; `seed` of the encoder's noise; of plants with events `plant`, the place in `plants`; of a linear plant
+    `start.ROW`, `flow.ROW.COLUMN` and, where it is known in closed form, `rate.ROW.COLUMN`. A
     name that is absent has the value of its model.
     """
 
@@ -32,6 +37,8 @@ class BatchCase:
     furthest: float
     size: int  # of the plant's state vector [states..., torque, one]
     numbers: Mapping[str, Array | float | None]  # each of shape (n_scenes,) or one number
+    signals: SignalEffects = field(default_factory=SignalEffects)
+    plants: Sequence[PlantValues] = ()  # with events
 
 
 def floats_of(section: str, model: Parameters) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """From a scene and the keys in which many scenes differ to loops that can run in arrays."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, cast
 
 import numpy as np
@@ -13,9 +13,12 @@ from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.batch.batch_case import BatchCase, floats_of
-from canhaptic.study.batch.plants import plant_numbers, why_not_linear
+from canhaptic.study.batch.event_plants import PlantValues, distinct_plants
+from canhaptic.study.batch.plants import is_linear, plant_numbers, why_not_in_loop
 from canhaptic.study.batch.rows import kernel_of
+from canhaptic.study.batch.signal_effects import SignalEffects
 from canhaptic.study.batch.varied import scene_with, split_key
+from canhaptic.study.figures import CONTINUOUS
 from canhaptic.study.loop import FURTHEST, Array, LoopCase
 from canhaptic.study.scenes import loop_case
 from canhaptic.units import Parameters
@@ -45,6 +48,13 @@ def why_not_batchable(scene: Scene) -> str:
     return "" if kernel_of(case) else f"algorithm {case.algorithm} is not written as a kernel"
 
 
+def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
+    """Returns "" when a batch has what metrics compare a scene with, else the reason."""
+    if set(metrics).isdisjoint(CONTINUOUS) or is_linear(simulation_of(scene.axes[0])):
+        return ""
+    return "a plant with events has its continuous run by itself"
+
+
 def why_not_beforehand(scene: Scene) -> str:
     """Returns what `why_not_batchable` finds without looking at the algorithm."""
     if len(scene.axes) != 1:
@@ -56,7 +66,7 @@ def why_not_beforehand(scene: Scene) -> str:
         return f"algorithm {scene.axes[0].passivity.name} is own code"
     if type(simulation.user) not in (UserParameters, type(None)):
         return "the hand is own code"
-    return why_not_linear(simulation)
+    return why_not_in_loop(simulation)
 
 
 def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
@@ -68,7 +78,8 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
     """
     axis = scene.axes[0]
     simulation = simulation_of(axis)
-    numbers = _numbers(loop_case(axis, scene), simulation, scene.bus.sample_time_ns, varied)
+    case = loop_case(axis, scene)
+    numbers = _numbers(case, simulation, scene.bus.sample_time_ns, varied)
     passivity = axis.passivity.parameters
     for key, values in varied.items():
         section, name = split_key(key)
@@ -78,7 +89,7 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
             numbers[key] = values
         elif section == "axes.0":
             numbers |= _of_axis(name, values)
-    return _case(loop_case(axis, scene), numbers)
+    return _case(case, simulation, numbers, varied)
 
 
 def loop_in_arrays(
@@ -98,7 +109,8 @@ def loop_in_arrays(
         varied: Keys of `BATCH_KEYS` under `simulation.` and `bus.rate` -> value of each scene.
     """
     simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, (), 0)
-    return _case(case, {**_numbers(case, simulation, case.sample_time_ns, varied or {}), **numbers})
+    found = {**_numbers(case, simulation, case.sample_time_ns, varied or {}), **numbers}
+    return _case(case, simulation, found, varied or {})
 
 
 def _numbers(
@@ -112,13 +124,15 @@ def _numbers(
         "torque_quantum": case.torque_quantum,
         "torque_limit": case.torque_limit,
         "last_from": 0.0,
+        "friction": case.device_friction,
+        "seed": float(simulation.seed),
     }
     period: Array | float = float(sample_time_ns)
     if _RATE in varied:
         period = np.rint(1e9 / varied[_RATE])
         numbers["loop.sample_time"] = period * 1e-9
     numbers["damping_per_time"] = _device_damping(case, simulation, varied) / (period * 1e-9)
-    return numbers | plant_numbers(simulation, period, varied)
+    return numbers | (plant_numbers(simulation, period, varied) if is_linear(simulation) else {})
 
 
 def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[str, Array]) -> Array | float:
@@ -130,10 +144,18 @@ def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[
     return case.device_damping
 
 
-def _case(case: LoopCase, numbers: dict[str, Any]) -> BatchCase:
+def _case(
+    case: LoopCase, simulation: AxisSimulation, numbers: dict[str, Any], varied: Mapping[str, Array]
+) -> BatchCase:
     states = sum(name.startswith("start.") for name in numbers)
-    parameters = cast(Parameters, case.parameters)
-    return BatchCase(case.environment, case.algorithm, parameters, case.loop, case.delay, FURTHEST, states + 2, numbers)
+    plants: list[PlantValues] = []
+    if not states:
+        period = np.rint(1e9 / varied[_RATE]) if _RATE in varied else float(case.sample_time_ns)
+        plants, numbers["plant"] = distinct_plants(simulation, period, varied)
+    return BatchCase(
+        case.environment, case.algorithm, cast(Parameters, case.parameters), case.loop, case.delay, FURTHEST,
+        states + 2, numbers, SignalEffects.of(simulation.effects), plants,
+    )  # fmt: skip
 
 
 def _of_axis(name: str, values: Array) -> dict[str, Array]:

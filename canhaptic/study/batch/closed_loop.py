@@ -1,24 +1,54 @@
-"""One linear plant and one controller in one loop, from SYNC to SYNC: a kernel, and what it shares with other loops.
+"""One plant and one controller in one loop, from SYNC to SYNC: a kernel, and what it shares with other loops.
 
-The order and the rounding are those of `direct_rig.DirectRig` and `canhaptic.study.loop.render`; the plant moves by
-the exact flow of one hold, its rows summed term by term.
+The order and the rounding are those of `direct_rig.DirectRig` and `canhaptic.study.loop.render`. A linear plant moves
+by the exact flow of one hold, its rows summed term by term; for one with events `event_plant` takes its place.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.kernels import Buffer
+from canhaptic.sim.plant.effects.encoder_noise import noise
+from canhaptic.sim.plant.propagator import TICKS
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
 from canhaptic.study.batch.reference_kernel import (
     ReferenceMemory,
     ReferenceSettings,
     ReferenceState,
-    begin_reference,
-    follow_hold,
+    follow,
 )
+
+MOVED: Final = 0
+"""What `move_plant` returns of a hold that is over; else the run stops there, to go on from its `Place` or not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Winding:
+    """A winding that protects itself; see `thermal_derating`."""
+
+    torque_limit: float = inf  # of the cold winding [N or N*m]; infinite: none
+    heat: float = 0.0  # final temperature above ambient over torque squared
+    ambient: float = 0.0  # [K]
+    hot: float = 1.0  # [K]
+    span: float = 1.0  # from warm to hot [K]
+    share: float = 0.0  # of the way to the final temperature in one hold
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """Effects of a plant on what the encoder reads, and on a torque before it reaches the motor."""
+
+    noise: float = 0.0  # standard deviation of a reading [m or rad]
+    seed: int = 0  # of the noise
+    encoder_step: float = 0.0  # of readings; 0: none [m or rad]
+    on_torque: bool = False  # whether any of what follows is there
+    saturation: float = inf  # of the torque [N or N*m]
+    saturates_last: bool = False  # behind the winding
+    torque_step: float = 0.0  # 0: none [N or N*m]
+    winding: Winding = field(default_factory=Winding)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +61,48 @@ class LoopSettings:
     torque_limit: float = inf  # of the drive [N or N*m]
     furthest: float = inf  # distance from the origin that counts as divergence [m or rad]
     meter: MeterSettings = field(default_factory=MeterSettings)
+    signals: Signals = field(default_factory=Signals)
+
+
+@dataclass(slots=True)
+class Place:
+    """Where a loop is when it is interrupted, and what of it is not in the plant."""
+
+    cycle: int = 0
+    held: float = 0.0  # since the SYNC before [N or N*m]
+    waiting: float = 0.0  # one sample late
+    acting: float = 0.0  # what of `held` reaches the motor
+    interaction: float = 0.0  # true energy that came in [J]
+    temperature: float = 0.0  # of the winding [K]
+
+
+class LinearPlant(NamedTuple):
+    """A plant that moves by one flow."""
+
+    flow: Sequence[Sequence[float]]  # over one hold, shape (states, states + 2)
+    state: Buffer  # [states..., torque, 1]; the first state is the position [m or rad]
+    moved: Buffer  # room for the states, shape (states,)
+
+
+class LinearPlants(NamedTuple):
+    """The plants of many loops, each of which moves by its own flow."""
+
+    flows: Any  # shape (n, states, states + 2), n = 1 where all have the same
+    starts: Any  # shape (n, states + 2)
+    state: Buffer
+    moved: Buffer
+
+
+def begin_plant(plants: Any, row: int) -> None:
+    """Puts the plant of a loop to its start."""
+    start = plants.starts[row % len(plants.starts)]
+    for place in range(len(plants.state)):
+        plants.state[place] = start[place]
+
+
+def plant_at(plants: Any, row: int) -> Any:
+    """Returns the plant of a loop."""
+    return LinearPlant(plants.flows[row % len(plants.flows)], plants.state, plants.moved)
 
 
 def measured(loop: LoopSettings, position: float) -> float:
@@ -40,11 +112,34 @@ def measured(loop: LoopSettings, position: float) -> float:
     return round(position * loop.counts_per_unit) * (1.0 / loop.counts_per_unit)
 
 
+def read(signals: Signals, cycle: int, position: float) -> float:
+    """Returns a position after the effects of the encoder [m or rad]."""
+    if signals.noise > 0.0:
+        position += noise(signals.noise, signals.seed, cycle * TICKS)
+    if signals.encoder_step > 0.0:
+        position = round(position / signals.encoder_step) * signals.encoder_step
+    return position
+
+
 def commanded(loop: LoopSettings, torque: float) -> float:
     """Returns a torque as the drive applies it [N or N*m]."""
     if abs(torque) > loop.torque_limit:
         torque = loop.torque_limit if torque > 0.0 else -loop.torque_limit
     return torque if loop.torque_quantum == 0.0 else round(torque / loop.torque_quantum) * loop.torque_quantum
+
+
+def acting(signals: Signals, place: Place, torque: float) -> float:
+    """Returns what reaches the motor of a torque during the hold to come [N or N*m], and warms the winding."""
+    winding = signals.winding
+    if not signals.saturates_last:
+        torque = min(max(torque, -signals.saturation), signals.saturation)
+    if winding.torque_limit < inf:
+        cool = min(max((winding.hot - place.temperature) / winding.span, 0.0), 1.0)
+        torque = min(max(torque, -winding.torque_limit * cool), winding.torque_limit * cool)
+        place.temperature += (winding.ambient + winding.heat * torque * torque - place.temperature) * winding.share
+    if signals.saturates_last:
+        torque = min(max(torque, -signals.saturation), signals.saturation)
+    return torque if signals.torque_step == 0.0 else round(torque / signals.torque_step) * signals.torque_step
 
 
 def step(
@@ -61,14 +156,13 @@ def run_loop(
     state: Any,
     memory: Any,
     meter: Meter,
-    flow: Sequence[Sequence[float]],
-    plant: Buffer,
-    moved: Buffer,
+    plant: Any,
+    place: Place,
     continuous: ReferenceSettings,
     reference: ReferenceState,
     reference_memory: ReferenceMemory,
     cycles: int,
-) -> None:
+) -> int:
     """Runs a loop until its last SYNC or until it diverges, which a number that is not finite does too.
 
     Args:
@@ -78,29 +172,33 @@ def run_loop(
         state: Of the algorithm, at rest.
         memory: Of the algorithm, zeros.
         meter: Gathers the figures.
-        flow: Of the plant over one hold, shape (states, states + 2).
-        plant: [states..., torque, 1] at the start; the first state is the position [m or rad].
-        moved: Room for the states, shape (states,).
+        plant: As `move_plant` takes it, at its start.
+        place: Where the run is: at its beginning, or where it was interrupted.
         continuous: Environment that the loop is compared with, if there is one.
         reference: Its run, before it begins.
         reference_memory: Of that, at the start.
         cycles: SYNCs.
+
+    Returns:
+        MOVED, or what `move_plant` returned of a hold that is not over.
     """
-    held = waiting = interaction = before = 0.0
-    for cycle in range(cycles):
+    held, waiting = place.held, place.waiting
+    for cycle in range(place.cycle, cycles):
+        before = plant.state[0]
         if cycle:
-            move(flow, plant, moved, held)
-        true_position = plant[0]
+            if place.cycle != cycle:
+                place.acting = acting(loop.signals, place, held) if loop.signals.on_torque else held
+            outcome = move_plant(plant, place.acting, cycle)
+            if outcome != MOVED:
+                place.cycle, place.held, place.waiting = cycle, held, waiting
+                return outcome
+        true_position = plant.state[0]
         if continuous.exists:
-            mean = 0.0
-            if cycle:
-                mean = follow_hold(continuous, reference, reference_memory)
-            else:
-                begin_reference(continuous, reference, reference_memory)
+            mean = follow(continuous, reference, reference_memory, cycle)
             compare(meter, true_position, held, reference_memory.state[0], mean)
-        interaction -= held * (true_position - before)
-        before = true_position
-        position = measured(loop, true_position) if isfinite(true_position) else true_position
+        place.interaction = work_in(plant, place.interaction, place.acting, true_position - before)
+        position = read(loop.signals, cycle, true_position)
+        position = measured(loop, position) if isfinite(position) else position
         if not isfinite(position - state.axis.position + held):
             meter.diverged = 1.0
             break
@@ -108,7 +206,7 @@ def run_loop(
         if not isfinite(balance.torque):
             meter.diverged = 1.0
             break
-        take(environment, loop.meter, meter, position, true_position, held, interaction, balance)
+        take(environment, loop.meter, meter, position, true_position, held, place.interaction, balance)
         if not -loop.furthest < true_position < loop.furthest:
             meter.diverged = 1.0
             break
@@ -117,6 +215,7 @@ def run_loop(
             held, waiting = waiting, command
         else:
             held = command
+    return MOVED
 
 
 def states_in(moved: Buffer) -> int:
@@ -124,14 +223,21 @@ def states_in(moved: Buffer) -> int:
     return len(moved)
 
 
-def move(flow: Sequence[Sequence[float]], plant: Buffer, moved: Buffer, torque: float) -> None:
-    """Moves a plant by one hold of constant torque [N or N*m]."""
+def move_plant(plant: Any, torque: float, cycle: int) -> int:
+    """Moves a linear plant to a SYNC under a constant torque [N or N*m]; returns MOVED."""
+    flow, state, moved = plant.flow, plant.state, plant.moved
     states = states_in(moved)
-    plant[states] = torque
+    state[states] = torque
     for row in range(states):
         factors, total = flow[row], 0.0
         for column in range(states + 2):
-            total += factors[column] * plant[column]
+            total += factors[column] * state[column]
         moved[row] = total
     for row in range(states):
-        plant[row] = moved[row]
+        state[row] = moved[row]
+    return MOVED
+
+
+def work_in(plant: Any, interaction: float, torque: float, travel: float) -> float:
+    """Returns the energy that has come in [J], after a hold of constant torque [N or N*m] along a way [m or rad]."""
+    return interaction - torque * travel

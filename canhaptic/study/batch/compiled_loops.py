@@ -1,9 +1,9 @@
 """Loops of a batch compiled by numba, the controller, the plant and the figures in one; needs the extra `fast`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from operator import attrgetter
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -12,13 +12,19 @@ from canhaptic.control.environments.plain import tuple_type
 from canhaptic.kernels import Buffer, Kernel
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, records_of
+from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise
 from canhaptic.study.batch.batch_case import NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes
-from canhaptic.study.batch.closed_loop import run_loop, states_in, step
+from canhaptic.study.batch.closed_loop import MOVED, Place, begin_plant, plant_at, run_loop, states_in, step
 from canhaptic.study.batch.meter import Meter
 from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState, length_of
 from canhaptic.study.batch.rows import SceneRow
 from canhaptic.study.loop import Array
+
+Interrupted = Callable[[Any, int, Any, int], Any]
+"""(plants, number of a scene, its place, why) -> plants to go on with; None ends that scene."""
+_GAMMA: Final = np.uint64(0x9E3779B97F4A7C15)  # as in `encoder_noise`
+_WHOLE: Final = 2.0**64
 
 WIDTH = STATES = LENGTH = 0
 """Numbers of an environment, states of a plant and of a continuous run; bound anew for each kind of loop."""
@@ -31,24 +37,35 @@ def new_environment(*_numbers: float) -> Any:
 
 def run_loops(
     table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: Any, zeros: Array,
-    meters: Records, flows: Array, starts: Array, plant: Any, moved: Any, continuous: Records, references: Records,
-    mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Any, moved_state: Any, series: Any, cycles: int,
-) -> None:  # fmt: skip
-    """Runs one loop after the other; see `run_loop`."""
-    for i in range(len(table)):
+    meters: Records, plants: Any, rest_place: Records, places: Records, continuous: Records, references: Records,
+    mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Any, moved_state: Any, series: Any,
+    outcomes: Any, cycles: int,
+) -> int:  # fmt: skip
+    """Runs one loop after the other, from the place in `outcomes`, see `run_loop`; returns how many are over.
+
+    A loop that is interrupted is gone on with at the next call: outcomes = [loops that are over, why it returned, 1
+    where the next loop has begun].
+    """
+    for i in range(outcomes[0], len(table)):
         environment = new_environment(*fixed_tuple(table[i], WIDTH))
-        zeros[:] = 0.0
-        states[0] = rest[0]
-        for place in range(len(plant)):
-            plant[place] = starts[i % len(starts), place]
-        for place in range(len(state)):
-            state[place] = moved_state[place] = mode_starts[i % len(mode_starts), place]
+        if outcomes[2] == 0:
+            zeros[:] = 0.0
+            states[0], places[0] = rest[0], rest_place[0]
+            places[0].temperature = loops[i].signals.winding.ambient
+            begin_plant(plants, i)
+            for place in range(len(state)):
+                state[place] = moved_state[place] = mode_starts[i % len(mode_starts), place]
         modes = i % len(mode_flows)
-        run_loop(
-            environment, settings[i], loops[i], states[0], memory, meters[i], flows[i % len(flows)], plant, moved,
+        outcome = run_loop(
+            environment, settings[i], loops[i], states[0], memory, meters[i], plant_at(plants, i), places[0],
             continuous[i], references[i],
             ReferenceMemory(mode_flows[modes], mode_rates[modes], state, moved_state, series), cycles,
         )  # fmt: skip
+        if outcome != MOVED:
+            outcomes[0], outcomes[1], outcomes[2] = i, outcome, 1
+            return i
+        outcomes[2] = 0
+    return len(table)
 
 
 def known_states(_moved: Buffer) -> int:
@@ -62,51 +79,93 @@ def known_length(_state: Buffer) -> int:
 
 
 @lru_cache(maxsize=64)
-def compiled_loops(kind: Any, kernel: Kernel, states: int, length: int) -> Any:
+def compiled_loops(kind: Any, kernel: Kernel, states: int, length: int, replaced: tuple[tuple[Any, Any], ...]) -> Any:
     """Returns `run_loops` compiled.
 
     Args:
         kind: Tuple type of the environment.
         kernel: Of the algorithm.
-        states: Of the plant.
+        states: Of the plant, where it is linear.
         length: Of the state of the continuous run.
+        replaced: Functions of the loop, each with what comes in its place.
     """
     instead = {
         new_environment: kind, "WIDTH": len(kind._fields), step: kernel.step, states_in: known_states, "STATES": states,
-        length_of: known_length, "LENGTH": length,
+        length_of: known_length, "LENGTH": length, noise: compiled_noise, **dict(replaced),
     }  # fmt: skip
     return compiled(run_loops, instead, keep=True)
 
 
-def run_compiled(
-    kernel: Kernel, rows: Sequence[SceneRow], flows: Array, starts: Array, modes: ContinuousModes, cycles: int
-) -> tuple[Records, Records]:
-    """Returns meters and references as records; see `run_interpreted` for the arguments."""
-    settings, loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
-    rest, states, continuous = records_of([kernel.state()]), records_of([kernel.state()]), records_of(modes.settings)
-    meters, references = (np.repeat(records_of([kind()]), len(rows)) for kind in (Meter, ReferenceState))
-    kind = tuple_type(rows[0].environment)
-    numbers = attrgetter(*kind._fields)
-    table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
-    plant, moved = np.empty(starts.shape[1]), np.empty(starts.shape[1] - 2)
-    size = modes.starts.shape[1]
-    state, moved_state, series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
-    run = compiled_loops(kind, kernel, len(moved), size)
-    for some in _alike(kernel, rows):
-        memory, zeros = _memory(kernel, rows[some[0]].settings)
-        part, compared = meters[some], references[some]
-        try:
-            run(
-                table[some], settings[some], loops[some], rest, states, memory, zeros, part, _of(flows, some),
-                _of(starts, some), plant, moved, continuous[some], compared, _of(modes.flows, some),
-                _of(modes.rates, some), _of(modes.starts, some), state, moved_state, series, cycles,
-            )  # fmt: skip
-        except NumbaError as error:
-            raise NotBatchableError(
-                f"numba cannot compile {kind.__name__} under this algorithm: {str(error).splitlines()[-1]}"
-            ) from error
-        meters[some], references[some] = part, compared
-    return meters, references
+class CompiledLoops:
+    """One loop after the other, compiled; see `InterpretedLoops`.
+
+    Raises:
+        NotBatchableError: numba cannot compile the environment.
+    """
+
+    def __init__(
+        self, kernel: Kernel, rows: Sequence[SceneRow], modes: ContinuousModes, cycles: int, instead: Mapping[Any, Any]
+    ) -> None:
+        self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
+        self._settings, self._loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
+        self._continuous = records_of(modes.settings)
+        self._rest, self._place = records_of([kernel.state()]), records_of([Place()])
+        self.meters, self.references = (np.repeat(records_of([kind()]), len(rows)) for kind in (Meter, ReferenceState))
+        self._kind = tuple_type(rows[0].environment)
+        numbers = attrgetter(*self._kind._fields)
+        self._table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
+        self._instead = tuple(instead.items())
+        size = modes.starts.shape[1]
+        self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
+
+    def run(self, some: Sequence[int], plants: Any, interrupted: Interrupted) -> None:
+        """Runs some of the scenes; see `InterpretedLoops.run`."""
+        for numbers in _alike(self._kernel, [self._rows[i] for i in some]):
+            self._run_alike(np.asarray(some)[numbers], numbers, plants, interrupted)
+
+    def _run_alike(self, some: Any, numbers: Any, plants: Any, interrupted: Interrupted) -> None:
+        memory, zeros = _memory(self._kernel, self._rows[some[0]].settings)
+        meters, references, modes = self.meters[some], self.references[some], self._modes
+        states, places, outcomes = self._rest.copy(), self._place.copy(), np.zeros(3, dtype=np.int64)
+        linear = getattr(plants, "moved", ())
+        if len(linear):
+            plants = plants._replace(flows=_of(plants.flows, numbers), starts=_of(plants.starts, numbers))
+        run = compiled_loops(self._kind, self._kernel, len(linear), len(self._state), self._instead)
+        fixed = (
+            self._table[some], self._settings[some], self._loops[some], self._rest, states, memory, zeros, meters,
+        )  # fmt: skip
+        compared = (
+            self._continuous[some], references, *(_of(values, some) for values in modes[1:]), self._state, self._moved,
+            self._series, outcomes, self._cycles,
+        )  # fmt: skip
+        while True:
+            try:
+                over = run(*fixed, plants, self._place, places, *compared)
+            except NumbaError as error:
+                raise NotBatchableError(
+                    f"numba cannot compile {self._kind.__name__} under this algorithm: {str(error).splitlines()[-1]}"
+                ) from error
+            if over == len(some):
+                break
+            went_on = interrupted(plants, int(some[over]), places[0], int(outcomes[1]))
+            if went_on is None:
+                outcomes[0], outcomes[2] = over + 1, 0
+            else:
+                plants = went_on
+        self.meters[some], self.references[some] = meters, references
+
+
+def compiled_noise(deviation: Any, seed: Any, tick: Any) -> Any:
+    """Takes the place of `encoder_noise.noise`, in 64 bits."""
+    base = _mixed(np.uint64(seed) * _GAMMA + np.uint64(tick))
+    first, second = _mixed(base + _GAMMA), _mixed(base + _GAMMA + _GAMMA)
+    return gaussian(deviation, (np.float64(first) + 1.0) / _WHOLE, np.float64(second) / _WHOLE)
+
+
+def _mixed(value: Any) -> Any:
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))
 
 
 def _of(values: Array, some: Any) -> Array:

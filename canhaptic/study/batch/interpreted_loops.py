@@ -1,46 +1,73 @@
 """Loops of a batch run by Python, one after the other: where numba is not installed, and to judge compiled ones by."""
 
-from collections.abc import Sequence
-from types import FunctionType
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 from canhaptic.kernels import Kernel, list_of_zeros
+from canhaptic.kernels.binding import bound
 from canhaptic.study.batch.batch_reference import ContinuousModes
-from canhaptic.study.batch.closed_loop import run_loop
+from canhaptic.study.batch.closed_loop import MOVED, Place, begin_plant, plant_at, run_loop, step
 from canhaptic.study.batch.meter import Meter
 from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState
 from canhaptic.study.batch.rows import SceneRow
-from canhaptic.study.loop import Array
 
 
-def run_interpreted(
-    kernel: Kernel, rows: Sequence[SceneRow], flows: Array, starts: Array, modes: ContinuousModes, cycles: int
-) -> tuple[list[Meter], list[ReferenceState]]:
-    """Returns the meter of every scene, and what is remembered of its continuous run.
+class InterpretedLoops:
+    """One loop after the other.
 
     Args:
         kernel: Of the algorithm.
         rows: The scenes.
-        flows: Of the plants, shape (n, states, states + 2), n = 1 where all have the same.
-        starts: Of the plants, shape (n, states + 2).
         modes: Of the continuous environments.
         cycles: SYNCs.
+        instead: Functions of the loop in whose place others come.
+
+    Attributes:
+        meters: Of every scene.
+        references: What is remembered of its continuous run.
     """
-    names = {**run_loop.__globals__, "step": kernel.step}
-    run = FunctionType(run_loop.__code__, names)
-    meters, references = [], []
-    for i, row in enumerate(rows):
-        meter, reference, memory = Meter(), ReferenceState(), kernel.memory(row.settings, list_of_zeros)
-        flow: Any = flows[i % len(flows)].tolist()
-        plant = starts[i % len(starts)].tolist()
-        moved = [0.0] * (len(plant) - 2)
-        run(
-            row.environment, row.settings, row.loop, kernel.state(), memory, meter, flow, plant, moved,
-            modes.settings[i], reference, reference_memory_of(modes, i), cycles,
-        )  # fmt: skip
-        meters.append(meter)
-        references.append(reference)
-    return meters, references
+
+    def __init__(
+        self, kernel: Kernel, rows: Sequence[SceneRow], modes: ContinuousModes, cycles: int, instead: Mapping[Any, Any]
+    ) -> None:
+        self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
+        self._begin, self._at, self._run = _functions(kernel, tuple(instead.items()))
+        self.meters = [Meter() for _ in rows]
+        self.references = [ReferenceState() for _ in rows]
+
+    def run(self, some: Sequence[int], plants: Any, interrupted: Callable[[Any, int, Place, int], Any]) -> None:
+        """Runs some of the scenes.
+
+        Args:
+            some: Their numbers.
+            plants: Theirs.
+            interrupted: (plants, number of a scene, where it is, why) -> plants to go on with; None ends that scene.
+        """
+        for number, i in enumerate(some):
+            row, kernel = self._rows[i], self._kernel
+            place = Place(temperature=row.loop.signals.winding.ambient)
+            state, memory = kernel.state(), kernel.memory(row.settings, list_of_zeros)
+            reference = reference_memory_of(self._modes, i)
+            self._begin(plants, number)
+            while True:
+                outcome = self._run(
+                    row.environment, row.settings, row.loop, state, memory, self.meters[i], self._at(plants, number),
+                    place, self._modes.settings[i], self.references[i], reference, self._cycles,
+                )  # fmt: skip
+                if outcome == MOVED:
+                    break
+                went_on = interrupted(plants, i, place, outcome)
+                if went_on is None:
+                    break
+                plants = went_on
+
+
+@lru_cache(maxsize=64)
+def _functions(kernel: Kernel, instead: tuple[tuple[Any, Any], ...]) -> tuple[Any, Any, Any]:
+    replaced = {**dict(instead), step: kernel.step}
+    begin, at = (replaced.get(function, function) for function in (begin_plant, plant_at))
+    return begin, at, bound(run_loop, replaced)
 
 
 def reference_memory_of(modes: ContinuousModes, row: int) -> ReferenceMemory:

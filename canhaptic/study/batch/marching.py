@@ -9,8 +9,9 @@ import numpy as np
 from canhaptic.study.batch.batch_case import BatchCase, NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes, continuous_modes, no_modes, why_not_continuous
 from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
-from canhaptic.study.batch.interpreted_loops import run_interpreted
-from canhaptic.study.batch.rows import kernel_of, plant_arrays, scene_rows
+from canhaptic.study.batch.event_loops import loop_replacements, run_event_plants
+from canhaptic.study.batch.interpreted_loops import InterpretedLoops
+from canhaptic.study.batch.rows import kernel_of, linear_plants, scene_rows
 from canhaptic.study.figures import last_rows, metrics_of, sums_of
 from canhaptic.study.loop import Array
 
@@ -21,7 +22,14 @@ _COMPARED: Final = ("continuous_travel", "position_squares", "position_worst", *
 """Sums that need the continuous runs, and those that need their forces."""
 
 
-def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Sequence[str]) -> dict[str, Array]:
+def march(
+    case: BatchCase,
+    scenes: int,
+    cycles: int,
+    engine: Engine,
+    metrics: Sequence[str],
+    stopped: dict[int, str] | None = None,
+) -> dict[str, Array]:
     """Returns metrics of many loops, each of shape (n_scenes,), in the order of the scenes.
 
     Args:
@@ -30,21 +38,31 @@ def march(case: BatchCase, scenes: int, cycles: int, engine: Engine, metrics: Se
         cycles: SYNCs, the first included.
         engine: See `run_batch`.
         metrics: Names of `ALL`.
+        stopped: Takes the number of a scene whose plant could not be moved on, and why; its metrics are NaN.
 
     Raises:
         NotBatchableError: The algorithm is no kernel, or numba cannot compile the environment.
     """
     names = list(metrics)
+    failed: dict[int, str] = {}
     found: dict[str, Array] = {name: np.empty(scenes) for name in sums_of(names)}
     case = replace(case, numbers={**case.numbers, "last_from": _last_from(case, cycles)})
     chosen = chosen_engine(engine, scenes * cycles >= WORTH_COMPILING)
     for first in range(0, scenes, _MOST):
         part = slice(first, min(first + _MOST, scenes))
         numbers = {name: v[part] if isinstance(v, np.ndarray) else v for name, v in case.numbers.items()}
-        for name, values in _part(case, numbers, part.stop - first, cycles, chosen, found).items():
+        ended: dict[int, str] = {}
+        for name, values in _part(case, numbers, part.stop - first, cycles, chosen, found, ended).items():
             if name in found:
                 found[name][part] = values
-    return metrics_of(names, found)
+        for row, reason in ended.items():
+            failed[first + row] = reason
+    metrics_found = metrics_of(names, found)
+    for values in metrics_found.values():
+        values[list(failed)] = np.nan
+    if stopped is not None:
+        stopped |= failed
+    return metrics_found
 
 
 def _last_from(case: BatchCase, cycles: int) -> Array | float:
@@ -55,27 +73,41 @@ def _last_from(case: BatchCase, cycles: int) -> Array | float:
 
 
 def _part(
-    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, engine: str, asked: Mapping[str, Array]
-) -> dict[str, Array]:
+    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, engine: str, asked: Mapping[str, Array],
+    stopped: dict[int, str],
+) -> dict[str, Array]:  # fmt: skip
     kernel = kernel_of(case)
     if kernel is None:
         raise NotBatchableError(f"algorithm {case.algorithm} is not written as a kernel")
     modes = no_modes(count)
     if not {*asked}.isdisjoint(_COMPARED) and not why_not_continuous(case):
         modes = continuous_modes(case, numbers, count, cycles, not {*asked}.isdisjoint(_FORCES))
-    rows, (flows, starts) = list(scene_rows(case, kernel, numbers, count)), plant_arrays(case, numbers, count)
-    if engine == "numba":
-        from canhaptic.study.batch.compiled_loops import run_compiled
-
-        meters, references = run_compiled(kernel, rows, flows, starts, modes, cycles)
-        sums = {name: np.array(meters[name]) for name in meters.dtype.names or ()}
-        runs = {name: np.array(references[name]) for name in references.dtype.names or ()}
+    rows = list(scene_rows(case, kernel, numbers, count))
+    compiles = engine == "numba"
+    loops = _loops(compiles)(kernel, rows, modes, cycles, loop_replacements(case.plants))
+    if case.plants:
+        run_event_plants(loops, case.plants, np.broadcast_to(numbers["plant"], (count,)), stopped, listed=not compiles)
     else:
-        sums, runs = (_columns(found) for found in run_interpreted(kernel, rows, flows, starts, modes, cycles))
+        loops.run(range(count), linear_plants(case, numbers, count, listed=not compiles), _never)
+    sums, runs = _columns(loops.meters), _columns(loops.references)
     return sums | _compared(sums, runs, modes)
 
 
-def _columns(found: Sequence[Any]) -> dict[str, Array]:
+def _loops(compiles: bool) -> Any:
+    if not compiles:
+        return InterpretedLoops
+    from canhaptic.study.batch.compiled_loops import CompiledLoops
+
+    return CompiledLoops
+
+
+def _never(*_what: Any) -> None:
+    """Is called by no linear plant."""
+
+
+def _columns(found: Any) -> dict[str, Array]:
+    if isinstance(found, np.ndarray):
+        return {name: np.array(found[name]) for name in found.dtype.names or ()}
     return {name: np.array([getattr(one, name) for one in found]) for name in type(found[0]).__slots__}
 
 

@@ -8,47 +8,46 @@ its last place per hold. Plants with other linear effects are made one by one, e
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final, cast
 
 import numpy as np
 
-from canhaptic.errors import CanHapticError
+from canhaptic.errors import ParameterError
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.plant.assembly import PlantModel as PlantScene
-from canhaptic.sim.plant.effects import Effect
+from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import flow_changes
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.study.batch.varied import simulation_with
+from canhaptic.study.batch.event_plants import PlantValues, distinct_plants, is_booked
+from canhaptic.study.batch.signal_effects import SIGNAL_EFFECTS
 from canhaptic.study.loop import Array
 
 _IN_ARRAYS: Final = ("viscous_friction", "tremor")
 """Effects whose place in the equation of motion is known here."""
+_ANY_NS: Final = 1_000_000
+"""A sample time, where it does not matter [ns]."""
 _Numbers = dict[str, Array | float]
 
 
-def why_not_linear(simulation: AxisSimulation) -> str:
-    """Returns "" when nothing but linear parts act on a plant, else the reason by name."""
-    for effect in simulation.effects:
-        scene = PlantScene(1e-3)
-        simulation.plant.add_to(scene)
-        (simulation.user or UserParameters()).add_to(scene)
-        before = len(scene.parts)
-        try:
-            cast(Effect, effect.parameters).add_to(scene)
-        except CanHapticError as error:
-            return f"effect {effect.name} does not stand alone ({error})"
-        if any(part.has_guards for part in scene.parts[before:]):
-            return f"effect {effect.name} has events"
-        for found, reason in (
-            (scene.efforts, "is not linear"),
-            (scene.schedule, "changes by the clock"),
-            (scene.commands, "changes the torque of a hold"),
-            (scene.encoders, "changes what the encoder reports"),
-        ):
-            if found:
-                return f"effect {effect.name} {reason}"
-    return ""
+def is_linear(simulation: AxisSimulation) -> bool:
+    """Returns whether one flow moves a plant, and the motor's work is the torque held times the way.
+
+    Raises:
+        ParameterError: An effect does not go with the plant.
+    """
+    scene = PlantValues(simulation, _ANY_NS).scene()
+    moves_by_flow = not (any(part.has_guards for part in scene.parts) or scene.efforts or scene.schedule)
+    return moves_by_flow and not is_booked(scene)
+
+
+def why_not_in_loop(simulation: AxisSimulation) -> str:
+    """Returns "" when a loop of a batch can move a plant, else the reason by name."""
+    try:
+        scene = PlantValues(simulation, _ANY_NS).scene()
+    except ParameterError as error:
+        return f"effect {error.part} does not stand alone ({error})"
+    return "" if not scene.efforts else "an effect is solved over substeps"
 
 
 def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> _Numbers:
@@ -60,7 +59,7 @@ def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, var
         varied: Keys under `simulation.` -> value of each scene.
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
-    known = all(effect.name in _IN_ARRAYS for effect in simulation.effects)
+    known = all(effect.name in (*_IN_ARRAYS, *SIGNAL_EFFECTS) for effect in simulation.effects)
     rates: Array | None = None
     if known:
         rates, start = _in_arrays(simulation, keys)
@@ -90,8 +89,7 @@ def _shared(values: Array) -> Array | float:
 
 
 def _plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
-    effects = [cast(Effect, effect.parameters) for effect in simulation.effects]
-    return Plant(simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy)
+    return build_plant(replace(simulation, compiled=False), sample_time_ns)
 
 
 def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[Array, Array]:
@@ -116,7 +114,7 @@ def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[A
         found = cast(Any, effect.parameters)
         if effect.name == "tremor":
             motions.append((found.amplitude, 2.0 * np.pi * found.frequency, found.phase))
-        else:
+        elif effect.name == "viscous_friction":
             damping = damping + found.damping
     count = max([1, *(len(values) for values in keys.values())])
     size = 4 + 2 * len(motions)
@@ -138,13 +136,7 @@ def _in_arrays(simulation: AxisSimulation, keys: Mapping[str, Array]) -> tuple[A
 def _one_by_one(
     simulation: AxisSimulation, sample_time_ns: Array | float, keys: Mapping[str, Array]
 ) -> tuple[Any, Any]:
-    columns = [
-        np.broadcast_to(sample_time_ns, (max(np.size(sample_time_ns), *map(len, keys.values()), 1),)),
-        *keys.values(),
-    ]
-    rows, which = np.unique(np.stack(columns, axis=1), axis=0, return_inverse=True)
-    plants = [
-        _plant(simulation_with(simulation, dict(zip(keys, row[1:], strict=True))), int(row[0])) for row in rows.tolist()
-    ]
+    distinct, which = distinct_plants(simulation, sample_time_ns, keys)
+    plants = [_plant(*values) for values in distinct]
     flows, start = np.array([p.whole_flow() for p in plants]), np.array([p.initial_state() for p in plants])
-    return flows[which.ravel()], start[which.ravel()]
+    return flows[which], start[which]

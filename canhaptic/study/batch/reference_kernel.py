@@ -61,6 +61,14 @@ class ReferenceMemory(NamedTuple):
     series: Any  # Taylor coefficients of y, shape (TERMS, k)
 
 
+def follow(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int) -> float:
+    """Goes to a SYNC; returns the mean torque in the hold before it [N or N*m]."""
+    if cycle:
+        return follow_hold(settings, reference, memory)
+    begin_reference(settings, reference, memory)
+    return 0.0
+
+
 def begin_reference(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
     """Takes the first SYNC, with the start in `memory.state`."""
     position = memory.state[0]

@@ -11,9 +11,8 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.kernels import Kernel
 from canhaptic.registry import load
 from canhaptic.study.batch.batch_case import BatchCase
-from canhaptic.study.batch.closed_loop import LoopSettings
+from canhaptic.study.batch.closed_loop import LinearPlants, LoopSettings
 from canhaptic.study.batch.meter import MeterSettings
-from canhaptic.study.loop import Array
 
 Numbers = Mapping[str, Any]
 _OF_LOOP: Final = ("counts_per_unit", "torque_quantum", "torque_limit", "last_from", "damping_per_time", "friction")
@@ -86,19 +85,29 @@ def _varied_loop(case: BatchCase, numbers: Numbers) -> Any:
     counts, quantum = column("counts_per_unit", 0.0), column("torque_quantum", 0.0)
     limit, last_from = column("torque_limit", inf), column("last_from", 0.0)
     damping, friction = column("damping_per_time", 0.0), column("friction", 0.0)
+    period, seed = column("loop.sample_time", case.loop.sample_time), column("seed", 0.0)
 
     def at(row: int) -> LoopSettings:
         meter = MeterSettings(last_from(row), damping(row), friction(row))
-        return LoopSettings(case.delay, counts(row), quantum(row), limit(row), case.furthest, meter)
+        signals = case.signals.at(period(row), int(seed(row)))
+        return LoopSettings(case.delay, counts(row), quantum(row), limit(row), case.furthest, meter, signals)
 
-    if any(isinstance(numbers.get(name), np.ndarray) for name in _OF_LOOP):
+    of_loop = (*_OF_LOOP, *(("loop.sample_time", "seed") if case.signals.effects else ()))
+    if any(isinstance(numbers.get(name), np.ndarray) for name in of_loop):
         return at
     shared = at(0)
     return lambda _row: shared
 
 
-def plant_arrays(case: BatchCase, numbers: Numbers, count: int) -> tuple[Array, Array]:
-    """Returns flows (n, states, states + 2) and starts (n, states + 2), with n = 1 where all scenes have the same."""
+def linear_plants(case: BatchCase, numbers: Numbers, count: int, *, listed: bool) -> LinearPlants:
+    """Returns the plants of many scenes; one flow and start where all have the same.
+
+    Args:
+        case: What the scenes have in common.
+        numbers: In which they differ.
+        count: Scenes.
+        listed: Whether Python runs the loops, on lists.
+    """
     states = case.size - 2
     names = [name for name in numbers if name.startswith(("flow.", "start."))]
     rows = count if any(isinstance(numbers[name], np.ndarray) for name in names) else 1
@@ -110,4 +119,5 @@ def plant_arrays(case: BatchCase, numbers: Numbers, count: int) -> tuple[Array, 
             flows[:, int(places[0]), int(places[1])] = numbers[name]
         else:
             starts[:, int(places[0])] = numbers[name]
-    return flows, starts
+    found = flows, starts, np.zeros(case.size), np.zeros(states)
+    return LinearPlants(*(array.tolist() for array in found) if listed else found)

@@ -23,6 +23,7 @@ from canhaptic.study.batch import (
     run_scalar,
     spectral_radius,
     why_not_batchable,
+    why_not_compared,
 )
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import batch_key
@@ -37,6 +38,7 @@ from canhaptic.study.sweep.recipe import (
     of_plant,
     scene_of,
     seeded,
+    seeds_of,
 )
 
 RADIUS: Final = "spectral_radius"
@@ -167,20 +169,25 @@ class _Chunk:
         recipe, cycles = self._recipe, cycles_in(self._recipe, built.permitted())
         metrics = [metric for metric in recipe.metrics if metric != RADIUS]
         found: dict[str, Array] = {}
+        stopped: dict[int, str] = {}
+        seeds = seeds_of(recipe, built.permitted(), self._start + rows)
         for index, name in enumerate(recipe.axes):
             scene = _alone(built, index)
-            reason = why_not_batchable(scene)
+            reason = why_not_batchable(scene) or why_not_compared(scene, metrics)
             if reason:
                 return reason
             varied = self._varied(built, scene, index, rows, batched)
             try:
-                figures = run_batch(scene, varied, cycles, recipe.engine, metrics)
+                figures = run_batch(scene, varied, cycles, recipe.engine, metrics, seeds=seeds, stopped=stopped)
             except (ParameterError, NotBatchableError) as error:
                 return f"the batch refused: {error}".splitlines()[0]
             found |= {f"{name}/{metric}": figures[metric] for metric in metrics}
         for path, values in found.items():
             self._figures[path][rows] = values
-        self._note_all(rows, ENGINES.index(recipe.engine), built.remark)
+        engine = ENGINES.index(recipe.engine)
+        self._note_all(rows, engine, built.remark)
+        for row, text in stopped.items():
+            self._note(int(rows[row]), _FAILED, engine, text)
         return ""
 
     def _varied(self, built: Built, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]) -> dict[str, Array]:

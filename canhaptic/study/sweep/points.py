@@ -100,7 +100,12 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
 
 def scene_seed(base: int, index: int) -> int:
     """Returns the seed of everything random in the scene of a global index: 0 to 10^9."""
-    return int(_hashed(base, 0xC0, np.array([index], dtype=np.uint64))[0] % np.uint64(1_000_000_001))
+    return int(scene_seeds(base, np.array([index]))[0])
+
+
+def scene_seeds(base: int, indices: NDArray[np.intp]) -> Array:
+    """Returns the seeds of the scenes of some global indices, whole numbers of shape (n,)."""
+    return (_hashed(base, 0xC0, indices.astype(np.uint64)) % np.uint64(1_000_000_001)).astype(float)
 
 
 def _picked(varied: Varied, index: NDArray[np.intp]) -> Column:

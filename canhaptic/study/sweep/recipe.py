@@ -11,15 +11,19 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from canhaptic.errors import InputError, ParameterError, SceneConflictError, SceneError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.own_code import require_same_code
 from canhaptic.study.algorithms import PLANT_OF, able_under, chosen_algorithms
 from canhaptic.study.batch.engine import ChosenEngine
+from canhaptic.study.loop import Array
 from canhaptic.study.scenes import at_rate, cycles_of
 from canhaptic.study.sweep.places import places_of
-from canhaptic.study.sweep.points import CONTROLLER, Points, scene_seed
+from canhaptic.study.sweep.points import CONTROLLER, Points, scene_seed, scene_seeds
 from canhaptic.study.sweep.vary import Value, Varied
 
 RATE: Final = "bus.rate"
@@ -164,6 +168,13 @@ def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
         for i, axis in enumerate(scene.axes)
     )
     return replace(scene, axes=axes, simulation=scene.simulation.model_copy(update={"seed": seed}))
+
+
+def seeds_of(recipe: Recipe, scene: Scene, indices: NDArray[np.intp]) -> Array | None:
+    """Returns what `seeded` gives the first axis of the scenes of some global indices; None where it gives nothing."""
+    if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
+        return None
+    return scene_seeds(recipe.seed, indices)
 
 
 def cycles_in(recipe: Recipe, scene: Scene) -> int:

@@ -39,10 +39,18 @@ class _Noise:
 
     def read(self, position: float, tick: int, seed: int) -> float:
         """Returns the reading with its error [m or rad]."""
-        base = _mix(seed * _GAMMA + tick)
-        radius = math.sqrt(-2.0 * math.log((_mix(base + _GAMMA) + 1) / (_MASK + 2)))
-        angle = 2.0 * math.pi * (_mix(base + 2 * _GAMMA) / (_MASK + 1))
-        return position + self._deviation * radius * math.cos(angle)
+        return position + noise(self._deviation, seed, tick)
+
+
+def noise(deviation: float, seed: int, tick: int) -> float:
+    """Returns the error of the reading at a tick [m or rad]."""
+    base = _mix(seed * _GAMMA + tick)
+    return gaussian(deviation, (_mix(base + _GAMMA) + 1) / (_MASK + 2), _mix(base + 2 * _GAMMA) / (_MASK + 1))
+
+
+def gaussian(deviation: float, first: float, second: float) -> float:
+    """Returns a normal deviate out of two uniform ones: first in (0, 1], second in [0, 1)."""
+    return deviation * math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
 
 
 def _mix(value: int) -> int:

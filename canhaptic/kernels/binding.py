@@ -1,0 +1,63 @@
+"""The same code of a kernel, and of every kernel that it reaches, with other functions in the place of some."""
+
+import builtins
+from collections.abc import Callable, Mapping
+from types import CodeType, FunctionType
+from typing import Any
+
+
+class Binding:
+    """Functions whose global names are bound anew, each once.
+
+    Args:
+        instead: A function that is reached, or a global name -> what to take in its place.
+        wrap: Makes of a function that is reached what its name is bound to.
+        known: What needs no look: function -> what takes its place.
+    """
+
+    def __init__(
+        self,
+        instead: Mapping[Any, Any],
+        wrap: Callable[[FunctionType], Any] = lambda function: function,
+        known: Mapping[Any, Any] | None = None,
+    ) -> None:
+        self._instead, self._wrap = instead, wrap
+        self._known: dict[Any, Any] = dict(known or {})
+
+    def rebound(self, function: Any) -> FunctionType:
+        """Returns the same code with other functions in the place of its global names."""
+        found: dict[str, Any] = {"__name__": function.__module__, "__builtins__": builtins}
+        for name in sorted(_names_in(function.__code__)):
+            if name in function.__globals__:
+                found[name] = self._value(name, function.__globals__[name])
+        return FunctionType(function.__code__, found, function.__name__, function.__defaults__)
+
+    def _value(self, name: str, value: Any) -> Any:
+        value = self._instead.get(name, value)
+        return self.of(name, self._instead.get(value, value)) if callable(value) else self.constant(name, value)
+
+    def constant(self, name: str, value: Any) -> Any:
+        """Returns a value that a function names."""
+        return value
+
+    def of(self, name: str, value: Any) -> Any:
+        """Returns what takes the place of a function or class."""
+        if value not in self._known:
+            is_function = isinstance(value, FunctionType)
+            self._known[value] = self._wrap(self.rebound(value)) if is_function else value
+        return self._known[value]
+
+
+def bound(function: Any, instead: Mapping[Any, Any]) -> Any:
+    """Returns a kernel as Python runs it, with other functions in the place of some that it reaches.
+
+    Args:
+        function: The kernel.
+        instead: As for `Binding`.
+    """
+    return Binding(instead).rebound(function)
+
+
+def _names_in(code: CodeType) -> set[str]:
+    inner = [_names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
+    return {*code.co_names}.union(*inner)

@@ -1,0 +1,120 @@
+"""All modes of a plant as arrays of one shape, and the products of the stepper as loops over them.
+
+The loops take lists of lists as they take arrays: Python and machine code add the same numbers in the same order, so
+that both give the same bits. Matrices are stored by columns: the inner loop runs over rows, and no sum is reordered.
+"""
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from canhaptic.kernels import Buffer
+from canhaptic.sim.plant.hybrid_automaton import matrix_of, reset_matrix
+from canhaptic.sim.plant.mode_matrices import Mode
+from canhaptic.sim.plant.propagator import LEVELS
+from canhaptic.sim.plant.stepper import NONE, ModeTables
+
+Matrix = Sequence[Sequence[float]]
+
+
+class Books(NamedTuple):
+    """Totals and the room for one product."""
+
+    totals: Any  # shape (works,) [J]
+    rows: Any  # [y, Q y for each work], shape (n * (1 + works),)
+
+
+def move(columns: Matrix, state: Buffer, moved: Buffer) -> None:
+    """Writes the product with the state; `columns` has shape (n, n_rows)."""
+    for row in range(len(moved)):
+        moved[row] = 0.0
+    for column in range(len(columns)):
+        factors, factor = columns[column], state[column]
+        for row in range(len(moved)):
+            moved[row] += factors[row] * factor
+
+
+def evaluate(guards: Matrix, state: Buffer, values: Buffer) -> Buffer:
+    """Writes and returns all rows of the guards times the state."""
+    for row in range(len(guards)):
+        factors, total = guards[row], 0.0
+        for column in range(len(state)):
+            total += factors[column] * state[column]
+        values[row] = total
+    return values
+
+
+def pace(values: Buffer, first: int) -> float:
+    """Returns the length of the scaled rates of the state, the values from `first` on."""
+    total = 0.0
+    for row in range(first, len(values)):
+        total += values[row] * values[row]
+    return sqrt(total)
+
+
+def largest_term(guards: Matrix, guard: int, state: Buffer) -> float:
+    """Returns the largest term in the sum that is the value of a guard."""
+    largest = 0.0
+    for column in range(len(state)):
+        largest = max(largest, abs(guards[guard][column] * state[column]))
+    return largest
+
+
+def stored(storage: Matrix, state: Buffer) -> float:
+    """Returns the kinetic and elastic energy [J]."""
+    total = 0.0
+    for row in range(len(storage)):
+        for column in range(len(storage)):
+            total += state[row] * storage[row][column] * state[column]
+    return total
+
+
+def book(columns: Matrix, state: Buffer, books: Any) -> None:
+    """Adds the work of a step that begins at `state` to the totals; `columns` has shape (n, n * (1 + works))."""
+    only = books[0]
+    move(columns, state, only.rows)
+    size = len(state)
+    for work in range(len(only.totals)):
+        total, first = 0.0, size * (1 + work)
+        for i in range(size):
+            total += only.rows[first + i] * only.rows[i]
+        only.totals[work] += total
+
+
+def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: int) -> ModeTables:
+    """Returns the tables of the modes as arrays; guards that a mode does not have are zero.
+
+    Args:
+        modes: As compiled.
+        targets: By mode and guard, the mode it leads to.
+        works: Number of works.
+    """
+    size, count = len(modes[0].storage), max(len(mode.exits) for mode in modes)
+    guards = np.zeros((len(modes), 2 * count + size, size))
+    slack = np.zeros((len(modes), LEVELS + 1, count))
+    chord, spread = np.zeros((2, len(modes), LEVELS + 1, count, size))
+    bend = np.zeros((len(modes), count, size))
+    target, loss = np.full((len(modes), count), NONE), np.zeros((len(modes), count), dtype=np.int64)
+    jumps, resets = np.zeros((len(modes), count), dtype=bool), np.zeros((len(modes), count, size, size))
+    for i, mode in enumerate(modes):
+        guards[i, : len(mode.guards)] = mode.guards
+        exits, rates = mode.bounds.bend.shape
+        slack[i, :, :exits], bend[i, :exits, :rates] = mode.bounds.slack, mode.bounds.bend
+        chord[i, :, :exits, :rates], spread[i, :, :exits, :rates] = mode.bounds.chord, mode.bounds.spread
+        for j, leaving in enumerate(mode.exits):
+            target[i, j], loss[i, j], jumps[i, j] = targets[i][j], leaving.work, bool(leaving.resets)
+            resets[i, j] = reset_matrix(leaving, size).T
+    flows = np.array([[matrix_of(flow).T for flow in mode.flows] for mode in modes])
+    forms = np.array([[_columns(matrix_of(work), size, works) for work in mode.works] for mode in modes])
+    return ModeTables(
+        flows, forms, np.array([mode.base for mode in modes]), guards, np.array([len(mode.exits) for mode in modes]),
+        slack, chord, bend, spread, target, jumps, resets, loss, np.array([mode.storage for mode in modes]),
+    )  # fmt: skip
+
+
+def _columns(stacked: Any, size: int, works: int) -> Any:
+    """Returns [y, Q y for each work] by columns, out of the matrix of `Mode.works` for one level."""
+    forms = stacked[: works * (size + works)].reshape(works, size + works, size)[:, :size]
+    return np.concatenate([stacked[works * (size + works) :], *forms]).T

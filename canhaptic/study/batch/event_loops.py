@@ -1,0 +1,48 @@
+"""Loops with plants that have events: for each different plant the loops that have it."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from canhaptic.errors import EventLimitError
+from canhaptic.kernels.records import number_in, records_of
+from canhaptic.study.batch.event_plant import INCOMPLETE, EventState
+from canhaptic.study.batch.event_plants import EventModes, PlantValues, is_booked, replacements
+from canhaptic.study.loop import Array
+
+
+def run_event_plants(
+    loops: Any, plants: Sequence[PlantValues], which: Array, stopped: dict[int, str], *, listed: bool
+) -> None:
+    """Runs every loop.
+
+    Args:
+        loops: `InterpretedLoops` or `CompiledLoops`.
+        plants: Each different plant.
+        which: Number of the plant of each loop, shape (n,).
+        stopped: Takes the numbers of loops whose plants could not be moved on, and why.
+        listed: Whether Python runs the loops.
+    """
+    for number in np.unique(which).tolist():
+        modes = EventModes(plants[int(number)], listed=listed)
+        some = np.flatnonzero(which == number).tolist()
+        loops.run(
+            some, modes.plants([EventState()] if listed else records_of([EventState()])), _going_on(modes, stopped)
+        )
+
+
+def _going_on(modes: EventModes, stopped: dict[int, str]) -> Any:
+    def interrupted(plants: Any, loop: int, place: Any, outcome: int) -> Any:
+        if outcome == INCOMPLETE:
+            return modes.completed(plants)
+        error: EventLimitError = modes.error(plants, int(number_in(place, "cycle")))
+        stopped[loop] = str(error).splitlines()[0]
+        return None
+
+    return interrupted
+
+
+def loop_replacements(plants: Sequence[PlantValues]) -> dict[Any, Any]:
+    """Returns what takes the place of functions of the loop for plants with events; nothing for linear ones."""
+    return replacements(is_booked(plants[0].scene())) if plants else {}
