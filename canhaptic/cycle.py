@@ -10,10 +10,12 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from canhaptic.control.balance import Branch, EnergyBalance, Ledger
+from canhaptic.control.energy_loss import EnergyLossMeter
 from canhaptic.control.energy_resolution import EnergyResolution
 from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import VirtualClock
+from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
 from canhaptic.histogram import DurationHistogram
@@ -49,6 +51,7 @@ class Cycle:
         truths: What the simulated axes really did, read right after their SYNC; None with real drives.
         groups: Axes that render together, each group with one account.
         resolutions: What sensors and drive leave open, one per axis; None where they are ideal.
+        meters: Of the ports that may give out only so much energy.
 
     Raises:
         InputError: There is not one controller for each axis.
@@ -69,6 +72,7 @@ class Cycle:
         truths: Callable[[], Sequence[Truth]] | None = None,
         groups: Sequence[AxisGroup] = (),
         resolutions: Sequence[EnergyResolution] | None = None,
+        meters: Sequence[EnergyLossMeter] = (),
     ) -> None:
         self.rig = rig
         self.controllers = tuple(controllers)
@@ -88,12 +92,13 @@ class Cycle:
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log = log
         self._truths = truths
+        self._meters = tuple(meters)
 
     def step(self) -> None:
         """Walks the route once.
 
         Raises:
-            RigError: Drive, link or controller failed.
+            RigError: Drive, link or controller failed, or a port gave out more energy than was declared.
         """
         rig = self.rig
         samples = rig.sync()  # SYNC out, position TPDOs in            [rad or m]
@@ -111,8 +116,25 @@ class Cycle:
         torques = []
         for balance in balances:
             torques.append(balance.torque)  # a comprehension is a function made and called anew
+        lost = self._lost(samples) if self._meters else ""
+        if lost:
+            error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
+            self._account(samples, balances, truths)
+            raise error
         rig.write_torques(torques)  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
+
+    def _lost(self, samples: Sequence[Sample]) -> str:
+        """Returns by which port too much energy went out, and how much; "" while none has."""
+        for meter in self._meters:
+            if not meter.take(samples):
+                continue
+            unsure = sum(self.rig.drives[axis].read_back_bound + self.resolutions[axis].value for axis in meter.axes)
+            supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
+            if meter.energy + supplied + unsure < meter.floor:
+                limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
+                return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
+        return ""
 
     def fail_log(self, reason: str) -> None:
         """Ends the run after the cycle under way, because a log of it can no longer be written; from any thread."""

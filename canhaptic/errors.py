@@ -235,6 +235,14 @@ class BusFailedError(LinkError):
     """The interface refused a frame twice, or could not be read."""
 
 
+class SyncsSkippedError(RigError):
+    """This computer was too late for more SYNCs than it sent."""
+
+
+class EnergyLostError(ControlError):
+    """A port gave out more energy than was declared."""
+
+
 class TorqueNotFiniteError(ControlError):
     """The controller asked for a torque that is no finite number."""
 

@@ -31,6 +31,7 @@ from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
 
 _RECORDS_KEPT: Final = 1000
+_SKIPS_TO_STOP: Final = 10  # times `stop_cycles`: SYNCs skipped, less those sent, since the computer was last in time
 _tuple: Final = tuple.__new__  # makes a record at half the cost of calling its class
 
 
@@ -93,6 +94,7 @@ class Rig:
         self.stop_reason = StopReason.NONE
         self.records: deque[_CycleRecord] = deque(maxlen=_RECORDS_KEPT)
         self._is_running = False
+        self._behind = 0  # SYNCs skipped, less those sent since; not below 0
         self._first_samples: list[Sample] | None = None
         self._samples: list[Sample] = []
         self.timing = CycleTiming(0, 0, 0, 0)
@@ -148,6 +150,8 @@ class Rig:
         except LinkError as error:
             raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
         self.sync_index = index = self.sync_index + 1
+        if exchange.periods > 1 or self._behind:
+            self._count_skips(exchange.periods)
         self._require_no_other_master()
         self._samples = samples = []
         if self._needed:
@@ -162,6 +166,17 @@ class Rig:
             if reason:
                 raise self._stopped(reason, self._describe(drive, reason), drive.axis.name)
         return samples
+
+    def _count_skips(self, periods: int) -> None:
+        """Stops where more SYNCs were skipped than sent, for long: a drive goes on with its last torque meanwhile."""
+        self._behind = max(0, self._behind + periods - 2)
+        limit = _SKIPS_TO_STOP * self.bus.stop_cycles
+        if self._behind > limit:
+            reason = StopReason.SYNCS_SKIPPED
+            rule = STOP_TABLE[reason]
+            what = f"{rule.meaning} at SYNC {self.sync_index}: {self.skipped_syncs} skipped in all"
+            text = f"{what}, of late {limit} more than were sent; torque is zero; {rule.remedy}"
+            raise self._stopped(reason, text)
 
     def _require_no_other_master(self) -> None:
         for link in self.links:
@@ -256,6 +271,17 @@ class Rig:
             raise RigError(
                 f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive", self.records
             )
+
+    def end(self, reason: StopReason, what: str) -> RigError:
+        """Sends zero torque and stops at once for a reason that the caller has found; returns the exception.
+
+        Args:
+            reason: Of the stop.
+            what: Where it was found, and with which values.
+        """
+        rule = STOP_TABLE[reason]
+        text = f"{what}: {rule.meaning} at SYNC {self.sync_index}; torque is zero; {rule.remedy}"
+        return self._stopped(reason, text)
 
     def _stopped(self, reason: StopReason, text: str, axis: str = "") -> RigError:
         """Stops at once and returns the exception with the reason."""

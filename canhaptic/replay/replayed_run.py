@@ -22,8 +22,15 @@ from canhaptic.replay.roles import roles_of
 from canhaptic.result import run_result
 from canhaptic.scene.bus import open_bus, private_channel
 from canhaptic.scene.channels import Channels
+from canhaptic.scene.loss_limits import build_loss_meters
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_servo_drive, group_places
+from canhaptic.scene.parts import (
+    build_axis_controllers,
+    build_axis_groups,
+    build_resolutions,
+    build_servo_drive,
+    group_places,
+)
 
 _BUS: Final[dict[str, Any]] = {"interface": "virtual", "channel": None, "options": {}}
 
@@ -84,7 +91,9 @@ class _Replay:
         self._side = RecordedSide(far_buses, recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
         rig = self._rig([Link(bus, clock) for bus in near_buses])
-        self._cycle = Cycle(rig, build_axis_controllers(scene), groups=build_axis_groups(scene))
+        groups, resolutions = build_axis_groups(scene), build_resolutions(scene)
+        meters = build_loss_meters(scene)
+        self._cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, resolutions=resolutions, meters=meters)
 
     def _rig(self, links: list[Link]) -> Rig:
         scene = self._scene

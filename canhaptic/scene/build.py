@@ -23,6 +23,7 @@ from canhaptic.errors import InputError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.scene.bus import echoes, open_bus, private_channel, suffers, with_effects
 from canhaptic.scene.log_writers import open_bus_log, open_energy_log
+from canhaptic.scene.loss_limits import build_loss_meters
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import (
     build_axis_controllers,
@@ -82,7 +83,8 @@ class Experiment:
             self.rig = _build_rig(scene, links)
             controllers, truths = build_axis_controllers(scene), _truths(self.far_side)
             groups_of_axes, resolutions = build_axis_groups(scene), build_resolutions(scene)
-            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, groups_of_axes, resolutions)
+            meters = build_loss_meters(scene)
+            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, groups_of_axes, resolutions, meters)
             if self._log_failure:  # before there was a cycle to stop
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()

@@ -36,6 +36,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     _check_somebody_answers(scene, sections, faults)
     _check_effects(scene, sections, faults)
     _check_interfaces(scene, sections, faults)
+    _check_loss_limits(scene, sections["axes"], faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         _check_loop(axis, _passivity_section(axis, entry, sections, scene), scene, faults)
@@ -68,6 +69,16 @@ def _check_interfaces(scene: Scene, sections: MarkedMapping, faults: Diagnostics
     for index, (_, bus) in enumerate(scene.buses):
         for key, message in interface_faults(bus):
             faults.add(bus_section(sections, index).value_at(key), message)
+
+
+def _check_loss_limits(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
+    for axis, entry in zip(scene.axes, entries, strict=True):
+        if axis.parameters.energy_loss_limit == "none" and not scene.simulated:
+            message = (
+                "got 'none', but the drives may be real; expected a limit, or nothing for 10 mJ: a run that gives out "
+                "energy again and again must end"
+            )
+            faults.add(entry.value_at("energy_loss_limit"), message)
 
 
 def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:

@@ -18,6 +18,7 @@ from canhaptic.errors import (
     CycleFailedError,
     DriveStateFaultError,
     EmergencyError,
+    EnergyLostError,
     HeartbeatLostError,
     NmtStateLeftError,
     NotFollowingError,
@@ -25,6 +26,7 @@ from canhaptic.errors import (
     RigError,
     SecondMasterError,
     StateLeftError,
+    SyncsSkippedError,
     TorqueLimitedError,
     TorqueNotFiniteError,
     TpdoLostError,
@@ -41,6 +43,7 @@ class StopReason(IntEnum):
     SEND_FAILED = 12
     COMMAND_LOST = 13
     SECOND_MASTER = 14
+    SYNCS_SKIPPED = 15
     EMERGENCY = 20
     DRIVE_FAULT = 21
     STATE_LEFT = 22
@@ -50,6 +53,7 @@ class StopReason(IntEnum):
     TORQUE_LIMITED = 26
     CONTROLLER = 30
     EXCEPTION = 31
+    ENERGY_LOST = 32
 
 
 class Action(Enum):
@@ -95,6 +99,11 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
         SecondMasterError,
         "end the other program, or remove the other device, that sends SYNC, NMT, RPDOs or SDO requests",
     ),
+    StopReason.SYNCS_SKIPPED: _StopRule(
+        "this computer was late for too many SYNCs",
+        SyncsSkippedError,
+        "end other programs, see `canhaptic check`, host, ask for bus.realtime, or lower bus.rate",
+    ),
     StopReason.EMERGENCY: _StopRule(
         "the drive sent an EMCY", EmergencyError, "look the code up in the drive's manual and remove its cause"
     ),
@@ -128,6 +137,12 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
         "check the parameters of environment and algorithm against the motion",
     ),
     StopReason.EXCEPTION: _StopRule("the cycle raised an exception", CycleFailedError, "see the error that caused it"),
+    StopReason.ENERGY_LOST: _StopRule(
+        "a port gave out more energy than was declared",
+        EnergyLostError,
+        "look for SYNCs skipped, frames lost, and a moving_mass or hand_force that is not so; raise energy_loss_limit "
+        "of the axis only where a person may be given that energy",
+    ),
 }
 
 READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {

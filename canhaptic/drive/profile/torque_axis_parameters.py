@@ -39,6 +39,9 @@ class TorqueAxisParameters(Parameters):
     """Largest power that the torque may put into the user's side."""
     speed_limit: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
     """A position that moves faster than this between two SYNCs is not believed: the rig stops."""
+    energy_loss_limit: Annotated[float, quantity("J", gt=0.0, le=10.0)] | Literal["none"] | None = None
+    """Energy that the port may give out beyond what was declared; then the rig stops. In a group the least of all axes
+    counts. By default 10 mJ, in simulation for algorithms that promise passivity alone; `none` in simulation alone."""
     read_back: Literal["auto", "demand", "actual", "none"] = "auto"
     """Torque in the TPDO: 0x6074, 0x6077, nothing; auto takes the first that the dictionary allows."""
     torque_tolerance: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 0.05
