@@ -86,12 +86,13 @@ def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], co
     A certificate covers `max_consecutive_losses` sample times without a new torque, of a controller that declares them,
     and none of one that does not. A skipped SYNC is no lost frame: the torque under way acts for longer, and the one
     behind it, which counted on a single hold, acts all the same. Where a torque acted for longer than was covered,
-    nothing was certified, whatever each step said.
+    nothing was certified, whatever each step said; nor where a drive held a torque that was never commanded.
     """
     account = ledger.summary().as_json(sample_time)
     account["longest_hold"] = longest = max(drive.longest_hold for drive in drives)
     covered = getattr(controller, "max_consecutive_losses", 0) if all(drive.longest_gap == 1 for drive in drives) else 0
-    if longest > 1 + covered and (account["in"] or account["out"]):
+    account["uncommanded_cycles"] = uncommanded = sum(drive.uncommanded for drive in drives)
+    if (longest > 1 + covered or uncommanded) and (account["in"] or account["out"]):
         account["certificate"] = Certificate.NONE.name.lower()
         account["certificates"] = [account["certificate"]]
     return account

@@ -152,6 +152,11 @@ def _longest_hold(port: _Result) -> str:
     return f"{port['longest_hold']} T   " if "longest_hold" in port else "-   "
 
 
+def _uncommanded(port: _Result) -> str:
+    count = port.get("uncommanded_cycles", 0)
+    return f"{count}   " if count else _NOTHING
+
+
 def _passive(port: _Result) -> Text:
     """Returns yes, NO, or that only the energy in doubt, booked at its worst, lies between them."""
     return _VERDICTS[account_verdict(port)].copy()
@@ -198,6 +203,7 @@ _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("damping rendered", _damping),
     ("energy known to", _known_to),
     ("longest hold", _longest_hold),
+    ("holds not as commanded", _uncommanded),
     ("weakest certificate", lambda port: str(port["certificate"]).replace("_", " ") + "   "),
 )
 _TRUTH_ROWS: Final[tuple[_Row, ...]] = (

@@ -15,6 +15,7 @@ from canhaptic.result import _ledger
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 STALLS = "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}"
+GOES_ON = ("axes.0.energy_loss_limit=none", "bus.stop_cycles=1000")  # where a rig would end the run
 THROWN = (  # by a hand that has let go, at a wall
     "simulation.user=null",
     "simulation.plant={mass: 0.2 kg, damping: 0 N*s/m, initial_position: 0.02 m, initial_velocity: -0.3 m/s}",
@@ -24,7 +25,7 @@ THROWN = (  # by a hand that has let go, at a wall
 
 def account(capsys: pytest.CaptureFixture[str], *values: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Returns the account of the handle and the truth."""
-    words = [word for value in values for word in ("--set", value)]
+    words = [word for value in (*GOES_ON, *values) for word in ("--set", value)]
     main(["run", str(DEMO), "--duration", "1.7", "--json", "--set", "bus.rate=250 Hz", *words])
     result = json.loads(capsys.readouterr().out)
     return result["ports"]["handle"], result["truth"]["handle"]
@@ -90,7 +91,7 @@ def test_only_where_no_energy_moved_a_long_hold_takes_no_certificate(
     ledger = Ledger()
     for cycle, h_i in enumerate((0.0, *energies)):
         ledger.add(AT_REST._replace(h_i=h_i, certificate=Certificate.EXACT.value), cycle)
-    drive = cast(ServoDrive, SimpleNamespace(longest_hold=2, longest_gap=1))
+    drive = cast(ServoDrive, SimpleNamespace(longest_hold=2, longest_gap=1, uncommanded=0))
     assert _ledger(ledger, 1e-3, [drive], None)["certificate"] == certificate
 
 
@@ -109,3 +110,31 @@ def test_a_stall_at_the_entry_into_a_wall_is_no_kick(begin: float, tmp_path: Pat
     with EnergyLog.open(path) as log:
         strongest = float(abs(log.ports["handle"]["torque_applied"]).max())
     assert 1.0 < strongest < 4.0
+
+
+def test_a_torque_that_was_never_commanded_voids_the_certificate(capsys: pytest.CaptureFixture[str]) -> None:
+    """The drive shows the torque that begins at a SYNC, the scene takes it for the one that ended there."""
+    port, _ = account(capsys, "simulation.drive.torque_read_back=after_update")
+    assert port["uncommanded_cycles"] > 20
+    assert (port["certificate"], port["certificates"]) == ("none", ["none"])
+    main(["run", str(DEMO), "--duration", "1.7", "--set", "simulation.drive.torque_read_back=after_update"])
+    assert "holds not as commanded" in capsys.readouterr().out
+    port, _ = account(capsys, "simulation.drive.torque_read_back=after_update", "axes.0.demand_reported=after")
+    assert (port["uncommanded_cycles"], port["certificate"]) == (0, "hand_force")
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        ("simulation.drive.torque_limit=1 N",),  # a smaller torque
+        ("simulation.bus={drop: 0.2}", "passivity.max_consecutive_losses=12"),  # an older one
+        ("bus.rpdo=event", "simulation.bus={drop: 0.2}", "passivity.max_consecutive_losses=12"),
+        ("axes.0.read_back=actual", "simulation.drive.torque_lag=2 ms"),  # one that settles
+    ],
+)
+def test_smaller_older_and_settling_torques_are_no_other_torques(
+    values: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    port, _ = account(capsys, *values)
+    assert port["out"] > 0.0
+    assert port["uncommanded_cycles"] == 0

@@ -90,6 +90,8 @@ class TorqueAxis(ABC):
             of the hold before and from the one sent, times the displacement [J]. The true torque of a hold lies
             between them unless the current loop overshoots, so that the computed energy is not farther from the true
             one. 0 where the demand is read back, which is exact, or nothing, which is believed.
+        uncommanded: Holds whose torque read back was larger than its command, or turned, and is no older command: no
+            certificate bounded it.
         longest_hold: The most sample times for which one torque was held since the last `reset`: 1 where all went well,
             more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back shows; what
             came together counts together.
@@ -151,6 +153,8 @@ class TorqueAxis(ABC):
         self._step = 0.0  # mean displacement per sample time since the last process data [rad or m]
         self._periods = 0  # sample times since the last process data
         self.longest_hold = self.longest_gap = 1
+        self.uncommanded = 0
+        self._passed: list[int] = []  # per mille: commands that acted, or should have, since the last process data
         self._is_late = False  # a SYNC was skipped before the last one
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
@@ -219,6 +223,7 @@ class TorqueAxis(ABC):
                 self._held = self.limiter.last
             self.policy.on_missed()
             self.longest_hold = max(self.longest_hold, self._periods)
+            self._passed.append(self._acting if self._is_synchronous else self._commanded)
             self._acting = self._commanded
             if not self.is_complete:
                 self.unheard += 1
@@ -253,6 +258,8 @@ class TorqueAxis(ABC):
             self._judge_measured(reported, believed)
         elif reported == believed or reported != self._held_before:
             self._stale_holds, self._stale_samples = 0, self._periods
+            if reported != believed:
+                self._judge_other(reported, believed, 0.0)
         elif self._is_reduced(reported, believed, 0.0):
             self._stale_samples = self._periods
         else:
@@ -262,7 +269,15 @@ class TorqueAxis(ABC):
         if self._measures:
             self._spread = max(abs(reported - believed), abs(reported - self._held_before))
         self._held_before = reported
+        if self._passed:
+            self._passed.clear()
         return reported
+
+    def _judge_other(self, applied: int, commanded: int, tolerance: float) -> None:
+        """Counts a torque that is not its command: smaller ones and older commands are no harm that is not covered."""
+        is_smaller = min(commanded, 0) - tolerance <= applied <= max(commanded, 0) + tolerance
+        if not is_smaller and applied not in self._passed and self._last.sync_index >= 0:
+            self.uncommanded += 1
 
     def _judge_measured(self, measured: int, believed: int) -> None:
         """Counts holds in which a measured torque stayed near an old command although another, far from it, was sent.
@@ -270,6 +285,9 @@ class TorqueAxis(ABC):
         Where the two commands are close, nothing can be said and the count stays.
         """
         tolerance = self._tolerance
+        low, high = min(believed, self._held_before, *self._passed), max(believed, self._held_before, *self._passed)
+        if not low - tolerance <= measured <= high + tolerance:  # between the last torque and the command it settles
+            self._judge_other(measured, believed, tolerance)
         if abs(measured - believed) <= tolerance:
             self._followed, self._stale_holds = believed, 0
         elif abs(measured - self._followed) > tolerance:
