@@ -7,7 +7,7 @@ One thread walks it. On any error zero torque is sent first and the exception is
 """
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 from canhaptic.control.balance import Branch, EnergyBalance, Ledger
 from canhaptic.control.energy_loss import EnergyLossMeter
@@ -22,6 +22,11 @@ from canhaptic.histogram import DurationHistogram
 from canhaptic.signals import CycleTiming, Sample, Truth
 
 _HELD = Branch.HELD.value
+_FEWEST_UNCHANGED: Final = 20  # SYNCs; or those of a second
+_UNCHANGED: Final = (
+    "position, torque and statusword were the same to the bit for 1 s, with a torque: a handle held still, a stuck "
+    "encoder, or TPDOs that the drive does not make anew"
+)
 
 
 class _CycleLog(Protocol):
@@ -93,6 +98,7 @@ class Cycle:
         self._log = log
         self._truths = truths
         self._meters = tuple(meters)
+        self._frozen_after = max(_FEWEST_UNCHANGED, round(1.0 / rig.bus.sample_time))
 
     def step(self) -> None:
         """Walks the route once.
@@ -165,6 +171,9 @@ class Cycle:
                 histogram.add(duration)
         if self._log is not None:
             self._log.append(index, samples, balances, timing, truths)
+            for drive in self.rig.drives:
+                if drive.unchanged == self._frozen_after:
+                    self._log.event(index, "unchanged", drive.axis.name, _UNCHANGED)
         self.cycles += 1
 
     def _account_groups(

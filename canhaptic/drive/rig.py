@@ -308,7 +308,7 @@ class Rig:
             StopReason.COMMAND_LOST: f"{self.bus.stop_cycles} SYNCs in a row",
             StopReason.HEARTBEAT_LOST: f"silent for more than {self.bus.drive_silence_ns / 1e6:g} ms",
             StopReason.EMERGENCY: str(drive.emergency),
-            StopReason.POSITION_JUMP: f"limit {drive.axis.speed_limit} {drive.axis.unit}/s",
+            StopReason.POSITION_JUMP: f"limit {drive.axis.largest_speed:g} {drive.axis.unit}/s",
             StopReason.NMT_STATE_LEFT: f"NMT state {drive.nmt_state}",
         }
         detail = details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")

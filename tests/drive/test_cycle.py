@@ -196,13 +196,14 @@ def test_a_full_queue_is_tried_once_more_and_then_stops_the_rig(bench: MakeBench
     assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
 
 
-def test_a_position_that_jumps_stops_the_rig(bench: MakeBench) -> None:
-    b = started(bench, [axis(speed_limit=1.0)])
+@pytest.mark.parametrize(("limit", "byte", "bit"), [(1.0, 4, 0x01), (None, 5, 0x80), (None, 4, 0x80), (None, 4, 0x10)])
+def test_a_position_that_jumps_stops_the_rig(bench: MakeBench, limit: float | None, byte: int, bit: int) -> None:
+    b = started(bench, [axis(speed_limit=limit)])
     b.run(3, torque=1.0)
 
     def jump(message: can.Message) -> can.Message:
         if message.arbitration_id == 0x185:
-            message.data[4] ^= 0x01  # 65536 counts: 0.66 m in one millisecond
+            message.data[byte] ^= bit  # of byte 4 the lowest is 65536 counts: 0.66 m in one millisecond
         return message
 
     b.tampered.on_receive = jump

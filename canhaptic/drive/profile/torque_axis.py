@@ -90,6 +90,8 @@ class TorqueAxis(ABC):
             of the hold before and from the one sent, times the displacement [J]. The true torque of a hold lies
             between them unless the current loop overshoots, so that the computed energy is not farther from the true
             one. 0 where the demand is read back, which is exact, or nothing, which is believed.
+        unchanged: SYNCs in a row whose process data, with a torque, were the same to the bit: a handle held still, or
+            an encoder that is stuck, or process data that are not made anew.
         uncommanded: Holds whose torque read back was larger than its command, or turned, and is no older command: no
             certificate bounded it.
         longest_hold: The most sample times for which one torque was held since the last `reset`: 1 where all went well,
@@ -123,7 +125,7 @@ class TorqueAxis(ABC):
         self._measures = read_back == "actual"
         self._shows_next = axis.demand_reported == "after"
         self._tolerance = axis.torque_tolerance / self.quirks.torque_resolution  # counts of 0x6077
-        self._largest_step = (axis.speed_limit or float("inf")) * rules.sample_time
+        self._largest_step = axis.largest_speed * rules.sample_time
 
     def reset(self) -> None:
         """Forgets everything received and commanded; a derived class calls it when it is complete."""
@@ -153,7 +155,7 @@ class TorqueAxis(ABC):
         self._step = 0.0  # mean displacement per sample time since the last process data [rad or m]
         self._periods = 0  # sample times since the last process data
         self.longest_hold = self.longest_gap = 1
-        self.uncommanded = 0
+        self.uncommanded = self.unchanged = 0
         self._passed: list[int] = []  # per mille: commands that acted, or should have, since the last process data
         self._is_late = False  # a SYNC was skipped before the last one
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
@@ -243,6 +245,8 @@ class TorqueAxis(ABC):
             self.longest_hold = periods
         if self._measures and last.sync_index >= 0:
             self.read_back_bound += self._spread * scaling.torque_quantum * abs(position - last.position)
+        is_same = position == last.position and torque == last.torque_applied and statusword == last.statusword
+        self.unchanged = self.unchanged + 1 if is_same and torque else 0
         self._last = sample = _tuple(Sample, (sync_index, position, torque, statusword, True))
         return sample
 

@@ -1,6 +1,6 @@
 """What a configuration says about one axis, for any fieldbus: every value in SI, with unit and range."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import field_validator
 
@@ -8,6 +8,7 @@ from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
 from canhaptic.units import Name, Parameters, PrintablePath, quantity
 
+_LARGEST_SPEED: Final = {"m": 10.0, "rad": 100.0}  # [m/s or rad/s]
 ReadBack = Literal["demand", "actual", "none"]
 """Torque in the process data of a drive: 0x6074, 0x6077, or none."""
 
@@ -38,7 +39,8 @@ class TorqueAxisParameters(Parameters):
     power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
     """Largest power that the torque may put into the user's side."""
     speed_limit: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
-    """A position that moves faster than this between two SYNCs is not believed: the rig stops."""
+    """A position that moves faster than this between two SYNCs is not believed: the rig stops. By default 10 m/s or
+    100 rad/s, faster than a hand."""
     energy_loss_limit: Annotated[float, quantity("J", gt=0.0, le=10.0)] | Literal["none"] | None = None
     """Energy that the port may give out beyond what was declared; then the rig stops. In a group the least of all axes
     counts. By default 10 mJ, in simulation for algorithms that promise passivity alone; `none` in simulation alone."""
@@ -60,6 +62,11 @@ class TorqueAxisParameters(Parameters):
     """Time in which the drive must answer an SDO request; then it is repeated."""
     step_timeout: Annotated[float, quantity("s", ge=1e-2, le=60.0)] = 1.0
     """Time in which the drive must confirm one step of the start."""
+
+    @property
+    def largest_speed(self) -> float:
+        """`speed_limit`, or its default [m/s or rad/s]."""
+        return self.speed_limit or _LARGEST_SPEED[self.unit]
 
     @field_validator("quirks")
     @classmethod
