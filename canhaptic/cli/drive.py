@@ -1,6 +1,7 @@
 """`canhaptic drive CONFIG`: the simulated drives of a scene alone, at wall-clock pace, for a master elsewhere."""
 
 import argparse
+import gc
 import selectors
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -38,6 +39,9 @@ def execute(arguments: argparse.Namespace) -> int:
         for name, answer in realtime.report.items():
             write_note(f"  bus.realtime.{name}: {answer}")
         far_ends = [_far_end(scene, place, stack) for place in range(len(scene.buses))]
+        stack.callback(gc.unfreeze)
+        gc.collect()
+        gc.freeze()  # a collection that walks everything imported would make the drives late for a SYNC
         write_note("; ".join(_names(scene, bus) for bus in scene.buses) + ": powered, Ctrl-C ends")
         _live(far_ends, arguments.duration, stop)
     return stop.exit_status

@@ -61,11 +61,14 @@ def interrupted(program: str, *words: str) -> tuple[int, str, float]:
         [sys.executable, "-c", program, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
-        process.stdout.readline()
-        begin = WallClock().now()
-        process.send_signal(signal.SIGINT)
-        _, written = process.communicate(timeout=30)
-        return process.returncode, written, (WallClock().now() - begin) * 1e-9
+        try:
+            process.stdout.readline()
+            begin = WallClock().now()
+            process.send_signal(signal.SIGINT)
+            _, written = process.communicate(timeout=30)
+            return process.returncode, written, (WallClock().now() - begin) * 1e-9
+        finally:
+            process.kill()
 
 
 ENTERED = """
@@ -89,9 +92,7 @@ from canhaptic.cli import main
 def busy(arguments):
     print("busy", flush=True)
     ctypes.CDLL(None).sleep(20)  # as a compiler does: one call, no instruction of Python in between
-    ctypes.CDLL(None).usleep(20_000_000)
-    while True:
-        pass
+    ctypes.CDLL(None).sleep(20)
 
 import canhaptic.cli.sweep
 canhaptic.cli.sweep.execute = busy
