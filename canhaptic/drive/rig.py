@@ -150,8 +150,6 @@ class Rig:
         except LinkError as error:
             raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
         self.sync_index = index = self.sync_index + 1
-        if exchange.periods > 1 or self._behind:
-            self._count_skips(exchange.periods)
         self._require_no_other_master()
         self._samples = samples = []
         if self._needed:
@@ -165,6 +163,8 @@ class Rig:
             reason = drive.fault(exchange.heard)
             if reason:
                 raise self._stopped(reason, self._describe(drive, reason), drive.axis.name)
+        if exchange.periods > 1 or self._behind:  # last: what a drive says of its watchdog says more
+            self._count_skips(exchange.periods)
         return samples
 
     def _count_skips(self, periods: int) -> None:

@@ -168,7 +168,7 @@ def require_buildable(scene: Scene) -> None:
     Raises:
         InputError: A run would refuse the scene, for example a simulated drive without a rated torque.
     """
-    if scene.simulated:
+    if scene.simulated and not scene.unread:
         Experiment(scene, "free", None, None).close()
 
 

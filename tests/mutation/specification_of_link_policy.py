@@ -8,12 +8,14 @@ from canhaptic.errors import (
     CycleFailedError,
     DriveStateFaultError,
     EmergencyError,
+    EnergyLostError,
     HeartbeatLostError,
     NmtStateLeftError,
     NotFollowingError,
     PositionJumpError,
     SecondMasterError,
     StateLeftError,
+    SyncsSkippedError,
     TorqueLimitedError,
     TorqueNotFiniteError,
     TpdoLostError,
@@ -27,6 +29,7 @@ REASONS = {  # the numbers are in logs that exist
     "SEND_FAILED": 12,
     "COMMAND_LOST": 13,
     "SECOND_MASTER": 14,
+    "SYNCS_SKIPPED": 15,
     "EMERGENCY": 20,
     "DRIVE_FAULT": 21,
     "STATE_LEFT": 22,
@@ -36,6 +39,7 @@ REASONS = {  # the numbers are in logs that exist
     "TORQUE_LIMITED": 26,
     "CONTROLLER": 30,
     "EXCEPTION": 31,
+    "ENERGY_LOST": 32,
 }
 RAISED = {
     "TPDO_LOST": TpdoLostError,
@@ -43,6 +47,7 @@ RAISED = {
     "SEND_FAILED": BusFailedError,
     "COMMAND_LOST": CommandLostError,
     "SECOND_MASTER": SecondMasterError,
+    "SYNCS_SKIPPED": SyncsSkippedError,
     "EMERGENCY": EmergencyError,
     "DRIVE_FAULT": DriveStateFaultError,
     "STATE_LEFT": StateLeftError,
@@ -52,6 +57,7 @@ RAISED = {
     "TORQUE_LIMITED": TorqueLimitedError,
     "CONTROLLER": TorqueNotFiniteError,
     "EXCEPTION": CycleFailedError,
+    "ENERGY_LOST": EnergyLostError,
 }
 CASES = (
     # hold, stop, what happens at 0, 1, 2, ... missed, and what is left of the torque
