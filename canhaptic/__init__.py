@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from canhaptic.errors import RigError as RigError
     from canhaptic.logs.energy_reader import EnergyLog as EnergyLog
     from canhaptic.replay.replayed_run import replay_bus_log as replay_bus_log
-    from canhaptic.result import run_result as run_result
     from canhaptic.scene.build import Experiment as Experiment
     from canhaptic.scene.build import build as build
     from canhaptic.scene.load import load_scene as load_scene
@@ -86,7 +85,6 @@ _PUBLIC: Final = {
     "replay_bus_log": "canhaptic.replay.replayed_run",
     "run": "canhaptic.cycle",
     "run_batch": "canhaptic.study.batch",
-    "run_result": "canhaptic.result",
     "scene_from_mapping": "canhaptic.scene.load",
     "scene_from_text": "canhaptic.scene.load",
     "simulate": "canhaptic.simulation",

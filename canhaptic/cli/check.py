@@ -49,7 +49,8 @@ def execute(arguments: argparse.Namespace) -> int:
         axis.parameters.name: check_dictionary(dictionary, axis.parameters, parameters[axis.bus])
         for dictionary, axis in zip(dictionaries, scene.axes, strict=True)
     }
-    require_buildable(scene)
+    if not scene.unread:
+        require_buildable(scene)
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
     found = _CheckFindings(scene, budgets, findings, hints)
     if arguments.json:

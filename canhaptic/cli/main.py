@@ -26,6 +26,7 @@ _COMMANDS: Final = {
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "compare": "compare every passivity algorithm on one scene with the continuous environment",
     "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
+    "touch": "touch a simulated scene with the pointer in a browser, unprotected and protected at once",
     "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",
     "map": "draw a sweep: how stiff a wall may be, what is left of it, and where theory draws the line",
     "design": "find the stiffest and most damped wall that a rig renders, as lines for its scene",
@@ -36,7 +37,7 @@ _COMMANDS: Final = {
     "configs": "list the scenes that come with the package, or copy them to change",
     "schema": "print the JSON Schema of scene files, for editors",
 }
-_STOP_IN_ORDER: Final = frozenset({"commission", "run", "drive", "scope"})
+_STOP_IN_ORDER: Final = frozenset({"commission", "run", "drive", "scope", "touch"})
 """Commands that take Ctrl-C as the operator's stop, and need time for it."""
 _BROKEN_PIPE: Final = 1
 

@@ -309,6 +309,20 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
+def _touch(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `touch`."""
+    add_scene(parser)
+    parser.add_argument("--axis", metavar="NAME", help="which axis; by default the first")
+    parser.add_argument("--port", type=_port, default=5007, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument(
+        "--pace",
+        choices=("even", "real"),
+        default="even",
+        help="even: cycles that come late are caught up; real: their SYNCs are skipped, as on a rig",
+    )
+    parser.add_argument("--open", action="store_true", help="open the page in a browser")
+
+
 def _length(text: str) -> float:
     return positive_number(text, ("m", "rad"), "tolerance", 1.0)
 
@@ -359,5 +373,6 @@ OPTIONS: Final[dict[str, Callable[[argparse.ArgumentParser], None]]] = {
     "schema": _schema,
     "scope": _scope,
     "sweep": _sweep,
+    "touch": _touch,
 }
 """Subcommand -> what declares its arguments."""

@@ -22,6 +22,7 @@ from canhaptic.sim.plant.guard_horizon import HOLDS
 from canhaptic.sim.plant.hybrid_automaton import matrix_of
 from canhaptic.sim.plant.machine_choice import machine_type
 from canhaptic.sim.plant.mode_matrices import Mode, initial_state
+from canhaptic.sim.plant.pointer_hand import PLACE
 from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
 from canhaptic.sim.plant.splitting import Splitting
 from canhaptic.sim.plant.timetable import Timetable
@@ -200,6 +201,10 @@ class Plant:
         for encoder in self.scene.encoders:
             position = encoder.read(position, self._tick, self.seed)
         return position
+
+    def move_hand(self, place: float) -> None:
+        """Puts a `PointerHand` at a place [m or rad] for the holds to come; between two holds only."""
+        self._machine.state[self.scene.names.index(PLACE)] = place
 
     @property
     def begun(self) -> bool:

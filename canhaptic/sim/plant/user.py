@@ -59,10 +59,10 @@ class UserParameters(Parameters):
     def add_to(self, scene: PlantModel) -> None:
         """Adds the hand, when there is one, at the last body of the scene."""
         if self.stiffness or self.damping or self.push:
-            _Hand(self).add_to(scene)
+            Hand(self).add_to(scene)
 
 
-class _Hand:
+class Hand:
     """The part: the force of the hand on the handle, one mode per grasp."""
 
     has_guards = False
@@ -107,9 +107,13 @@ class _Hand:
         self._grasps.append((stiffness, damping))
         return self.modes[-1]
 
+    def grasp(self, mode: str) -> tuple[float, float]:
+        """Returns stiffness and damping of a grasp."""
+        return self._grasps[self.modes.index(mode)]
+
     def assemble(self, rows: Rows, mode: str) -> None:
         """Adds the force on the handle, its work, and the oscillators."""
-        stiffness, damping = self._grasps[self.modes.index(mode)]
+        stiffness, damping = self.grasp(mode)
         handle = len(rows.forces) - 1
         velocity = rows.velocity(handle)
         force = rows.row(one=stiffness * self._rest + self._user.push)

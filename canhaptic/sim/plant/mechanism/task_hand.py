@@ -77,6 +77,10 @@ class TaskHand(Parameters):
         return _ellipse(self.damping, self.damping_across, self.angle)
 
 
+class PointerTaskHand(TaskHand):
+    """A hand whose place is given from outside while the mechanism runs; `rest` at the start."""
+
+
 def _ellipse(along: float, across: float | None, angle: float) -> Ellipse:
     other = along if across is None else across
     cosine, sine = math.cos(angle), math.sin(angle)

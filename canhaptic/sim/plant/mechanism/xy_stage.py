@@ -14,7 +14,7 @@ from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantMode
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
-from canhaptic.sim.plant.mechanism.task_hand import Length, TaskHand
+from canhaptic.sim.plant.mechanism.task_hand import Length, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
 from canhaptic.units import Motion, Parameters, quantity
 
@@ -45,12 +45,12 @@ class XYStage(Parameters):
     initial_position: tuple[Length, Length] = (0.0, 0.0)
     """Where the stage is before the start."""
 
-    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "_XYMotion":
+    def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "XYMotion":
         """Returns the stage at rest; it needs no substeps."""
-        return _XYMotion(self, hand, sample_time_ns)
+        return XYMotion(self, hand, sample_time_ns)
 
 
-class _XYMotion:
+class XYMotion:
     """The stage in motion.
 
     Args:
@@ -100,6 +100,11 @@ class _XYMotion:
         """Where the handle is [m]: on the carriage."""
         x, y = self.positions
         return x, y
+
+    def move_hand(self, x: float, y: float) -> None:
+        """Puts a `PointerTaskHand` at a place [m] for the holds to come; between two holds only."""
+        for name, place in zip(_NAMES, (x, y), strict=True):
+            self._machine.state[self._scene.names.index(f"{name}_hand_place")] = place
 
     @property
     def events(self) -> int:
@@ -196,13 +201,18 @@ def _add_hand(scene: PlantModel, hand: TaskHand) -> None:
             scene.add_state(f"{name}_motion_sine", math.sin(motion.phase))
             scene.add_state(f"{name}_motion_cosine", math.cos(motion.phase))
         scene.works[f"{name}_hand"] = "user"
+    is_placed = isinstance(hand, PointerTaskHand)
+    if is_placed:
+        for name, rest in zip(_NAMES, hand.rest, strict=True):
+            scene.add_state(f"{name}_hand_place", rest)
     stiffness, damping = hand.stiffness_matrix, hand.damping_matrix
 
     def write(rows: Rows) -> None:
         stretch, rate = [], []  # x_u - x and v_u - v, as rows
         for body, (name, motion, omega) in enumerate(zip(_NAMES, hand.motions, omegas, strict=True)):
             offset = hand.rest[body] + (motion.offset if motion else 0.0)
-            stretch.append(rows.row(one=offset) - rows.position(body))
+            place = rows.row(**{f"{name}_hand_place": 1.0}) if is_placed else rows.row(one=offset)
+            stretch.append(place - rows.position(body))
             rate.append(-rows.velocity(body))
             if motion is not None:
                 sine, cosine = f"{name}_motion_sine", f"{name}_motion_cosine"

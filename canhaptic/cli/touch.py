@@ -1,0 +1,57 @@
+"""`canhaptic touch CONFIG`: a page in which the pointer is the hand, on the scene unprotected and protected at once."""
+
+import argparse
+from typing import TYPE_CHECKING, Any, Final
+
+from canhaptic.cli.arguments import scene_of
+from canhaptic.cli.page_server import serve_page, usable_port
+from canhaptic.touch.two_sides import two_sides
+
+if TYPE_CHECKING:
+    from canhaptic.scene.models import Scene
+    from canhaptic.touch.hand import TouchHand
+    from canhaptic.touch.touch_page import TouchPage
+
+_PERIOD: Final = 0.033  # [s] between two looks of a page
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Serves the page until the process is interrupted; returns 130 after SIGINT and 143 after SIGTERM.
+
+    Raises:
+        InputError: The scene cannot be touched, Bokeh is not installed, or the port is taken.
+    """
+    scene = scene_of(arguments)
+    two_sides(scene, arguments.axis)
+    visits = _Visits(scene, arguments)
+    try:
+        port = usable_port(arguments)
+        return serve_page(visits, port, f"touch {scene.source}", show=arguments.open)
+    finally:
+        visits.close()
+
+
+class _Visits:
+    """Gives the only hand to the latest visitor."""
+
+    def __init__(self, scene: "Scene", arguments: argparse.Namespace) -> None:
+        self._scene, self._arguments = scene, arguments
+        self._hand: TouchHand | None = None
+        self._page: TouchPage | None = None
+
+    def __call__(self, document: Any) -> None:
+        """Fills the document of a visitor; the drives start with the first."""
+        from canhaptic.touch.hand import TouchHand
+        from canhaptic.touch.touch_page import TouchPage
+
+        if self._hand is None:
+            self._hand = TouchHand(self._scene, self._arguments.axis, self._arguments.pace)
+            self._hand.begin({})
+        if self._page is not None:
+            self._page.end("another page has taken the hand; reload this one to take it back")
+        self._page = TouchPage(document, self._hand, _PERIOD)
+
+    def close(self) -> None:
+        """Ends the hand."""
+        if self._hand is not None:
+            self._hand.close()

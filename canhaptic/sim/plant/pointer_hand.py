@@ -1,0 +1,38 @@
+"""A hand whose place is given from outside while the plant runs: by the pointer of `canhaptic touch`.
+
+The place is a state that nothing moves, so that the plant stays as exact as with any other hand; `Plant.move_hand` sets
+it between two holds. Without a word from outside the hand stays where it is.
+"""
+
+from typing import Annotated, Final
+
+from canhaptic.sim.plant.assembly import PlantModel, Rows
+from canhaptic.sim.plant.user import Hand, UserParameters
+from canhaptic.units import quantity
+
+PLACE: Final = "hand_place"
+"""State that is the place of the hand."""
+
+
+class PointerHand(UserParameters):
+    """A grip on the handle at a place that is given from outside."""
+
+    place: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
+    """Where the hand is at the start."""
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Adds the hand and its place."""
+        _PlacedHand(self).add_to(scene)
+        scene.add_state(PLACE, self.place)
+        scene.deflection[PLACE] = -1.0
+
+
+class _PlacedHand(Hand):
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the force on the handle and its work."""
+        stiffness, _ = self.grasp(mode)
+        pull = rows.row(**{PLACE: stiffness})
+        super().assemble(rows, mode)
+        handle = len(rows.forces) - 1
+        rows.forces[handle] += pull
+        rows.add_power(self.name, pull, rows.velocity(handle))

@@ -1,0 +1,305 @@
+"""The page of `canhaptic touch`: two handles at one pointer, with live force, energy and verdict, and sliders."""
+
+import html
+from typing import Any, Final
+
+import numpy as np
+from bokeh.events import Pan, PanStart
+from bokeh.layouts import column, row
+from bokeh.models import (
+    BoxAnnotation,
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    CustomJSTickFormatter,
+    DataRange1d,
+    Div,
+    RadioButtonGroup,
+    Range1d,
+    Slider,
+    Span,
+)
+from bokeh.plotting import figure
+
+from canhaptic.control.balance import passive_verdict
+from canhaptic.errors import CanHapticError
+from canhaptic.touch.hand import TouchHand, TouchNews
+from canhaptic.touch.hand_process import TouchStatus
+from canhaptic.view.bokeh_style import finished, new_panel
+from canhaptic.view.decimate import decimate
+from canhaptic.view.palette import BLUE, GREY, PALE, VERMILION
+from canhaptic.view.si import si
+from canhaptic.view.verdict import verdict_bar
+
+_WINDOW: Final = 4.0  # [s]
+_POINTS: Final = 3000  # kept per line
+_BUCKETS: Final = 120  # per second of the run
+_MOST_WAITED: Final = 60  # looks without an answer, after which the page is asked again
+_COLOURS: Final = (VERMILION, BLUE)
+_RATES: Final = ("200", "500", "1000", "2000")  # [Hz]
+_DELAYS: Final = {"event": "no delay", "synchronous": "one sample late"}
+_SEND: Final = """
+pointer.data = {x: [cb_obj.x], y: [cb_obj.y], token: [performance.now()]};
+"""
+_MEASURE: Final = """
+const {token: [token], frame: [frame]} = cb_obj.data;
+requestAnimationFrame(() => { drawn.data = {frame: [frame]}; });
+if (token > 0 && token != window.last_token) {
+  window.last_token = token;
+  (window.answers ??= []).push(performance.now() - token);
+  if (window.answers.length > 20000) window.answers.shift();
+}
+"""
+
+
+class TouchPage:
+    """One visitor's view of a hand, which a later visitor takes over.
+
+    Args:
+        document: The visitor's Bokeh document.
+        hand: That runs.
+        period: Between two looks [s].
+    """
+
+    def __init__(self, document: Any, hand: TouchHand, period: float) -> None:
+        self._hand, self._document = hand, document
+        touched = hand.touched
+        self._time: Any = DataRange1d(follow="end", follow_interval=_WINDOW, range_padding=0.0)
+        self._pointer = ColumnDataSource({"x": [0.0], "y": [0.0], "token": [0.0]}, name="pointer")
+        self._pointer.on_change("data", self._take_pointer)
+        self._status: Any = Div(text="the drives start ...", name="status", sizing_mode="stretch_width")
+        self._sides = [_SideView(hand, number, self._time, self._pointer) for number in range(2)]
+        self._handles = self._sides[-1].handle
+        self._drawn = ColumnDataSource({"frame": [0]}, name="drawn")
+        self._handles.js_on_change("data", CustomJS(args={"drawn": self._drawn}, code=_MEASURE))
+        self._frame = self._waited = 0
+        _share_range(self._sides)
+        self._controls = _Controls(hand, self._begin)
+        document.title = f"canhaptic touch: {touched.scene.source}"
+        sides = row(*(side.layout for side in self._sides), sizing_mode="stretch_width")
+        hint = Div(
+            text=f"Drag in a {'square' if touched.is_plane else 'strip'}: the pointer is the hand on both handles."
+        )
+        document.add_root(
+            column(hint, self._controls.layout, sides, self._status, sizing_mode="stretch_width", name="root")
+        )
+        self._looking = document.add_periodic_callback(self.update, max(20, round(1000 * period)))
+
+    def end(self, text: str) -> None:
+        """Stops looking, and says why."""
+        self._document.remove_periodic_callback(self._looking)
+        self._document.add_next_tick_callback(lambda: setattr(self._status, "text", html.escape(text)))
+
+    def update(self) -> None:
+        """Takes what is new into the page, once it has drawn what it has: a slow browser must not fall behind."""
+        self._waited += 1
+        if self._drawn.data["frame"][0] != self._frame and self._waited < _MOST_WAITED:
+            return
+        news = self._hand.look()
+        if len(news.rows["time"]):
+            self._frame, self._waited = self._frame + 1, 0
+            for side in self._sides:
+                side.take(news, self._frame)
+        if news.status is not None:
+            for side in self._sides:
+                side.judge(news.status)
+            self._status.text = _status(news.status)
+
+    def _take_pointer(self, _name: str, _old: object, new: dict[str, list[float]]) -> None:
+        place = (new["x"][0], new["y"][0])[: len(self._hand.touched.shown)]
+        self._hand.move(place, new["token"][0])
+
+    def _begin(self, changes: dict[str, str]) -> None:
+        """Begins a run anew with values of the controls."""
+        try:
+            self._hand.begin(changes)
+        except CanHapticError as error:
+            self._status.text = f"<b>refused, the run goes on:</b> {html.escape(str(error))}"
+            return
+        for side in self._sides:
+            side.clear()
+        self._status.text = "the drives start ..."
+
+
+def _share_range(sides: list["_SideView"]) -> None:
+    """Gives both sides the same scale of force and of energy, so that they can be compared."""
+    first, second = sides
+    for mine, other in zip(first.panels, second.panels, strict=True):
+        other.y_range = mine.y_range
+        mine.y_range.renderers = [*mine.renderers, *other.renderers]
+
+
+class _SideView:
+    """Handle, force, energy and verdict of one side."""
+
+    def __init__(self, hand: TouchHand, number: int, time: Any, pointer: Any) -> None:
+        touched = hand.touched
+        self._name, self._number, self._is_plane = touched.sides[number].name, number, touched.is_plane
+        self._directions = ("x", "y") if touched.is_plane else ("x",)
+        start = dict(zip(("x", "y"), (*touched.start, 0.0), strict=False))
+        self.handle = ColumnDataSource(
+            {
+                "x": [start["x"]],
+                "y": [start["y"]],
+                "hand_x": [start["x"]],
+                "hand_y": [start["y"]],
+                "token": [0.0],
+                "frame": [0],
+            },
+            name=f"handle {number}",
+        )
+        self._lines = ColumnDataSource(
+            {name: [] for name in ("time", "energy", *self._directions)}, name=f"lines {number}"
+        )
+        self._verdict: Any = Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
+        self.scene = self._new_scene(touched, pointer)
+        force_unit = "N" if touched.unit == "m" else "N*m"
+        self.panels = [
+            self._panel("force", force_unit, self._directions, time),
+            self._panel("energy", "J", ("energy",), time),
+        ]
+        self.panels[1].add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
+        title = Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
+        parts = (title, self._verdict, self.scene, *self.panels)
+        self.layout = column(*parts, sizing_mode="stretch_width")
+
+    def _new_scene(self, touched: Any, pointer: Any) -> Any:
+        """Returns the place where the handle is dragged."""
+        (low, high), *rest = touched.shown
+        across = rest[0] if rest else (-1.0, 1.0)
+        plane = figure(
+            height=330 if touched.is_plane else 120,
+            x_range=Range1d(low, high),
+            y_range=Range1d(*across),
+            tools="",
+            toolbar_location=None,
+            sizing_mode="stretch_width",
+            output_backend="canvas",
+            min_border_left=90,
+            min_border_right=40,
+            name=f"scene {self._number}",
+        )
+        plane.grid.grid_line_color = None
+        plane.yaxis.visible = touched.is_plane
+        self._draw_solid(plane, touched, (low, high))
+        plane.segment("x", "y", "hand_x", "hand_y", source=self.handle, line_color=PALE, line_width=3)
+        plane.scatter("hand_x", "hand_y", source=self.handle, marker="cross", size=22, line_color=GREY, line_width=2)
+        plane.scatter("x", "y", source=self.handle, size=26, fill_color=_COLOURS[self._number], line_color="white")
+        for event in (PanStart, Pan):
+            plane.js_on_event(event, CustomJS(args={"pointer": pointer}, code=_SEND))
+        return plane
+
+    def _draw_solid(self, plane: Any, touched: Any, shown: tuple[float, float]) -> None:
+        look = {"fill_color": GREY, "fill_alpha": 0.25, "line_color": GREY}
+        if touched.is_plane:
+            (left, right), (bottom, top) = touched.solid
+            for edge in ({"right": left}, {"left": right}, {"left": left, "right": right, "top": bottom},
+                         {"left": left, "right": right, "bottom": top}):  # fmt: skip
+                plane.add_layout(BoxAnnotation(**edge, **look))
+            return
+        for low, high in touched.solid:
+            edges = {"left": low} if low > shown[0] else {}
+            edges |= {"right": high} if high < shown[1] else {}
+            plane.add_layout(BoxAnnotation(**edges, **look))
+
+    def _panel(self, title: str, unit: str, names: tuple[str, ...], time: Any) -> Any:
+        panel = new_panel(title, unit, time, 190)
+        for name, dash in zip(names, ("solid", "dashed"), strict=False):
+            label = "taken in by the wall" if name == "energy" else f"force {name}" if len(names) > 1 else "force"
+            panel.line(
+                "time", name, source=self._lines, color=_COLOURS[self._number], line_width=1.5, line_dash=dash,
+                legend_label=label,
+            )  # fmt: skip
+        panel.toolbar_location = None
+        return finished(panel)
+
+    def take(self, news: TouchNews, frame: int) -> None:
+        """Takes rows; `frame` comes back when they are drawn."""
+        rows, number = news.rows, self._number
+        columns = {d: rows[f"{number}.torque.{d}"] for d in self._directions} | {"energy": rows[f"{number}.energy"]}
+        buckets = max(2, round(_BUCKETS * (rows["time"][-1] - rows["time"][0])))
+        shown = np.unique(np.concatenate([decimate(values, buckets) for values in columns.values()]))
+        new = {"time": rows["time"][shown]} | {name: values[shown] for name, values in columns.items()}
+        self._lines.stream(new, rollover=_POINTS)
+        last: dict[str, Any] = {"token": rows["token"][-1:], "frame": [frame]}
+        for name, prefix in (("", f"{number}.position."), ("hand_", "hand.")):
+            for d in ("x", "y"):
+                last[name + d] = rows[prefix + d][-1:] if d in self._directions else np.zeros(1)
+        self.handle.data = last
+
+    def judge(self, status: TouchStatus) -> None:
+        """Shows whether the side gave out more than it took in so far."""
+        least = status.least[self._number]
+        verdict = verdict_bar({self._name: passive_verdict(least)})
+        self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in"
+
+    def clear(self) -> None:
+        """Forgets the run before."""
+        self._lines.data = {name: [] for name in self._lines.data}
+
+
+class _Controls:
+    """Sliders of the wall and of the loop; a change begins a run anew."""
+
+    def __init__(self, hand: TouchHand, begin: Any) -> None:
+        self._begin, self._key = begin, hand.touched.stiffness_key
+        scene = hand.touched.scene
+        wall = scene.groups[0].network.parameters if scene.groups else scene.axes[-1].environment.parameters
+        unit = "N/m" if hand.touched.unit == "m" else "N*m/rad"
+        self._stiffness: Any = None
+        self._damping: Any = None
+        widgets: list[Any] = []
+        if self._key:
+            stiffness, damping = (float(wall.model_dump()[name]) for name in ("stiffness", "damping"))
+            middle = np.log10(max(stiffness, 1e-3))
+            format_ = CustomJSTickFormatter(
+                args={"unit": unit}, code="return `${Math.pow(10, tick).toPrecision(3)} ${unit}`"
+            )
+            self._stiffness = Slider(
+                start=middle - 2.0, end=middle + 2.0, step=0.05, value=middle, title="stiffness", format=format_,
+                name="stiffness",
+            )  # fmt: skip
+            self._damping = Slider(
+                start=0.0, end=max(20.0, 5.0 * damping), step=max(0.1, damping / 20.0), value=damping,
+                title=f"damping [{unit.replace('N', 'N*s', 1)}]", name="damping",
+            )  # fmt: skip
+            widgets += [self._stiffness, self._damping]
+        rate = f"{scene.bus.rate:g}"
+        self._rates = sorted({*_RATES, rate}, key=float)
+        self._rate: Any = RadioButtonGroup(
+            labels=[f"{rate} Hz" for rate in self._rates], active=self._rates.index(rate), name="rate"
+        )
+        self._delay: Any = RadioButtonGroup(
+            labels=list(_DELAYS.values()), active=list(_DELAYS).index(scene.bus.rpdo), name="delay"
+        )
+        again: Any = Button(label="start again", name="again")
+        again.on_click(self._changed)
+        for slider in widgets:
+            slider.on_change("value_throttled", self._moved)
+        for group in (self._rate, self._delay):
+            group.on_change("active", self._moved)
+        self.layout = row(*widgets, self._rate, self._delay, again, sizing_mode="stretch_width")
+
+    def _moved(self, _name: str, _old: object, _new: object) -> None:
+        self._changed()
+
+    def _changed(self) -> None:
+        changes = {"bus.rate": self._rates[self._rate.active], "bus.rpdo": list(_DELAYS)[self._delay.active]}
+        if self._stiffness is not None:
+            changes[self._key] = repr(float(10.0**self._stiffness.value))
+            changes[self._key.replace("stiffness", "damping")] = repr(float(self._damping.value))
+        self._begin(changes)
+
+
+def _status(status: TouchStatus) -> str:
+    if status.ended:
+        return f"<b>ended:</b> {html.escape(status.ended)}"
+    facts = [
+        f"{status.cycles} cycles",
+        f"{status.late} of them late by more than a sample time",
+        f"99 % within {si(status.lateness[1], 's')}",
+        f"{status.skipped} SYNCs skipped",
+        f"{status.given_up:.2f} s not caught up" if status.given_up else "",
+        f"pointer to cycle {si(status.answered[0], 's')}, 99 % {si(status.answered[1], 's')}",
+    ]
+    return " &nbsp; ".join(fact for fact in facts if fact)

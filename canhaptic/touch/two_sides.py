@@ -1,0 +1,244 @@
+"""A scene twice in one rig: a handle under `unprotected`, its twin under a passivity algorithm, held by one hand.
+
+Both are axes of one rig, on a bus each, moved by the same SYNC: whatever the computer does to one it does to the other.
+Nothing real moves, so a page that keeps the processor busy does not end the run: the link policy waits long.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from canhaptic.control.environments.two_sided_wall import TwoSidedWall
+from canhaptic.control.passivity.unprotected import UnprotectedParameters
+from canhaptic.control.port_hamiltonian.shapes.box import Box
+from canhaptic.errors import InputError
+from canhaptic.scene.accuracy_choice import simulation_of
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.models import AxisScene, FurtherBus, GroupScene, MechanismScene, Scene
+from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
+from canhaptic.sim.plant.pointer_hand import PointerHand
+from canhaptic.sim.plant.user import UserParameters
+from canhaptic.study.algorithms import able_under
+
+PLAIN: Final = "unprotected"
+_GUARDED: Final = "guarded"
+_PATIENCE: Final = 10.0  # [s] until a silent peer counts as lost
+_LOST_CYCLES: Final = 2000
+_HAND: Final = {"stiffness": 300.0, "damping": 3.0}
+"""Of a scene without a hand [N/m, N*s/m] or [N*m/rad, N*m*s/rad]."""
+_ROOM: Final = 0.1
+"""Half of what is shown of a scene whose hand does not move [m or rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One handle.
+
+    Attributes:
+        name: Of the side, which is that of its algorithm.
+        axes: Names of its axes in the rig.
+        group: Name of the group that renders on them; empty where each renders by itself.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    group: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TouchScene:
+    """A scene twice.
+
+    Attributes:
+        scene: With both sides, to be built.
+        sides: Unprotected first.
+        unit: In which the handle moves.
+        shown: Least and largest place that is shown, of each direction [m or rad].
+        start: Where the handle is at the start [m or rad].
+        solid: Where it is solid: [low, high] along an axis, or what is outside of a box, by direction [m or rad].
+        stiffness_key: Path of the stiffness in the scene; the damping is beside it. Empty where there is none.
+    """
+
+    scene: Scene
+    sides: tuple[Side, Side]
+    unit: str
+    shown: tuple[tuple[float, float], ...]
+    start: tuple[float, ...]
+    solid: tuple[tuple[float, float], ...]
+    stiffness_key: str
+
+    @property
+    def is_plane(self) -> bool:
+        """Whether the handle moves in a plane."""
+        return len(self.shown) == 2
+
+
+def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
+    """Returns a scene twice in one rig.
+
+    Args:
+        scene: Simulated on one bus.
+        axis: Name of the axis that is touched; None for the first, or for the mechanism that has it.
+
+    Raises:
+        InputError: Nothing is simulated, there are several buses, or a group that is no box in a plane renders.
+    """
+    if not scene.simulated:
+        raise InputError(
+            f"{scene.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`); "
+            "a page must not move a real drive"
+        )
+    if scene.further_buses:
+        raise InputError(f"{scene.source}: has {len(scene.buses)} buses, expected one; touch shows one handle")
+    names = [one.parameters.name for one in scene.axes]
+    name = axis or names[0]
+    if name not in names:
+        raise InputError(f"{scene.source}: has no axis {name!r}, expected one of: {', '.join(names)}")
+    chosen = scene.axis(name)
+    return _plane(scene, chosen.group) if chosen.group else _line(scene, chosen)
+
+
+# --- along an axis ------------------------------------------------------------------------------------------------
+
+
+def _line(scene: Scene, axis: AxisScene) -> TouchScene:
+    plain = able_under(axis, PLAIN, scene).axis
+    guarded = axis if axis.passivity.name != PLAIN else able_under(axis, _GUARDED, scene).axis
+    protected = _name_of(guarded)
+    sides = (Side(PLAIN, (PLAIN,)), Side(protected, (protected,)))
+    simulation = simulation_of(axis)
+    user, start = simulation.user or UserParameters(), simulation.plant.initial_position
+    axes = tuple(
+        replace(
+            one,
+            parameters=one.parameters.model_copy(update={"name": side.name}),
+            bus=side.name,
+            simulation=replace(simulation_of(one), user=_pointer_hand(user, start)),
+        )
+        for one, side in zip((plain, guarded), sides, strict=True)
+    )
+    shown = _reach(user.motion, user.rest, start)
+    solid = _solid(axis.environment.parameters, shown)
+    has_stiffness = "stiffness" in type(axis.environment.parameters).model_fields
+    return TouchScene(
+        _on_two_buses(scene, axes, sides),
+        sides,
+        axis.parameters.unit,
+        (shown,),
+        (start,),
+        solid,
+        "environment.stiffness" if has_stiffness else "",
+    )
+
+
+def _name_of(axis: AxisScene) -> str:
+    name = axis.passivity.name if axis.passivity.own is None else axis.passivity.own.__name__
+    return name if name != PLAIN else _GUARDED
+
+
+def _pointer_hand(user: UserParameters, start: float) -> PointerHand:
+    grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else _HAND
+    return PointerHand(**grip, place=start)
+
+
+def _reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
+    """Returns what is shown of a direction [m or rad]: half as much again as the hand of the scene would move."""
+    middle = rest + (motion.offset if motion else 0.0)
+    half = 1.5 * motion.amplitude if motion else _ROOM
+    return min(middle - half, start), max(middle + half, start)
+
+
+def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+    """Returns where an environment is felt, within what is shown [m or rad]; nothing where it is felt everywhere."""
+    low, high = shown
+    step = (high - low) / 2000
+    places = [low + step * k for k in range(2001)]
+    felt = [bool(environment.contact(place)) for place in places]
+    if all(felt):
+        return ()
+    spans: list[tuple[float, float]] = []
+    for place, inside in zip(places, felt, strict=True):
+        if inside and spans and place - spans[-1][1] < 1.5 * step:
+            spans[-1] = (spans[-1][0], place)
+        elif inside:
+            spans.append((place, place))
+    return tuple(spans)
+
+
+def _on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Side], **changes: Any) -> Scene:
+    bus = scene.bus.model_copy(
+        update={"heartbeat_timeout": _PATIENCE, "stop_cycles": max(_LOST_CYCLES, scene.bus.stop_cycles)}
+    )
+    log = scene.log.model_copy(update={"energy": None, "bus": None})
+    return replace(
+        scene,
+        bus=bus,
+        bus_name=sides[0].name,
+        further_buses=(FurtherBus(name=sides[1].name),),
+        axes=tuple(axes),
+        log=log,
+        **{"groups": (), "mechanisms": (), **changes},
+    )
+
+
+# --- in a plane ---------------------------------------------------------------------------------------------------
+
+
+def _plane(scene: Scene, name: str) -> TouchScene:
+    index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
+    of = next((one for one in scene.mechanisms if one.axes == group.axes), None)
+    box = group.network.parameters
+    is_square = of is not None and of.mechanism.name == "xy_stage" and group.kinematics.name == "identity"
+    if of is None or not is_square or not isinstance(box, Box) or box.side != "inside" or box.hardening:
+        raise InputError(
+            f"{scene.source}: group {name!r} renders {group.network.name}; touch shows an axis by itself, or a box on "
+            "an xy_stage from inside, with linear springs"
+        )
+    sides = (
+        Side(PLAIN, tuple(f"{PLAIN} {axis}" for axis in group.axes)),
+        Side(group.passivity.name, tuple(f"{group.passivity.name} {axis}" for axis in group.axes), name),
+    )
+    members = [scene.axis(axis) for axis in group.axes]
+    plain = [_walled(axis, box, k) for k, axis in enumerate(members)]
+    axes = [
+        replace(axis, parameters=axis.parameters.model_copy(update={"name": port}), bus=side.name)
+        for side, of_side in zip(sides, (plain, members), strict=True)
+        for axis, port in zip(of_side, side.axes, strict=True)
+    ]
+    guarded = GroupScene(name, sides[1].axes, group.kinematics, group.network, group.passivity)
+    mechanisms = tuple(_held(of, members, side) for side in sides)
+    hand = of.hand or TaskHand()
+    start = tuple(float(place) for place in getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0)))
+    reaches = zip(hand.motions, hand.rest, start, strict=True)
+    solid = zip(box.lower, box.upper, strict=True)
+    return TouchScene(
+        _on_two_buses(scene, axes, sides, groups=(guarded,), mechanisms=mechanisms),
+        sides,
+        "m",
+        tuple(_reach(motion, rest, at) for motion, rest, at in reaches),
+        start,
+        tuple((float(low), float(high)) for low, high in solid),
+        f"groups.{index}.network.stiffness",
+    )
+
+
+def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
+    """Returns an axis that renders the two faces of a box in its direction by itself, unprotected."""
+    wall = TwoSidedWall(
+        stiffness=box.stiffness, damping=box.damping, lower=box.lower[direction], upper=box.upper[direction]
+    )
+    return replace(
+        axis,
+        group="",
+        environment=ComponentSpec("two_sided_wall", wall),
+        passivity=ComponentSpec(PLAIN, UnprotectedParameters()),
+    )
+
+
+def _held(of: MechanismScene, members: Sequence[AxisScene], side: Side) -> MechanismScene:
+    """Returns the mechanism of one side, held by the pointer; its axes in the order of the mechanism."""
+    port = dict(zip((axis.parameters.name for axis in members), side.axes, strict=True))
+    hand = (of.hand or TaskHand(**_HAND)).model_dump(exclude={"motion", "push"})
+    start = getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0))
+    held = PointerTaskHand(**{**hand, "rest": start}, motion=PlaneMotion())
+    return replace(of, axes=tuple(port[axis] for axis in of.axes), hand=held)

@@ -1,0 +1,118 @@
+"""A scene twice in one rig, held by one hand that is moved from outside."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canhaptic.cycle import run
+from canhaptic.errors import InputError
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.plant.mechanism.task_hand import PointerTaskHand, TaskHand
+from canhaptic.sim.plant.mechanism.xy_stage import XYStage
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.pointer_hand import PointerHand
+from canhaptic.sim.plant.user import UserParameters
+from canhaptic.touch.two_sides import two_sides
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def touched_by_a_sine(name: str, cycles: int) -> dict[str, float]:
+    """Least true sum of h_i of every account."""
+    touched = two_sides(load_scene(CONFIGS / name))
+    with build(touched.scene, "free") as experiment:
+        assert experiment.far_side is not None
+        motors: list[Any] = [drive.servo.motor for drive in experiment.far_side.drives]
+        movers = {id(m): m for m in (m if isinstance(m, Plant) else m.shared.mechanism for m in motors)}.values()
+
+        def move(cycle: int) -> None:
+            angle = 2.0 * math.pi * cycle * touched.scene.bus.sample_time
+            low, high = zip(*touched.shown, strict=True)
+            for mover in movers:
+                turns = (math.sin(angle), math.cos(angle))
+                mover.move_hand(*(0.5 * (a + b) + 0.3 * (b - a) * t for a, b, t in zip(low, high, turns, strict=False)))
+
+        run(experiment.cycle, cycles, progress=move)
+        judge = experiment.cycle.judge
+        assert judge is not None
+        names = [*(a.parameters.name for a in touched.scene.axes), *(g.name for g in touched.scene.groups)]
+        return dict(zip(names, judge.least, strict=True))
+
+
+def test_a_stiff_wall_gives_energy_out_unprotected_alone() -> None:
+    least = touched_by_a_sine("hard/stiff_wall.yaml", 3000)
+    assert least["unprotected"] < -0.01
+    assert least["guarded"] >= -1e-9
+
+
+def test_a_box_is_touched_in_a_plane() -> None:
+    least = touched_by_a_sine("xy_box.yaml", 500)
+    assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "stage"}
+    assert least["stage"] >= -1e-9
+
+
+def test_both_sides_have_one_scene_and_one_hand() -> None:
+    scene = load_scene(CONFIGS / "demo.yaml")
+    touched = two_sides(scene)
+    plain, guarded = touched.scene.axes
+    assert (plain.passivity.name, guarded.passivity.name) == ("unprotected", "guarded")
+    assert plain.environment == guarded.environment == scene.axes[0].environment
+    assert plain.simulation == guarded.simulation
+    assert plain.simulation is not None
+    assert isinstance(plain.simulation.user, PointerHand)
+    assert (plain.simulation.user.stiffness, plain.simulation.user.damping) == (60.0, 5.0)
+    [(low, high)] = touched.solid
+    assert low == touched.shown[0][0]
+    assert high == pytest.approx(-0.05, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "said"),
+    [
+        ("socketcan_example.yaml", [], "must not move a real drive"),
+        ("two_buses.yaml", [], "expected one"),
+        ("five_bar_sphere.yaml", [], "touch shows an axis by itself, or a box"),
+        ("two_handles.yaml", [], "touch shows an axis by itself, or a box"),
+    ],
+)
+def test_what_cannot_be_touched_is_refused(name: str, overrides: list[str], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        two_sides(load_scene(CONFIGS / name, overrides))
+    with pytest.raises(InputError, match="has no axis 'left'"):
+        two_sides(load_scene(CONFIGS / "demo.yaml"), "left")
+
+
+def test_a_placed_hand_is_a_hand_at_rest_there() -> None:
+    mass = PlantParameters(mass=0.25, damping=0.1)
+    placed = Plant(mass, PointerHand(stiffness=300.0, damping=3.0), [], 1_000_000)
+    resting = Plant(mass, UserParameters(stiffness=300.0, damping=3.0, rest=0.02), [], 1_000_000)
+    placed.begin(0)
+    placed.move_hand(0.02)
+    torques = np.sin(np.arange(400) / 30.0)
+    assert placed.run(torques) == pytest.approx(resting.run(torques), abs=1e-15)
+    assert placed.energy() == pytest.approx(resting.energy(), rel=1e-11)
+    assert abs(placed.energy().user) > 1e-3
+    placed.move_hand(0.0)
+    for k in range(6000):
+        placed.advance_to((401 + k) * 1_000_000, 0.0)
+    assert placed.position == pytest.approx(0.0, abs=1e-9)
+    energy = placed.energy()
+    assert energy.motor + energy.user - energy.dissipated - energy.stored == pytest.approx(0.0, abs=1e-11)
+
+
+def test_a_placed_hand_in_a_plane_is_a_hand_at_rest_there() -> None:
+    stage = XYStage(mass_x=0.5, mass_y=0.25, damping_x=0.2, damping_y=0.1)
+    grip = {"stiffness": 150.0, "stiffness_across": 60.0, "damping": 4.0, "angle": 0.5}
+    placed = stage.build(PointerTaskHand(**grip), 1_000_000, 1)
+    resting = stage.build(TaskHand(**grip, rest=(0.02, -0.01)), 1_000_000, 1)
+    placed.move_hand(0.02, -0.01)
+    for motion in (placed, resting):
+        motion.begin(0)
+        for k in range(300):
+            motion.advance_to((k + 1) * 1_000_000, (0.3, -0.1))
+    assert placed.handle == pytest.approx(resting.handle, abs=1e-15)
+    assert placed.energy(0) == pytest.approx(resting.energy(0), rel=1e-11)
