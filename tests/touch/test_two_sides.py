@@ -11,6 +11,7 @@ from canhaptic.cycle import run
 from canhaptic.errors import InputError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
+from canhaptic.sim.plant.effects.hard_stop import HardStop
 from canhaptic.sim.plant.mechanism.task_hand import PointerTaskHand, TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -101,6 +102,17 @@ def test_a_placed_hand_is_a_hand_at_rest_there() -> None:
         placed.advance_to((401 + k) * 1_000_000, 0.0)
     assert placed.position == pytest.approx(0.0, abs=1e-9)
     energy = placed.energy()
+    assert energy.motor + energy.user - energy.dissipated - energy.stored == pytest.approx(0.0, abs=1e-11)
+
+
+def test_a_hand_that_is_moved_reaches_a_stop_that_was_far_ahead() -> None:
+    mass, stop = PlantParameters(mass=0.25, damping=0.1), HardStop(position=0.01, stiffness=1e5, damping=20.0)
+    plant = Plant(mass, PointerHand(stiffness=300.0, damping=3.0), [stop], 1_000_000)
+    plant.run(np.zeros(80))
+    plant.move_hand(0.05)
+    farthest = plant.run(np.zeros(500)).max()
+    assert 0.01 < farthest < 0.0115
+    energy = plant.energy()
     assert energy.motor + energy.user - energy.dissipated - energy.stored == pytest.approx(0.0, abs=1e-11)
 
 

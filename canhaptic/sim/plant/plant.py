@@ -205,6 +205,8 @@ class Plant:
     def move_hand(self, place: float) -> None:
         """Puts a `PointerHand` at a place [m or rad] for the holds to come; between two holds only."""
         self._machine.state[self.scene.names.index(PLACE)] = place
+        if self._looks_ahead:
+            self._free_torque = -1.0  # what was known ahead rested on the old place
 
     @property
     def begun(self) -> bool:
