@@ -104,9 +104,15 @@ USES: tuple[Callable[[Path, Path], object], ...] = (
 )
 
 
+EVERY_FIFTH_OR_ALL = [5, pytest.param(1, marks=pytest.mark.slow)]  # all of them take 15 s of a processor
+
+
+@pytest.mark.parametrize("step", EVERY_FIFTH_OR_ALL)
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
-def test_a_damaged_column_is_one_error_that_names_it(whole: Path, damage: Callable[[Any, str], None]) -> None:
-    for number, name in enumerate(columns(whole)):
+def test_a_damaged_column_is_one_error_that_names_it(
+    whole: Path, damage: Callable[[Any, str], None], step: int
+) -> None:
+    for number, name in list(enumerate(columns(whole)))[DAMAGES.index(damage) % step :: step]:
         path, expected = damaged(whole, damage, name), ROWS if not name.startswith("events/") else 2
         with pytest.raises(LogFormatError) as refused:
             USES[number % len(USES)](path, whole)
@@ -119,9 +125,12 @@ def test_a_damaged_column_is_one_error_that_names_it(whole: Path, damage: Callab
         assert live.trouble == message
 
 
+@pytest.mark.parametrize("step", EVERY_FIFTH_OR_ALL)
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_value_that_is_no_finite_number_is_a_finding_and_no_check_passes(whole: Path, value: float) -> None:
-    for number, name in enumerate(columns(whole)):
+def test_a_value_that_is_no_finite_number_is_a_finding_and_no_check_passes(
+    whole: Path, value: float, step: int
+) -> None:
+    for number, name in list(enumerate(columns(whole)))[::step]:
         with h5py.File(whole) as file:
             if file[name].dtype.kind != "f":
                 continue
@@ -257,7 +266,7 @@ def test_a_text_that_claims_gigabytes_is_refused_at_once(whole: Path) -> None:
     assert len(places) > 10
     before = resource.getrlimit(resource.RLIMIT_AS)
     used, began, refused = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic(), 0
-    for place in places[::4]:
+    for place in places[::8]:
         path = whole.with_name("damaged.h5")
         path.write_bytes(content[:place] + b"\xff\xff\xff\xef" + content[place + 4 :])
         try:

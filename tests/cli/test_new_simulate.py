@@ -74,7 +74,13 @@ def test_a_scene_runs_without_the_values_of_any_part_of_the_dictionary(part: str
     runs(eds, tmp_path)
 
 
-@pytest.mark.parametrize("section", [name for name in WITH_DEFAULTS if name[:2] in ("10", "14", "60", "65")])
+OBJECTS = [name for name in WITH_DEFAULTS if name[:2] in ("10", "14", "60", "65")]
+
+
+@pytest.mark.parametrize(
+    "section",  # one in five, and all of them with the slow tests
+    [pytest.param(name, marks=pytest.mark.slow if n % 5 else []) for n, name in enumerate(OBJECTS)],
+)
 def test_a_scene_runs_without_the_value_of_one_object(section: str, tmp_path: Path) -> None:
     eds = tmp_path / "drive.eds"
     eds.write_text(with_entry(OURS, section, "DefaultValue", None))

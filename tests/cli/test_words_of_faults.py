@@ -93,10 +93,15 @@ sys.exit(main(sys.argv[2:]))
     ("library", "extra", "words"),
     [
         ("matplotlib", "plot", ["run", DEMO, "--duration", "1000000", "--png", "a.png"]),
-        ("matplotlib", "plot", ["compare", DEMO, "--duration", "1000000", "--png", "a.png"]),
-        ("bokeh", "report", ["accuracy", DEMO, "--budget", "100000", "--html", "a.html"]),
         ("bokeh", "report", ["inspect", "absent.h5", "--html", "a.html"]),
-        ("bokeh", "report", ["map", "absent.h5", "--html", "a.html"]),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)  # each is a process that imports everything
+            for row in (
+                ("matplotlib", "plot", ["compare", DEMO, "--duration", "1000000", "--png", "a.png"]),
+                ("bokeh", "report", ["accuracy", DEMO, "--budget", "100000", "--html", "a.html"]),
+                ("bokeh", "report", ["map", "absent.h5", "--html", "a.html"]),
+            )
+        ),
     ],
 )
 def test_what_is_not_installed_is_found_before_the_work(
