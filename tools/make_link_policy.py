@@ -1,12 +1,14 @@
-"""Writes docs/link_policy.md from `canhaptic.drive.profile.link_policy`: `python -m tools.make_link_policy`."""
+"""Writes docs/link_policy.md from the code and the recorded faults: `python -m tools.make_link_policy`."""
 
+import json
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from canhaptic.drive.profile.link_policy import READ_BACK_TABLE, STOP_TABLE, Action, StopReason
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "link_policy.md"
+RESULT: Final = PAGE.with_name("results") / "faults.json"
 _MISSED: Final = {
     Action.RUN: "0",
     Action.HOLD: "1 to `bus.hold_cycles`",
@@ -39,6 +41,37 @@ again before the operator starts the rig anew.
 """
 
 
+_MEASURED: Final = """
+## From a fault to zero torque
+
+The demo at 1 kHz, in contact, in lock-step with the simulated drive (`make bench Q=faults`): sample times from the
+begin of the fault until the motor has no torque, and how many the settings allow. Where the drive ends in FAULT, its
+own watchdog has acted.
+"""
+
+
+def _measured() -> list[list[str]]:
+    """Returns one row per recorded fault."""
+    rows = json.loads(RESULT.read_text(encoding="utf-8"))["rows"]
+    return [
+        [
+            row["row"],
+            _ended(row["ended"]),
+            row["drive"],
+            *(_of_a_stop(row, key) for key in ("cycles_to_zero", "allowed")),
+        ]
+        for row in rows
+    ]
+
+
+def _ended(reason: str) -> str:
+    return "goes on" if reason == StopReason.OPERATOR.name else reason
+
+
+def _of_a_stop(row: dict[str, Any], key: str) -> str:
+    return "-" if row["cycles_to_zero"] is None else str(row[key])
+
+
 def page() -> str:
     """Returns the text of the page."""
     missed = [[_MISSED[action], action.name, action.value] for action in Action]
@@ -66,6 +99,8 @@ def page() -> str:
             *_table(["number", "reason", "meaning", "exception", "what to do"], stops),
             "",
             f"The numbers {words} stand for a rig that runs and for a stop that was asked for; nothing is raised.",
+            _MEASURED,
+            *_table(["fault", "ended by", "drive", "sample times", "allowed"], _measured()),
             "",
         ]
     )

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import cast
 
+import can
 from rich.console import Console
 from rich.table import Table
 
@@ -34,7 +35,12 @@ from tools.bench.report import out_folder, write_result
 
 BEGIN, CYCLES = 500, 1_500
 LIMIT = 20.0  # [N]
-SCENE = (*IN_CONTACT, "environment.side=above")  # the hand is in the wall for the first second
+CHANNEL = "faults of the bench"
+SCENE = (
+    *IN_CONTACT,
+    "environment.side=above",
+    f"bus.channel={CHANNEL}",
+)  # the hand is in the wall for the first second
 FROM_BEGIN = "during: [{begin: 0.5 s, duration: 1000 s}]"
 ON_THE_BUS = {
     "1 % of frames lost": f"drop: 0.01, {FROM_BEGIN}",
@@ -57,6 +63,7 @@ ON_THE_BUS = {
     "bus frozen for 200 ms": "freeze: [{begin: 0.5 s, duration: 200 ms}]",
     "host stalled for 50 ms": "stall: [{begin: 0.5 s, duration: 50 ms}]",
     "host stalled for 500 ms": "stall: [{begin: 0.5 s, duration: 500 ms}]",
+    "host late for 45 of every 50 ms": "stall: [{begin: 0.5 s, duration: 45 ms, every: 50 ms}]",
     "bus-off for 50 ms": "bus_off: [{begin: 0.5 s, duration: 50 ms}]",
     "bus-off for good": "bus_off: [{begin: 0.5 s, duration: 1000 s}]",
 }
@@ -91,11 +98,43 @@ class _NotANumber:
         return self._step(position, torque_applied)._replace(torque=math.nan)
 
 
+def _foreign(can_id: int, *data: int) -> Callable[[Experiment], None]:
+    """A frame from another device on the bus, which the drives and the master hear."""
+
+    def send(_experiment: Experiment) -> None:
+        with can.Bus(CHANNEL, interface="virtual") as other:
+            other.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+    return send
+
+
+def _jump(experiment: Experiment) -> None:
+    """Turns the highest bit but one of every position from now on."""
+    link = experiment.rig.links[0]
+    link._bus = _Jumping(link._bus)  # type: ignore[assignment] # noqa: SLF001 - in between
+
+
+class _Jumping:
+    def __init__(self, bus: can.BusABC) -> None:
+        self.send, self._recv = bus.send, bus.recv
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Returns the next frame, changed where it is the TPDO."""
+        message = self._recv(timeout)
+        if message is not None and message.arbitration_id == 0x181:
+            message.data[5] ^= 0x40
+        return message
+
+
 AT_THE_DRIVE = {
     "the drive faults (over-current)": _fault,
     "another master: NMT stop": _command(0x02, 1),
     "another master: NMT reset node": _command(0x81, 1),
     "another master: shutdown by SDO": _switch_off,
+    "another master: SYNC": _foreign(0x080),
+    "another master: an RPDO of ours": _foreign(0x201, 0x0F, 0, 0xF4, 0x01),
+    "another master: an SDO request of ours": _foreign(0x601, 0x40, 0x41, 0x60, 0, 0, 0, 0, 0),
+    "the encoder jumps by 2^30 counts": _jump,
     "the controller's torque is not a number": _break_controller,
 }
 
@@ -184,6 +223,8 @@ def _allowed(name: str, experiment: Experiment) -> int:
         return bus.master_silence_ns // PERIOD + 1
     if name in AT_THE_DRIVE:
         return 3
+    if name == "host late for 45 of every 50 ms":
+        return round(10 * bus.stop_cycles * 50 / 40) + 50  # 40 more skipped than sent in 50
     return bus.stop_cycles + 3 + (_ESCALATION if name == "every RPDO and SDO lost" else 0)
 
 
