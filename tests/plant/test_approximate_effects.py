@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from canhaptic.sim.plant.effects import read_effect
-from canhaptic.sim.plant.splitting import _fixed_point
+from canhaptic.sim.plant.splitting import fixed_point
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.plant_scenes import DAMPING, MASS, hand, largest_flow, make_plant, residual, run
 
@@ -119,14 +119,19 @@ def test_a_stribeck_slider_on_a_slow_hand_sticks_and_slips_in_a_limit_cycle():
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
+class _Residual:
+    def __init__(self, residual):
+        self.residual = residual
+
+
 @pytest.mark.parametrize("slope", [-0.3, -1.0, -50.0, -1e6])
 def test_the_scalar_solver_finds_the_root_of_any_falling_residual(slope):
-    root, _, found = _fixed_point(lambda x: slope * (x - 0.37) + 0.1 * math.tanh(-x + 0.37), 0.0, -1.0)
+    root, _, found = fixed_point(_Residual(lambda x: slope * (x - 0.37) + 0.1 * math.tanh(-x + 0.37)), 0.0, -1.0)
     assert found
     assert root == pytest.approx(0.37, rel=1e-12)
 
 
 def test_the_scalar_solver_returns_the_place_of_a_jump():
-    root, _, found = _fixed_point(lambda x: (0.2 if x < 0.37 else -0.2) - 1e-3 * x, 0.0, -1.0)
+    root, _, found = fixed_point(_Residual(lambda x: (0.2 if x < 0.37 else -0.2) - 1e-3 * x), 0.0, -1.0)
     assert not found
     assert root == pytest.approx(0.37, rel=1e-9)

@@ -9,7 +9,7 @@ is F times travel, so that the balance of energies closes whatever the step (Gon
 
 import math
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from canhaptic.sim.plant.assembly import Account, NonlinearForce
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
@@ -94,27 +94,30 @@ class Splitting:
         Where none is consistent with the first event (the mean of a force that is yet to grow stops the body at once
         that it lets go), the piece goes through its events with one F; it is then of order 1.
         """
-        saved, begin = self._machine.save(), self._held
-        move: Callable[[int], int] = self._machine.run_to_event
-
-        def residual(force: float) -> float:
-            self._machine.restore(saved)
-            state = self._machine.state
-            state[self._effort], state[self._travel] = force, 0.0
-            self._passed = ticks - move(ticks)
-            self._duration = self._passed * self._tick_time
-            travel = float(self._machine.state[self._travel])
-            self._held = _mean_torque(begin, float(self._machine.state[self._torque]), float(state[-2]))
-            return sum(e.force(self._start, travel, self._duration, self._held) for e in self._efforts) - force
-
-        force, self._slope, found = _fixed_point(residual, self._force, self._slope)
+        self._saved, self._begin, self._ticks = self._machine.save(), self._held, ticks
+        self._move: Callable[[int], int] = self._machine.run_to_event
+        force, self._slope, found = fixed_point(self, self._force, self._slope)
         if not found:
-            move = self._machine.run
-            force, self._slope, _ = _fixed_point(residual, self._force, -1.0)
+            self._move = self._machine.run
+            force, self._slope, _ = fixed_point(self, self._force, -1.0)
         return force
 
+    def residual(self, force: float) -> float:
+        """Returns the sum of the forces along the way that a force makes the piece take, less that force."""
+        self._machine.restore(self._saved)
+        state = self._machine.state
+        state[self._effort], state[self._travel] = force, 0.0
+        self._passed = self._ticks - self._move(self._ticks)
+        self._duration = self._passed * self._tick_time
+        travel = float(self._machine.state[self._travel])
+        self._held = mean_torque(self._begin, float(self._machine.state[self._torque]), float(state[-2]))
+        total = 0.0
+        for effort in self._efforts:
+            total += effort.force(self._start, travel, self._duration, self._held)
+        return total - force
 
-def _mean_torque(begin: float, end: float, held: float) -> float:
+
+def mean_torque(begin: float, end: float, held: float) -> float:
     """Returns the mean of a torque that goes from `begin` to `end` as a first-order lag behind `held` does."""
     gap, left = begin - held, end - held
     if gap in (0.0, left) or not left / gap > _SETTLED:
@@ -122,24 +125,33 @@ def _mean_torque(begin: float, end: float, held: float) -> float:
     return held + (left - gap) / math.log1p((left - gap) / gap)
 
 
-def _fixed_point(residual: Callable[[float], float], start: float, slope: float) -> tuple[float, float, bool]:
+def residual(piece: Any, force: float) -> float:
+    """Returns target force minus force [N or N*m]; falls with the force."""
+    found: float = piece.residual(force)
+    return found
+
+
+def fixed_point(piece: Any, start: float, slope: float) -> tuple[float, float, bool]:
     """Returns (root, slope near it, True) of a residual that falls; the root is the last argument that was evaluated.
 
     A bracketed secant. Where the residual jumps over zero, the side of the jump that errs less, and False.
 
     Args:
-        residual: Target force minus force, as a function of the force.
+        piece: What `residual` looks at.
         start: First guess.
         slope: Slope of the residual near the root, below zero; -1 when nothing is known.
     """
-    force, error = start, residual(start)
+    force, error = start, residual(piece, start)
     best, least = force, abs(error)
     largest = max(abs(force), abs(force + error))
     low, high = -math.inf, math.inf
     for count in range(_LARGEST_COUNT):
         if abs(error) <= _CLOSE * largest:
             return force, slope, True
-        low, high = (max(low, force), high) if error > 0.0 else (low, min(high, force))
+        if error > 0.0:
+            low = max(low, force)
+        else:
+            high = min(high, force)
         candidate = force - error / slope
         if high - low == math.inf:
             candidate = candidate if candidate != force else force + error
@@ -147,12 +159,12 @@ def _fixed_point(residual: Callable[[float], float], start: float, slope: float)
             candidate = 0.5 * (low + high)
         if candidate in (low, high):
             break
-        change = residual(candidate) - error
+        change = residual(piece, candidate) - error
         slope = min(change / (candidate - force), _FLATTEST)
         force, error = candidate, error + change
         largest = max(largest, abs(force))
         if abs(error) < least:
             best, least = force, abs(error)
     if force != best:
-        residual(best)
+        residual(piece, best)
     return best, -1.0, least <= _JUMP * largest

@@ -8,7 +8,7 @@ import numpy as np
 from canhaptic.errors import EventLimitError
 from canhaptic.kernels.records import number_in, records_of
 from canhaptic.study.batch.event_plant import INCOMPLETE, EventState
-from canhaptic.study.batch.event_plants import EventModes, PlantValues, is_booked, replacements
+from canhaptic.study.batch.event_plants import EventModes, PlantValues, replacements
 from canhaptic.study.loop import Array
 
 
@@ -45,4 +45,4 @@ def _going_on(modes: EventModes, stopped: dict[int, str]) -> Any:
 
 def loop_replacements(plants: Sequence[PlantValues]) -> dict[Any, Any]:
     """Returns what takes the place of functions of the loop for plants with events; nothing for linear ones."""
-    return replacements(is_booked(plants[0].scene())) if plants else {}
+    return replacements(plants[0].scene()) if plants else {}

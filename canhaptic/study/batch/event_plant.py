@@ -30,6 +30,10 @@ class EventState:
     """What is remembered of a plant from hold to hold, beside its state vector."""
 
     changes: int = 0  # of the timetable that are done
+    force: float = 0.0  # of the efforts in the substep before [N or N*m]
+    slope: float = -1.0  # of their residual there
+    rippled: float = 0.0  # work of a torque ripple [J]
+    is_stopped: bool = False  # by too many events
     mode: int = NONE  # in which a further mode is missing
     guard: int = NONE  # that leads to it, or
     change: int = NONE  # of the timetable that does
@@ -37,6 +41,19 @@ class EventState:
     began_mode: int = 0  # at the start of the hold, with `EventPlant.began`
     began_events: int = 0
     began_changes: int = 0
+    began_force: float = 0.0
+    began_slope: float = 0.0
+    began_ripple: float = 0.0
+    saved_work: float = 0.0  # at the start of the substep, with `EventPlant.saved`
+    saved_mode: int = 0
+    saved_events: int = 0
+    start: float = 0.0  # position there [m or rad]
+    begin: float = 0.0  # torque of the motor there [N or N*m]
+    held: float = 0.0  # its mean over the substep [N or N*m]
+    duration: float = 0.0  # of the substep [s]
+    ticks: int = 0  # asked for
+    passed: int = 0  # that passed
+    limit: int = 0  # events at which the substep ends; -1: the first
 
 
 class EventPlant(NamedTuple):
@@ -54,6 +71,13 @@ class EventPlant(NamedTuple):
     change_ticks: Any  # of the timetable, in order
     change_targets: Any  # by change and mode: the mode that it leads to, or NONE when that is not compiled yet
     now: Any  # (EventState,)
+    saved: Any  # z at the start of the substep
+    efforts: Any  # `Effort` of each force that is solved over substeps
+    bristles: Any  # `Bristle` of each, and once more at the start of the hold
+    substep_ticks: int
+    torque_place: int  # in z: of the torque of the motor,
+    travel_place: int  # of the way in the substep,
+    force_place: int  # of the sum of the forces
 
 
 class EventPlants(NamedTuple):
@@ -71,7 +95,9 @@ def begin_events(plants: EventPlants, row: int) -> None:
         plant.state[place] = plant.spare[place] = plants.start[place]
     plant.counts[MODE], plant.counts[EVENTS], plant.counts[MISSING] = plants.first, 0, NONE
     plant.books[0].totals[0] = 0.0
-    now.changes = 0
+    now.changes, now.force, now.slope, now.rippled = 0, 0.0, -1.0, 0.0
+    for i in range(len(plant.bristles)):
+        plant.bristles[i].deflection = 0.0
 
 
 def events_at(plants: EventPlants, row: int) -> EventPlant:
@@ -91,7 +117,7 @@ def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
     while now.changes < len(plant.change_ticks) and plant.change_ticks[now.changes] < end:
         at = plant.change_ticks[now.changes]
         if at > tick:
-            left = run_on(plant, at - tick, most)
+            left = run_ticks(plant, at - tick, most)
             tick = at
         if left or counts[MISSING] != NONE:
             break
@@ -101,7 +127,7 @@ def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
         counts[MODE] = target
         now.changes += 1
     if not left and counts[MISSING] == NONE:
-        left = run_on(plant, end - tick, most)
+        left = run_ticks(plant, end - tick, most)
     if counts[MISSING] != NONE:
         return interrupt(plant, counts[MISSING], NONE)
     if cycle % _TIDY == 0:
@@ -109,8 +135,13 @@ def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
     return STOPPED if left else MOVED
 
 
+def run_ticks(plant: EventPlant, ticks: int, most: int) -> int:
+    """Moves by some ticks; returns those left at the limit of events, or before a mode that is missing."""
+    return run_on(plant, ticks, most)
+
+
 def run_on(plant: EventPlant, ticks: int, most: int) -> int:
-    """Moves by some ticks, through every event; returns the ticks left at the limit of events, or before a mode."""
+    """The same by the stepper alone, through every event."""
     plant.counts[LIMIT] = most
     state, _, left = run(
         plant.tables, plant.settings, plant.state, plant.spare, plant.books, plant.counts, plant.values, ticks
@@ -135,7 +166,11 @@ def keep(plant: EventPlant) -> None:
     for row in range(len(state)):
         plant.began[row] = state[row]
     now.began_mode, now.began_events = plant.counts[MODE], plant.counts[EVENTS]
-    now.began_changes = now.changes
+    now.began_changes, now.began_force, now.began_slope = now.changes, now.force, now.slope
+    now.began_ripple, now.is_stopped = now.rippled, False
+    count = len(plant.efforts)
+    for i in range(count):
+        plant.bristles[count + i].deflection = plant.bristles[i].deflection
     now.began_work = plant.books[0].totals[0]
 
 
@@ -147,6 +182,10 @@ def interrupt(plant: EventPlant, guard: int, change: int) -> int:
         state[row] = plant.began[row]
     counts[MODE], counts[EVENTS], counts[MISSING] = now.began_mode, now.began_events, NONE
     plant.books[0].totals[0], now.changes = now.began_work, now.began_changes
+    now.force, now.slope, now.rippled = now.began_force, now.began_slope, now.began_ripple
+    count = len(plant.efforts)
+    for i in range(count):
+        plant.bristles[i].deflection = plant.bristles[count + i].deflection
     return INCOMPLETE
 
 
@@ -166,5 +205,5 @@ def book_motor(works: Any, state: Buffer, books: Any) -> None:
 
 def booked_work(plant: EventPlant, interaction: float, torque: float, travel: float) -> float:
     """Takes the place of `closed_loop.work_in` where the motor's work is booked."""
-    booked: float = plant.books[0].totals[0]
+    booked: float = plant.books[0].totals[0] + plant.now[0].rippled
     return 0.0 - booked

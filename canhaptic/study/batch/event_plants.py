@@ -10,17 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import EventLimitError
-from canhaptic.kernels.records import number_in
+from canhaptic.kernels.records import number_in, records_of
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import effect_of
-from canhaptic.sim.plant import stepper
+from canhaptic.sim.plant import splitting, stepper
 from canhaptic.sim.plant.assembly import PlantModel, collect
+from canhaptic.sim.plant.effort_forces import Bristle, Effort
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.mode_arrays import Books, evaluate, flat_tables, largest_term, move, pace, stored
 from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.sim.plant.propagator import TICKS
 from canhaptic.sim.plant.stepper import COUNTS, MODE, NONE, ModeTables, StepperSettings
-from canhaptic.study.batch import closed_loop
+from canhaptic.study.batch import closed_loop, event_plant
 from canhaptic.study.batch.event_plant import (
     EventPlant,
     EventPlants,
@@ -31,6 +32,7 @@ from canhaptic.study.batch.event_plant import (
     events_at,
     move_events,
 )
+from canhaptic.study.batch.event_substeps import residual_of_plant, run_substeps
 from canhaptic.study.batch.varied import simulation_with
 from canhaptic.study.loop import Array
 
@@ -85,7 +87,11 @@ class EventModes:
         self._machine = machine = HybridAutomaton(scene, accuracy.max_events, accuracy.event_bits)
         self._settings = StepperSettings(accuracy.max_events, accuracy.event_bits, machine.tick_time)
         self._start, self._first = machine.state.copy(), machine.modes.index(machine.mode)
-        self._is_booked = is_booked(scene)
+        self._is_booked, self._substeps = is_booked(scene), accuracy.substeps
+        self._listed = listed
+        names = [*scene.names]
+        extra = (names.index("travel"), names.index("effort")) if scene.efforts else (0, 0)
+        self._places = (names.index(scene.motor_torque), *extra)
         changes = [(round(time / machine.tick_time), part, mode) for time, part, mode in scene.schedule]
         self._changes = sorted(changes, key=lambda change: change[0])
         self._change_targets: list[dict[int, int]] = [{} for _ in changes]
@@ -106,6 +112,7 @@ class EventModes:
             form(np.zeros(COUNTS, dtype=np.int64)), self._values(),
             form(np.array([place for place, name in enumerate(names) if name.endswith("_sine")], dtype=np.int64)),
             form(np.array([tick for tick, _, _ in self._changes], dtype=np.int64)), self._targets(), now,
+            form(self._start.copy()), *self._efforts(), TICKS // self._substeps, *self._places,
         )  # fmt: skip
         return EventPlants(plant, form(self._start), self._first)
 
@@ -132,6 +139,14 @@ class EventModes:
         size = len(self._machine.scene.names) if self._is_booked else 0
         return ModeTables(*map(self._form, tables._replace(works=tables.works[..., : 2 * size])))
 
+    def _efforts(self) -> tuple[Any, Any]:
+        """Returns the efforts, and their bristles twice."""
+        efforts = [getattr(effort, "effort", None) for effort in self._machine.scene.efforts]
+        bristles = [Bristle() for _ in range(2 * len(efforts))]
+        if self._listed:
+            return efforts, bristles
+        return records_of(efforts or [Effort(0)])[: len(efforts)], records_of(bristles or [Bristle()])[: len(bristles)]
+
     def _targets(self) -> Any:
         targets = np.full((len(self._changes), len(self._machine.modes)), NONE)
         for row, known in zip(targets, self._change_targets, strict=True):
@@ -145,20 +160,22 @@ class EventModes:
 
 
 def is_booked(scene: PlantModel) -> bool:
-    """Returns whether the motor's work is more than its torque times the way, because a current loop is between."""
-    return scene.motor_torque != "torque"
+    """Returns whether the motor's work is more than its torque times the way: by a current loop, or a ripple."""
+    return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
 
 
-def replacements(booked: bool) -> dict[Any, Any]:
+def replacements(scene: PlantModel) -> dict[Any, Any]:
     """Returns what a loop of plants with events calls in the place of other functions.
 
     Args:
-        booked: Whether the motor's work is booked.
+        scene: One of the plants.
     """
     found: dict[Any, Any] = {
         **_PRODUCTS, closed_loop.move_plant: move_events, closed_loop.begin_plant: begin_events,
         closed_loop.plant_at: events_at,
     }  # fmt: skip
-    if booked:
+    if scene.efforts:
+        found |= {event_plant.run_ticks: run_substeps, splitting.residual: residual_of_plant}
+    if is_booked(scene):
         return found | {stepper.book: book_motor, closed_loop.work_in: booked_work}
     return found | {stepper.book: book_nothing}

@@ -47,7 +47,8 @@ def why_not_in_loop(simulation: AxisSimulation) -> str:
         scene = PlantValues(simulation, _ANY_NS).scene()
     except ParameterError as error:
         return f"effect {error.part} does not stand alone ({error})"
-    return "" if not scene.efforts else "an effect is solved over substeps"
+    own = any(not hasattr(effort, "effort") for effort in scene.efforts)
+    return "a force of the plant is own code" if own else ""
 
 
 def plant_numbers(simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]) -> _Numbers:

@@ -100,12 +100,14 @@ def test_a_wall_that_is_leaned_on_renders_its_stiffness():
     np.testing.assert_allclose(found["stiffness_rendered.value"], [200.0, 400.0], rtol=0.1)
 
 
-def test_effects_that_do_not_fit_are_named():
-    scene = with_effect(demo(), type="cogging", amplitude=0.1, pitch=0.01)
-    assert "an effect is solved over substeps" in why_not_batchable(scene)
+def test_plants_that_do_not_fit_are_named():
+    scene = with_effect(demo(), type="tremor", amplitude=1e-3)
+    axis = scene.axes[0]
+    assert axis.simulation is not None
+    alone = replace(scene, axes=(replace(axis, simulation=replace(axis.simulation, user=None)),))
+    assert "effect tremor does not stand alone" in why_not_batchable(alone)
     with pytest.raises(NotBatchableError, match="one by one with run_scalar"):
-        run_batch(scene, {}, 10)
-    assert run_scalar(scene, 50).keys() == METRICS.keys()
+        run_batch(alone, {}, 10)
 
 
 def test_linear_effects_fit():

@@ -7,10 +7,13 @@ Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2nd ed., 2003, ch.
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from canhaptic.sim.plant.assembly import Account, PlantModel
+from canhaptic.sim.plant.effort_forces import DETENT, Bristle, Effort, mean_force
 from canhaptic.units import Parameters, quantity
+
+_NO_BRISTLE: Final = Bristle()
 
 
 class Cogging(Parameters):
@@ -39,27 +42,20 @@ class _Detent:
     account: Account | None = None
 
     def __init__(self, cogging: Cogging) -> None:
-        self._amplitude, self._phase = cogging.amplitude, cogging.phase
-        self._wave_number = 2.0 * math.pi / cogging.pitch
+        self.effort = Effort(DETENT, cogging.amplitude, cogging.pitch, cogging.phase)
 
     def reset(self) -> None:
         """Keeps nothing."""
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Returns the mean force [N or N*m] along the travel."""
-        return -self._amplitude * mean_sine(self._wave_number, self._phase, position, travel)
+        return mean_force(self.effort, _NO_BRISTLE, position, travel, duration, torque)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
         """Keeps nothing."""
 
     def stored(self, position: float) -> float:
         """Returns the potential [J], zero at the detent."""
-        half = math.sin(0.5 * (self._wave_number * position + self._phase))
-        return 2.0 * self._amplitude / self._wave_number * half * half
-
-
-def mean_sine(wave_number: float, phase: float, position: float, travel: float) -> float:
-    """Returns the mean of sin(wave_number * q + phase) from `position` to `position + travel`, without cancellation."""
-    half = 0.5 * wave_number * travel
-    spread = math.sin(half) / half if half else 1.0
-    return math.sin(wave_number * (position + 0.5 * travel) + phase) * spread
+        wave_number = 2.0 * math.pi / self.effort.pitch
+        half = math.sin(0.5 * (wave_number * position + self.effort.phase))
+        return 2.0 * self.effort.amplitude / wave_number * half * half

@@ -11,11 +11,11 @@ Ortega, IEEE Trans. Automatic Control 45(7), 2000); beyond it `dissipated` may f
 Source: Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40(3), 1995.
 """
 
-import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import Account, PlantModel
 from canhaptic.sim.plant.dry_friction import DryFriction
+from canhaptic.sim.plant.effort_forces import BRISTLE, Bristle, Effort, bend, bristle_force
 from canhaptic.units import quantity
 
 
@@ -48,39 +48,34 @@ class _Bristle:
     account: Account | None = "dissipated"
 
     def __init__(self, friction: LuGreFriction) -> None:
-        self._friction = friction
-        self.reset()
+        self.effort = Effort(
+            BRISTLE,
+            kinetic=friction.kinetic,
+            static=friction.static,
+            stribeck_velocity=friction.stribeck_velocity,
+            bristle_stiffness=friction.bristle_stiffness,
+            bristle_damping=friction.bristle_damping,
+            viscous=friction.viscous,
+        )
+        self._bristle = Bristle()
+
+    @property
+    def deflection(self) -> float:
+        """Of the bristle [m or rad]."""
+        return self._bristle.deflection
 
     def reset(self) -> None:
         """Straightens the bristle."""
-        self.deflection = 0.0
-
-    def _bend(self, travel: float, duration: float) -> tuple[float, float]:
-        """Returns the deflection at the end of the substep and its mean over it, both at the mean velocity."""
-        if travel == 0.0:
-            return self.deflection, self.deflection
-        p = self._friction
-        ratio = travel / (duration * p.stribeck_velocity)
-        level = p.kinetic + (p.static - p.kinetic) * math.exp(-ratio * ratio)
-        sliding = math.copysign(level / p.bristle_stiffness, travel)
-        decades = abs(travel) * p.bristle_stiffness / level
-        lost = -math.expm1(-decades)
-        end = self.deflection + (sliding - self.deflection) * lost
-        return end, sliding + (self.deflection - sliding) * (lost / decades if decades else 1.0)
+        self._bristle.deflection = 0.0
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Returns the mean friction [N or N*m] of the substep."""
-        p = self._friction
-        if duration == 0.0:
-            return -p.bristle_stiffness * self.deflection
-        end, mean = self._bend(travel, duration)
-        bending = p.bristle_damping * (end - self.deflection) / duration
-        return -(p.bristle_stiffness * mean + bending + p.viscous * travel / duration)
+        return bristle_force(self.effort, self._bristle, travel, duration)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
         """Bends the bristle."""
-        self.deflection = self._bend(travel, duration)[0]
+        bend(self.effort, self._bristle, travel, duration)
 
     def stored(self, position: float) -> float:
         """Returns the energy of the bent bristle [J]."""
-        return 0.5 * self._friction.bristle_stiffness * self.deflection**2
+        return 0.5 * self.effort.bristle_stiffness * self.deflection**2

@@ -7,11 +7,11 @@ Energy: friction times path is dissipated. Typical stribeck velocity: 1..50 mm/s
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 """
 
-import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import MOTOR, Account, PlantModel
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
+from canhaptic.sim.plant.effort_forces import FALLING, Effort, falling_friction
 from canhaptic.units import quantity
 
 
@@ -31,7 +31,7 @@ class StribeckFriction(DryFriction):
         scene.works[self.type] = "dissipated"
         velocity = scene.states[scene.bodies[MOTOR].velocity]
         scene.parts.append(StickSlip(self.type, self, velocity))
-        scene.efforts.append(_FallingFriction(self.static - self.kinetic, self.stribeck_velocity))
+        scene.efforts.append(_FallingFriction(self))
 
 
 class _FallingFriction:
@@ -40,18 +40,20 @@ class _FallingFriction:
     state_names: tuple[str, ...] = ()
     account: Account | None = "dissipated"
 
-    def __init__(self, excess: float, stribeck_velocity: float) -> None:
-        self._excess, self._stribeck_velocity = excess, stribeck_velocity
+    def __init__(self, friction: StribeckFriction) -> None:
+        self.effort = Effort(
+            FALLING,
+            kinetic=friction.kinetic,
+            static=friction.static,
+            stribeck_velocity=friction.stribeck_velocity,
+        )
 
     def reset(self) -> None:
         """Keeps nothing."""
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Returns the friction [N or N*m] at the mean velocity."""
-        if travel == 0.0:
-            return 0.0
-        ratio = travel / (duration * self._stribeck_velocity)
-        return -math.copysign(self._excess * math.exp(-ratio * ratio), travel)
+        return falling_friction(self.effort, travel, duration)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
         """Keeps nothing."""

@@ -5,12 +5,13 @@ true motor work then differs from the one computed from the torque demand by at 
 Typical: 1..5 % at the 6th electrical harmonic. Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003.
 """
 
-import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from canhaptic.sim.plant.assembly import Account, PlantModel
-from canhaptic.sim.plant.effects.cogging import mean_sine
+from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, mean_force
 from canhaptic.units import Parameters, quantity
+
+_NO_BRISTLE: Final = Bristle()
 
 
 class TorqueRipple(Parameters):
@@ -39,15 +40,14 @@ class _Ripple:
     account: Account | None = "motor"
 
     def __init__(self, ripple: TorqueRipple) -> None:
-        self._amplitude, self._phase = ripple.amplitude, ripple.phase
-        self._wave_number = 2.0 * math.pi / ripple.pitch
+        self.effort = Effort(RIPPLE, ripple.amplitude, ripple.pitch, ripple.phase)
 
     def reset(self) -> None:
         """Keeps nothing."""
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Returns the mean force [N or N*m] along the travel."""
-        return torque * self._amplitude * mean_sine(self._wave_number, self._phase, position, travel)
+        return mean_force(self.effort, _NO_BRISTLE, position, travel, duration, torque)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
         """Keeps nothing."""

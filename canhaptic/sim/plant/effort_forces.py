@@ -1,0 +1,101 @@
+"""Forces that are not piecewise affine, each a mean over a substep: kernels, for one plant and for loops of a batch.
+
+What they are is said in the files of the effects.
+"""
+
+from dataclasses import dataclass
+from math import copysign, exp, expm1, pi, sin
+from typing import Final
+
+DETENT, RIPPLE, FALLING, BRISTLE = 0, 1, 2, 3
+"""Kinds of `Effort`: of cogging, torque_ripple, stribeck_friction and lugre_friction."""
+_TURN: Final = 2.0 * pi
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """One force, of any kind; what a kind does not have is 0."""
+
+    kind: int
+    amplitude: float = 0.0  # of a detent [N or N*m], of a ripple as a part of the torque
+    pitch: float = 1.0  # [m or rad]
+    phase: float = 0.0  # [rad]
+    kinetic: float = 0.0  # friction of a fast slide; of FALLING what is there already [N or N*m]
+    static: float = 0.0  # friction at which it breaks away [N or N*m]
+    stribeck_velocity: float = 1.0  # [m/s or rad/s]
+    bristle_stiffness: float = 0.0  # [N/m or N*m/rad]
+    bristle_damping: float = 0.0  # [N*s/m or N*m*s/rad]
+    viscous: float = 0.0  # [N*s/m or N*m*s/rad]
+
+
+@dataclass(slots=True)
+class Bristle:
+    """What is remembered of a force."""
+
+    deflection: float = 0.0  # [m or rad]
+
+
+def mean_force(
+    effort: Effort, bristle: Bristle, position: float, travel: float, duration: float, torque: float
+) -> float:
+    """Returns the mean force [N or N*m] over a substep.
+
+    Args:
+        effort: The force.
+        bristle: At the start of the substep.
+        position: There [m or rad].
+        travel: Way in the substep [m or rad].
+        duration: Of the substep [s].
+        torque: Mean of the motor's over the substep [N or N*m].
+    """
+    if effort.kind == DETENT:
+        return -effort.amplitude * mean_sine(_TURN / effort.pitch, effort.phase, position, travel)
+    if effort.kind == RIPPLE:
+        return torque * effort.amplitude * mean_sine(_TURN / effort.pitch, effort.phase, position, travel)
+    if effort.kind == FALLING:
+        return falling_friction(effort, travel, duration)
+    return bristle_force(effort, bristle, travel, duration)
+
+
+def mean_sine(wave_number: float, phase: float, position: float, travel: float) -> float:
+    """Returns the mean of sin(wave_number * q + phase) from `position` to `position + travel`, without cancellation."""
+    half = 0.5 * wave_number * travel
+    spread = sin(half) / half if half != 0.0 else 1.0
+    return sin(wave_number * (position + 0.5 * travel) + phase) * spread
+
+
+def falling_friction(effort: Effort, travel: float, duration: float) -> float:
+    """Returns the friction above the kinetic one at the mean velocity [N or N*m]."""
+    if travel == 0.0:
+        return 0.0
+    ratio = travel / (duration * effort.stribeck_velocity)
+    return -copysign((effort.static - effort.kinetic) * exp(-ratio * ratio), travel)
+
+
+def bristle_force(effort: Effort, bristle: Bristle, travel: float, duration: float) -> float:
+    """Returns the mean friction of bristles [N or N*m]."""
+    if duration == 0.0:
+        return -effort.bristle_stiffness * bristle.deflection
+    end, mean = bent(effort, bristle, travel, duration)
+    bending = effort.bristle_damping * (end - bristle.deflection) / duration
+    return -(effort.bristle_stiffness * mean + bending + effort.viscous * travel / duration)
+
+
+def bend(effort: Effort, bristle: Bristle, travel: float, duration: float) -> None:
+    """Takes a substep as done."""
+    if effort.kind == BRISTLE:
+        bristle.deflection = bent(effort, bristle, travel, duration)[0]
+
+
+def bent(effort: Effort, bristle: Bristle, travel: float, duration: float) -> tuple[float, float]:
+    """Returns the deflection at the end of a substep and its mean over it [m or rad], both at the mean velocity."""
+    deflection = bristle.deflection
+    if travel == 0.0:
+        return deflection, deflection
+    ratio = travel / (duration * effort.stribeck_velocity)
+    level = effort.kinetic + (effort.static - effort.kinetic) * exp(-ratio * ratio)
+    sliding = copysign(level / effort.bristle_stiffness, travel)
+    decades = abs(travel) * effort.bristle_stiffness / level
+    lost = -expm1(-decades)
+    end = deflection + (sliding - deflection) * lost
+    return end, sliding + (deflection - sliding) * (lost / decades if decades != 0.0 else 1.0)
