@@ -9,9 +9,9 @@ One thread walks it. On any error zero torque is sent first and the exception is
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
+from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.balance import Branch, EnergyBalance, Ledger
 from canhaptic.control.energy_loss import EnergyLossMeter
-from canhaptic.control.energy_resolution import EnergyResolution
 from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import VirtualClock
@@ -19,7 +19,8 @@ from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
 from canhaptic.histogram import DurationHistogram
-from canhaptic.signals import CycleTiming, Sample, Truth
+from canhaptic.meters import RunMeters
+from canhaptic.signals import CycleTiming, Measured, Sample, Truth
 
 _HELD = Branch.HELD.value
 _FEWEST_UNCHANGED: Final = 20  # SYNCs; or those of a second
@@ -39,6 +40,8 @@ class _CycleLog(Protocol):
         balances: Sequence[EnergyBalance],
         timing: CycleTiming,
         truths: Sequence[Truth] | None = None,
+        deadline: int = 0,
+        measured: Sequence[Measured] = (),
     ) -> None:
         """Takes one cycle."""
 
@@ -55,15 +58,15 @@ class Cycle:
         log: Where every cycle goes; None for none.
         truths: What the simulated axes really did, read right after their SYNC; None with real drives.
         groups: Axes that render together, each group with one account.
-        resolutions: What sensors and drive leave open, one per axis; None where they are ideal.
-        meters: Of the ports that may give out only so much energy.
+        axis_meters: What is known of the sensors and the device of each axis; None where they are ideal.
+        loss_meters: Of the ports that may give out only so much energy.
 
     Raises:
         InputError: There is not one controller for each axis.
 
     Attributes:
         ledgers: The account of each axis; of one in a group its part of the interaction.
-        resolutions: How well the energy of each axis is known.
+        meters: What is known of axes and groups beside their ledgers.
         judge: What the simulated plant says of them; None without truth.
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
@@ -76,8 +79,8 @@ class Cycle:
         log: _CycleLog | None = None,
         truths: Callable[[], Sequence[Truth]] | None = None,
         groups: Sequence[AxisGroup] = (),
-        resolutions: Sequence[EnergyResolution] | None = None,
-        meters: Sequence[EnergyLossMeter] = (),
+        axis_meters: Sequence[AxisMeter] | None = None,
+        loss_meters: Sequence[EnergyLossMeter] = (),
     ) -> None:
         self.rig = rig
         self.controllers = tuple(controllers)
@@ -89,7 +92,9 @@ class Cycle:
                 f"cycle: got controllers for {axes} axes and a rig of {len(rig.drives)}; give each axis one"
             )
         self.ledgers = [Ledger() for _ in range(axes)]
-        self.resolutions = resolutions or [EnergyResolution() for _ in range(axes)]
+        known = axis_meters or [AxisMeter() for _ in range(axes)]
+        self.meters = RunMeters(known, rig.drives, self.controllers, self.groups)
+        self._ledgers = [*self.ledgers, *(group.ledger for group in self.groups)]
         self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = EnergyAudit(axes, [group.axes for group in self.groups]) if truths is not None else None
@@ -97,7 +102,7 @@ class Cycle:
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log = log
         self._truths = truths
-        self._meters = tuple(meters)
+        self._loss_meters = tuple(loss_meters)
         self._frozen_after = max(_FEWEST_UNCHANGED, round(1.0 / rig.bus.sample_time))
 
     def step(self) -> None:
@@ -122,7 +127,7 @@ class Cycle:
         torques = []
         for balance in balances:
             torques.append(balance.torque)  # a comprehension is a function made and called anew
-        lost = self._lost(samples) if self._meters else ""
+        lost = self._lost(samples) if self._loss_meters else ""
         if lost:
             error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
             self._account(samples, balances, truths)
@@ -132,10 +137,10 @@ class Cycle:
 
     def _lost(self, samples: Sequence[Sample]) -> str:
         """Returns by which port too much energy went out, and how much; "" while none has."""
-        for meter in self._meters:
+        for meter in self._loss_meters:
             if not meter.take(samples):
                 continue
-            unsure = sum(self.rig.drives[axis].read_back_bound + self.resolutions[axis].value for axis in meter.axes)
+            unsure = sum(self.meters.measured(axis).energy_resolution for axis in meter.axes)
             supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
             if meter.energy + supplied + unsure < meter.floor:
                 limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
@@ -156,21 +161,21 @@ class Cycle:
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
     ) -> None:
         """Everything that may happen after the torque is on its way."""
-        index = samples[0].sync_index
+        index, deadline = samples[0].sync_index, self.rig.deadline_index
         for axis in self._axes:
-            self.ledgers[axis].add(balances[axis], index)
-            if balances[axis].branch != _HELD:
-                self.resolutions[axis].take(samples[axis].position, samples[axis].torque_applied)
+            self.ledgers[axis].add(balances[axis], index, deadline)
         if self.judge is not None and truths is not None:
             self.judge.compare(self.ledgers, truths, [balance.branch != _HELD for balance in balances])
         if self.groups:
             samples, balances, truths = self._account_groups(samples, balances, truths)
         timing = self.rig.timing
+        meters = self.meters
+        meters.take(samples, balances, self._ledgers, deadline)
         if self._is_timed:
             for histogram, duration in zip(self.timing.values(), timing, strict=True):
                 histogram.add(duration)
         if self._log is not None:
-            self._log.append(index, samples, balances, timing, truths)
+            self._log.append(index, samples, balances, timing, truths, deadline, meters.all_measured())
             for drive in self.rig.drives:
                 if drive.unchanged == self._frozen_after:
                     self._log.event(index, "unchanged", drive.axis.name, _UNCHANGED)
@@ -185,7 +190,7 @@ class Cycle:
             balance = group.balance
             rows.append(group.sample(samples))
             accounts.append(balance.account)
-            text = group.book(rows[0].sync_index)
+            text = group.book(rows[0].sync_index, self.rig.deadline_index)
             if text and self._log is not None:
                 self._log.event(rows[0].sync_index, "limit", group.name, text)
         true = None if truths is None else [*truths, *(group.truth(truths) for group in self.groups)]

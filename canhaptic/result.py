@@ -2,6 +2,9 @@
 
     {status, config_hash, cycles, passive, ports: {NAME: {passive, ...}}, truth: {NAME: {...}}, timing, link, method}
 
+`passive` is a verdict on the sum of what came in with the torque of the motor (eq. 3); `passive_at_handle`, where a
+damping of the device is declared, on that sum with what the device has dissipated.
+
 A port is an axis or a group of axes. An axis in a group has `group` and what came in and went out by it; the account,
 whether it is passive included, is that of the group, which has `axes`. Energies in [J], times in [s].
 """
@@ -9,9 +12,9 @@ whether it is passive included, is that of the group, which has `axes`. Energies
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from canhaptic.control.balance import Certificate, Ledger, Verdict, account_verdict
+from canhaptic.control.balance import Certificate, Verdict, account_verdict, handle_verdict
 from canhaptic.cycle import Cycle
-from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.meters import Promise, RunMeters, promise_of
 
 _OF_AN_AXIS: Final = ("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound")
 
@@ -23,6 +26,13 @@ def overall(ports: Mapping[str, Mapping[str, Any]]) -> Verdict:
     """Returns the worst verdict of all accounts; "in doubt" where there is none, as of a run without a cycle."""
     found: list[Verdict] = [account["passive"] for account in ports.values() if "passive" in account]
     return max(found, key=_WORST_LAST.index) if found else "in doubt"
+
+
+def at_handles(ports: Mapping[str, Mapping[str, Any]]) -> dict[str, Verdict]:
+    """Returns the worst verdict at the handle, as `passive_at_handle`; nothing where no account has one."""
+    key = "passive_at_handle"
+    found: list[Verdict] = [account[key] for account in ports.values() if key in account]
+    return {key: max(found, key=_WORST_LAST.index)} if found else {}
 
 
 def run_result(
@@ -43,8 +53,9 @@ def run_result(
         "status": status,
         "config_hash": config_hash,
         "cycles": cycle.cycles,
-        "duration": cycle.cycles * sample_time,
+        "duration": (cycle.cycles + cycle.rig.skipped_syncs) * sample_time,
         "passive": overall(accounts),
+        **at_handles(accounts),
         "ports": accounts,
         "truth": _truth(cycle, list(accounts)),
         "timing": {name: histogram.summary() for name, histogram in cycle.timing.items()},
@@ -59,43 +70,72 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
     alone = iter(cycle.controllers)
     accounts: dict[str, dict[str, Any]] = {}
     for axis, (name, unit) in enumerate(ports):
-        drive = drives[axis]
+        drive, promise = drives[axis], Promise() if axis in grouped else promise_of(next(alone))
         accounts[name] = {
             "unit": unit,
-            **_ledger(cycle.ledgers[axis], sample_time, [drive], None if axis in grouped else next(alone)),
+            **cycle.ledgers[axis].summary().as_json(sample_time),
+            **_measured(cycle.meters, axis, promise),
+            "rendered": _rendered(cycle.meters, axis),
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
-            "energy_resolution": cycle.resolutions[axis].value + drive.read_back_bound,
         }
-    for group in cycle.groups:
+    for place, group in enumerate(cycle.groups, len(ports)):
         accounts[group.name] = {
             "unit": ports[group.axes[0]][1],
-            **_ledger(group.ledger, sample_time, [drives[axis] for axis in group.axes], group.controller),
+            **group.ledger.summary().as_json(sample_time),
+            **_measured(cycle.meters, place, promise_of(group.controller)),
             "supplied": group.supplied,
             "unsure": group.unsure,
             "limits": dict(group.limits),
-            "energy_resolution": group.unsure
-            + sum(accounts[ports[axis][0]]["energy_resolution"] for axis in group.axes),
         }
+    for name, place in zip(accounts, range(len(accounts)), strict=True):
+        gap = max(drive.longest_gap for drive in cycle.meters.drives_of(place))
+        withdraw_certificates(accounts[name], longest_gap=gap)
     return with_groups(accounts, {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups})
 
 
-def _ledger(ledger: Ledger, sample_time: float, drives: Sequence[ServoDrive], controller: object) -> dict[str, Any]:
-    """Returns what a ledger holds, with the longest hold [sample times] of its drives.
+def _measured(meters: RunMeters, place: int, promise: Promise) -> dict[str, Any]:
+    """Returns what is known of a port beside its ledger."""
+    measured, least = meters.measured(place), meters.least_at_handle[place]
+    return {
+        "energy_resolution": measured.energy_resolution,
+        **({} if least is None else {"least_at_handle": least, "device_dissipated": measured.device_dissipated}),
+        "contact": {"holds": meters.contacts[place], "without_torque": meters.silent[place]},
+        "longest_hold": measured.longest_hold,
+        "uncommanded_cycles": measured.uncommanded,
+        **promise._asdict(),
+    }
 
-    A certificate covers `max_consecutive_losses` sample times without a new torque, of a controller that declares them,
-    and none of one that does not. A skipped SYNC is no lost frame: the torque under way acts for longer, and the one
-    behind it, which counted on a single hold, acts all the same. Where a torque acted for longer than was covered,
-    nothing was certified, whatever each step said; nor where a drive held a torque that was never commanded.
+
+def _rendered(meters: RunMeters, axis: int) -> dict[str, float | None]:
+    """Returns how much of what the environment of an axis asked for was rendered."""
+    damping = meters.axes[axis].damping_asked * meters.contacts[axis]
+    return rendered_shares(*meters.asked[axis], damping, meters.damping[axis])
+
+
+def rendered_shares(asked: float, given: float, damping_asked: float, damping: float) -> dict[str, float | None]:
+    """Returns how much of effort and damping was rendered in contact, from sums over its holds; None: none asked."""
+    return {
+        "stiffness": given / asked if asked else None,
+        "damping": damping / damping_asked if damping_asked else None,
+    }
+
+
+def withdraw_certificates(account: dict[str, Any], *, longest_gap: int) -> None:
+    """Takes the certificates off an account where a torque acted for longer than they covered, or was not commanded.
+
+    A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is no lost frame:
+    the torque under way acts for longer, and the one behind it, which counted on a single hold, acts all the same.
+
+    Args:
+        account: Of a port; changed.
+        longest_gap: The most sample times between two SYNCs: 1 where none was skipped.
     """
-    account = ledger.summary().as_json(sample_time)
-    account["longest_hold"] = longest = max(drive.longest_hold for drive in drives)
-    covered = getattr(controller, "max_consecutive_losses", 0) if all(drive.longest_gap == 1 for drive in drives) else 0
-    account["uncommanded_cycles"] = uncommanded = sum(drive.uncommanded for drive in drives)
-    if (longest > 1 + covered or uncommanded) and (account["in"] or account["out"]):
+    covered = account["max_consecutive_losses"] if longest_gap == 1 else 0
+    is_broken = account["longest_hold"] > 1 + covered or account.get("uncommanded_cycles", 0)
+    if is_broken and account["certificates"]:
         account["certificate"] = Certificate.NONE.name.lower()
         account["certificates"] = [account["certificate"]]
-    return account
 
 
 def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, Sequence[str]]) -> dict[str, Any]:
@@ -109,6 +149,9 @@ def with_groups(accounts: Mapping[str, Mapping[str, Any]], groups: Mapping[str, 
     found = {name: dict(account) for name, account in accounts.items()}
     for account in found.values():
         account["passive"] = account_verdict(account)
+        at_handle = handle_verdict(account)
+        if at_handle is not None:
+            account["passive_at_handle"] = at_handle
     for group, axes in groups.items():
         found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
         for name in axes:

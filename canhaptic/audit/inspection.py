@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts, rows_between
 from canhaptic.audit.not_finite import not_finite
+from canhaptic.audit.port_record import PortRecord
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control.balance import Branch, Certificate, LedgerSummary
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
-from canhaptic.result import overall, with_groups
+from canhaptic.result import at_handles, overall, with_groups
 from canhaptic.signals import CycleTiming
 
 _Array = NDArray[Any]
@@ -32,7 +33,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         InputError: No cycle lies between `start` and `stop`.
     """
     rows = rows_between(log, start, stop)
-    sync_index = log.timing["sync_index"][rows]
+    sync_index, time = log.timing["sync_index"][rows], log.deadlines(rows.start, rows.stop) * log.sample_time
     ports = _ports(log, rows)
     return {
         "file": str(log.path),
@@ -40,16 +41,17 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "config_hash": str(log.attributes.get("config_hash", "")),
         "cycles": int(rows.stop - rows.start),
         "rate": 1.0 / log.sample_time,
-        "from": float(sync_index[0] * log.sample_time) if len(sync_index) else 0.0,
-        "to": float(sync_index[-1] * log.sample_time) if len(sync_index) else 0.0,
+        "from": float(time[0]) if len(time) else 0.0,
+        "to": float(time[-1]) if len(time) else 0.0,
         "findings": not_finite(log),
         "passive": overall(ports),
+        **at_handles(ports),
         "ports": ports,
         "truth": {name: _truth(log, name, rows) for name in log.truth},
         "timing": _timing(log, rows),
         "link": _link(log, rows, sync_index),
         "contacts": {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of},
-        "events": [event._asdict() | {"time": event.sync_index * log.sample_time} for event in log.events],
+        "events": [event._asdict() | {"time": log.time_of(event.sync_index)} for event in log.events],
     }
 
 
@@ -70,8 +72,9 @@ def _least(running: _Array) -> tuple[float, int]:
     return float(running[row]), row
 
 
-def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
+def _port(log: EnergyLog, port_name: str, rows: slice) -> dict[str, Any]:
     """The account of one port; columns are read one after the other, an hour of them at once would not fit."""
+    port = log.ports[port_name]
 
     def column(name: str) -> _Array:
         return port.read(name, rows.start, rows.stop)
@@ -79,6 +82,7 @@ def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
     return {
         "unit": port.unit("position"),
         **_summary(log, column, rows).as_json(log.sample_time),
+        **_record(log, port_name, rows),
         "peak_torque": float(np.abs(column("torque_applied")).max(initial=0.0)),
         "limited_cycles": int((column("statusword") & StatusBit.INTERNAL_LIMIT != 0).sum()),
     }
@@ -86,17 +90,26 @@ def _port(log: EnergyLog, port: Quantities, rows: slice) -> dict[str, Any]:
 
 def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
     """The account of each port; of an axis in a group what came in and went out by it."""
-    accounts = {name: _port(log, port, rows) for name, port in log.ports.items()}
+    accounts = {name: _port(log, name, rows) for name in log.ports}
     for group in log.groups:
         accounts[group]["state_unit"] = log.ports[group].unit("state")
     return with_groups(accounts, log.groups)
+
+
+def _record(log: EnergyLog, name: str, rows: slice) -> dict[str, Any]:
+    """What is known of a port beside its ledger."""
+    record = PortRecord(log, name, rows.start)
+    record.take(log, rows.start, rows.stop)
+    return record.account()
 
 
 def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> LedgerSummary:
     """The account of rows in arrays; what `Ledger` sums up one row at a time."""
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
-    cycle = int(log.timing["sync_index"][rows.start + margin_row]) if len(h_i) else 0
+    place = rows.start + margin_row
+    cycle = int(log.timing["sync_index"][place]) if len(h_i) else 0
+    deadline = int(log.deadlines(place, place + 1)[0]) if len(h_i) else 0
     surplus, branch = column("h_dis"), _known(log, "branch", column("branch"), len(Branch))
     certificates = _known(log, "certificate", column("certificate"), len(Certificate))
     rendered = column("damping_rendered")[(branch != Branch.FREE) & (branch != Branch.EXIT)]
@@ -114,6 +127,7 @@ def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> Le
         deficit=_sum(column("deficit")),
         margin_value=margin,
         margin_cycle=cycle,
+        margin_deadline=deadline,
         least_interaction=_least(_running(h_i))[0],
         certificates=tuple(
             Certificate(int(number)) for number in np.unique(certificates[column("torque_command") != 0.0])
@@ -149,16 +163,19 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> dict[str, float]:
     """
     motor = log.truth[name].read("motor", rows.start, rows.stop)
     if not len(motor):
-        return {"interaction": 0.0, "least_interaction": 0.0, "believed_error": 0.0}
+        return {"interaction": 0.0, "least_interaction": 0.0, "least_at_handle": 0.0, "believed_error": 0.0}
     before = log.truth[name].read("motor", rows.start - 1, rows.start)[0] if rows.start else motor[0]
     interaction = before - motor
     axes = log.groups.get(name, (name,))  # of a group, what came in by its motors: a mover of its own is no motor
     h_i = np.sum([log.ports[axis].read("h_i", rows.start, rows.stop) for axis in axes], axis=0)
     believed = _running(h_i) if rows.start else _running(h_i) - h_i[0]
+    booked = log.ports[axes[0]].read("branch", rows.start, rows.stop) != Branch.HELD
+    dissipated = log.truth[name].read("dissipated", rows.start, rows.stop)
     return {
         "interaction": float(interaction[-1]),
         "least_interaction": min(0.0, float(interaction.min())),
-        "believed_error": float(np.abs(believed - interaction).max()),
+        "least_at_handle": min(0.0, float((interaction + dissipated - dissipated[0]).min())),
+        "believed_error": float(np.abs((believed - interaction)[booked]).max(initial=0.0)),
     }
 
 
@@ -192,9 +209,19 @@ def _link(log: EnergyLog, rows: slice, sync_index: _Array) -> dict[str, Any]:
         "success_rate": received / expected if expected else 1.0,
         "missing": expected - received,
         "cycles_without_row": gaps,
+        "skipped_syncs": _skipped(log, rows),
         "dropped_by_log": dropped,
         "lost_by_damage": log.rows_lost,
     }
+
+
+def _skipped(log: EnergyLog, rows: slice) -> int:
+    """Returns the SYNCs that were left out between the first row and the last."""
+    if rows.stop <= rows.start:
+        return 0
+    (first,), (last,) = log.deadlines(rows.start, rows.start + 1), log.deadlines(rows.stop - 1, rows.stop)
+    index = log.timing.read("sync_index", rows.start, rows.stop)
+    return int(last - first) - int(index[-1] - index[0])
 
 
 def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[dict[str, float]]:
@@ -211,7 +238,7 @@ def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[dict[str, f
     depth = np.maximum.reduceat(np.abs(column("state")), spans)[::2]
     peak = np.maximum.reduceat(np.abs(column("torque_applied")), spans)[::2]
     energy = np.add.reduceat(column("h_i"), spans)[::2]
-    start = log.timing["sync_index"][rows][edges[:, 0]] * log.sample_time
+    start = log.deadlines(rows.start, rows.stop)[edges[:, 0]] * log.sample_time
     duration = (edges[:, 1] - edges[:, 0]) * log.sample_time
     names = ("start", "duration", "depth", "peak_torque", "energy")
     columns = (values.tolist() for values in (start, duration, depth, peak, energy))

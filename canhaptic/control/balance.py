@@ -75,32 +75,70 @@ Verdict = Literal["yes", "no", "in doubt"]
 """Whether a port was passive; "in doubt" where energy that lost samples leave open decides."""
 
 PASSIVE_TOLERANCE: Final = 1e-6
-"""Energy below zero that still counts as zero [J]."""
+"""Energy below zero that a study still counts as zero, for counts of the encoder [J]."""
+_ROUNDING: Final = 1e-9
+"""The same where the resolution of the energy is known [J]."""
 
 
-def passive_verdict(least_interaction: float, unsure: float = 0.0, *, has_open_hold: bool = False) -> Verdict:
-    """Returns whether a port was passive (eq. 3).
+def passive_verdict(
+    least: float, resolution: float = 0.0, *, is_promised: bool = False, has_open_hold: bool = False
+) -> Verdict:
+    """Returns whether a sum of energy stayed at zero or above.
 
     Args:
-        least_interaction: Least sum of interaction energy after any hold, doubt taken off [J].
-        unsure: The doubt in it [J].
+        least: Its least value after any hold, as booked [J].
+        resolution: Largest difference of that from the true one [J].
+        is_promised: Whether certificates held in every hold that rule out less than zero.
         has_open_hold: Whether the run ended in holds that are not booked, because no position came any more.
     """
-    if least_interaction >= -PASSIVE_TOLERANCE:
-        return "in doubt" if has_open_hold else "yes"
-    return "in doubt" if least_interaction + unsure >= -PASSIVE_TOLERANCE else "no"
+    if least + resolution < -_ROUNDING:
+        return "no"
+    return "yes" if (least >= -_ROUNDING or is_promised) and not has_open_hold else "in doubt"
+
+
+def is_certified(account: Mapping[str, Any]) -> bool:
+    """Returns whether every torque of a port had a certificate that promises no less than zero."""
+    names = account.get("certificates", [account["certificate"]])
+    return bool(names) and "none" not in names and not account.get("energy_allowance", 0.0)
 
 
 def account_verdict(account: Mapping[str, Any]) -> Verdict:
-    """Returns whether the port of an account as in `LedgerSummary.as_json` was passive."""
+    """Returns whether a port was passive at the motor (eq. 3): the sum of what came in with the motor's torque.
+
+    Where a damping of the device is declared, certificates promise the sum at the handle and not this one.
+
+    Args:
+        account: As `LedgerSummary.as_json` has it, with what is known beside the ledger.
+    """
+    promised = is_certified(account) and account.get("least_at_handle") is None
     return passive_verdict(
         account["least_interaction"],
-        account.get("unsure", 0.0),
+        account.get("energy_resolution", account.get("unsure", 0.0)),
+        is_promised=promised,
         has_open_hold=account.get("open_hold", False),
     )
 
 
-_OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.GROUP.value)
+def handle_verdict(account: Mapping[str, Any]) -> Verdict | None:
+    """Returns whether a port was passive at the handle: with what the device itself dissipated for certain.
+
+    None where no damping of the device is declared. It may have dissipated more, so that a sum below zero is a doubt.
+
+    Args:
+        account: As for `account_verdict`.
+    """
+    least = account.get("least_at_handle")
+    if least is None:
+        return None
+    open_hold = account.get("open_hold", False)
+    found = passive_verdict(
+        least, account["energy_resolution"], is_promised=is_certified(account), has_open_hold=open_hold
+    )
+    return "in doubt" if found == "no" else found
+
+
+OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.GROUP.value)
+"""Branches of holds without a contact of their own."""
 
 AT_REST: Final = EnergyBalance(
     torque=0.0,
@@ -150,7 +188,8 @@ class LedgerSummary(NamedTuple):
     paid: float
     deficit: float
     margin_value: float  # least value of sum(h_i) - sum(h_r) after any hold (eq. 4)
-    margin_cycle: int  # and the cycle at which it was reached
+    margin_cycle: int  # the SYNC at which it was reached
+    margin_deadline: int  # and the sample times to it
     least_interaction: float  # least value of sum(h_i) after any hold (eq. 3)
     certificates: tuple[Certificate, ...]  # that bounded a torque, weakest last
     branches: dict[str, int]  # holds booked by each branch
@@ -183,7 +222,7 @@ class LedgerSummary(NamedTuple):
             "margin": {
                 "value": self.margin_value,
                 "cycle": self.margin_cycle,
-                "time": self.margin_cycle * sample_time,
+                "time": self.margin_deadline * sample_time,
             },
             "least_interaction": self.least_interaction,
             "certificate": self.certificate.name.lower(),
@@ -258,12 +297,18 @@ class Ledger:
         self._branches = [0] * len(Branch)
         self._last = AT_REST
         self.interaction = self._least_interaction = self._least_margin = self._surplus_max = 0.0
-        self._least_margin_cycle = 0
+        self._least_margin_cycle = self._least_margin_deadline = 0
         self._certificates = 0  # one bit each
         self._damping_least, self._damping_most = float("inf"), 0.0
 
-    def add(self, balance: EnergyBalance, cycle: int) -> None:
-        """Adds the account of the hold that ended at SYNC `cycle`."""
+    def add(self, balance: EnergyBalance, cycle: int, deadline: int | None = None) -> None:
+        """Adds the account of the hold that ended at SYNC `cycle`.
+
+        Args:
+            balance: Of the hold.
+            cycle: Index of the SYNC.
+            deadline: Sample times to it; None: no SYNC was skipped.
+        """
         torque, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance
         self._branches[branch] += 1
         self._last = balance
@@ -272,10 +317,10 @@ class Ledger:
         if torque:  # without one nothing was to be bounded
             self._certificates |= 1 << certificate
         if h_i or h_r:
-            self._add_flows(h_i, h_r, cycle)
+            self._add_flows(h_i, h_r, cycle, cycle if deadline is None else deadline)
         if h_pas or leak or deficit or gen:
             self._add_corrections(balance)
-        if branch not in _OUT_OF_CONTACT:
+        if branch not in OUT_OF_CONTACT:
             if rendered < self._damping_least:
                 self._damping_least = rendered
             if rendered > self._damping_most:
@@ -293,7 +338,7 @@ class Ledger:
         if balance.gen:
             self._generated.add(balance.gen)
 
-    def _add_flows(self, h_i: float, h_r: float, cycle: int) -> None:
+    def _add_flows(self, h_i: float, h_r: float, cycle: int, deadline: int) -> None:
         self.interaction = interaction = self._interaction.add(h_i)
         if h_i > 0.0:
             self._in.add(h_i)
@@ -302,7 +347,7 @@ class Ledger:
         dissipated = self._dissipated.add(h_r) if h_r else self._dissipated.value
         if interaction - dissipated < self._least_margin:
             self._least_margin = interaction - dissipated
-            self._least_margin_cycle = cycle
+            self._least_margin_cycle, self._least_margin_deadline = cycle, deadline
 
     def summary(self) -> LedgerSummary:
         """Returns the account so far."""
@@ -321,6 +366,7 @@ class Ledger:
             deficit=self._deficit.value,
             margin_value=self._least_margin,
             margin_cycle=self._least_margin_cycle,
+            margin_deadline=self._least_margin_deadline,
             least_interaction=self._least_interaction,
             certificates=certificates_of(self._certificates),
             branches={branch.name.lower(): self._branches[branch] for branch in Branch},

@@ -55,6 +55,7 @@ class Rig:
     Attributes:
         budgets: The worst cycle of each bus.
         sync_index: Index of the last SYNC; 0 is the first that found every drive enabled, -1 before it.
+        deadline_index: Sample times since SYNC 0: ahead of `sync_index` where SYNCs were skipped.
         stop_reason: Why the rig stopped; NONE while it runs.
         records: The last cycles, newest last.
         realtime: What the operating system granted to the thread that called `start`.
@@ -91,6 +92,7 @@ class Rig:
 
     def _reset(self) -> None:
         self.sync_index = -1
+        self.deadline_index = self._first_deadline = 0
         self.stop_reason = StopReason.NONE
         self.records: deque[_CycleRecord] = deque(maxlen=_RECORDS_KEPT)
         self._is_running = False
@@ -120,6 +122,7 @@ class Rig:
             raise
         self._require_no_other_master()
         self._exchange.skipped = 0
+        self._first_deadline = self._exchange.deadline
         self.sync_index = 0
         self._is_running = True
         self._first_samples = [drive.sample(0) for drive in self.drives]
@@ -150,6 +153,7 @@ class Rig:
         except LinkError as error:
             raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
         self.sync_index = index = self.sync_index + 1
+        self.deadline_index = (exchange.deadline - self._first_deadline) // self.bus.sample_time_ns
         self._require_no_other_master()
         self._samples = samples = []
         if self._needed:
@@ -349,7 +353,7 @@ class Rig:
     @property
     def skipped_syncs(self) -> int:
         """Deadlines of SYNC that were missed and left out."""
-        return self._exchange.skipped
+        return self.deadline_index - max(0, self.sync_index)
 
     def link_statistics(self) -> dict[str, float]:
         """Returns the counts of all links, the SYNCs skipped and the part of SYNCs that every axis answered."""

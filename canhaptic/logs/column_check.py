@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from canhaptic.errors import LogFormatError
-from canhaptic.logs.columns import EVENT_TEXT_SIZES, LogSchema, PortDescription
+from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_VERSION, LogSchema, PortDescription
 from canhaptic.logs.hdf5 import Dataset, Hdf5File
 
 _RUNNING: Final = "running"
@@ -39,11 +39,14 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
 def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[FoundColumns, FoundColumns]:
     """Returns the columns of the rows and those of the events, by path.
 
+    The format of an older version has fewer.
+
     Raises:
         LogFormatError: One is missing or of another type.
     """
+    version = int(file.attributes.get("format_version", FORMAT_VERSION))
     described = tuple(PortDescription(name, "m") for name in ports)
-    schema = LogSchema(described, 1, bool(file.names("truth")), 1, False, {})
+    schema = LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version)
     types = {column.path: column.dtype for column in schema.columns() if column.path}
     of_events = {"sync_index": "i8", **{name: f"S{size}" for name, size in EVENT_TEXT_SIZES.items()}}
     rows = {name: _column(path, file, name, dtype) for name, dtype in types.items()}

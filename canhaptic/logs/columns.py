@@ -6,10 +6,11 @@ from typing import Final, NamedTuple
 
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
-from canhaptic.signals import CycleTiming, PlantEnergy, Sample
+from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 from canhaptic.units import Motion, damping_unit, effort_unit
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
+"""1: without `timing/deadline_index` and without what a run measures of its ports (`Measured`)."""
 FORMAT_NAME: Final = "canhaptic energy log"
 
 Attribute = str | int | float
@@ -17,14 +18,27 @@ Attribute = str | int | float
 GROUP_AXES: Final = "group_axes"
 """`NAME.group_axes`: of a port that is a group, the names of its axes (JSON). It has the account and no position."""
 
-_INTEGERS: Final = {"statusword": "u2", "fresh": "u1", "branch": "u1", "certificate": "u1"}
+_INTEGERS: Final = {
+    "statusword": "u2",
+    "fresh": "u1",
+    "branch": "u1",
+    "certificate": "u1",
+    "longest_hold": "u4",
+    "uncommanded": "u4",
+}
 _BALANCE_NAMES: Final = {"torque": "torque_command"}
 _MEANINGS: Final = {
     "branch": ", ".join(f"{member.value} {member.name.lower()}" for member in Branch),
     "certificate": ", ".join(f"{member.value} {member.name.lower()}" for member in Certificate),
     "fresh": "0 no TPDO for this SYNC, values are those of the last one; 1 fresh",
     "dropped_before": "cycles lost between the row before and this one because the ring was full",
-    "sync_index": "index k of the SYNC; time = k * sample_time_ns",
+    "sync_index": "index k of the SYNC",
+    "deadline_index": "sample times since SYNC 0, more than sync_index after skipped SYNCs; times sample_time_ns: time",
+    "energy_resolution": "largest |booked - true| sum of h_i so far",
+    "device_dissipated": "by the declared damping of the device so far, at least",
+    "effort_asked": "of the storage of the environment at this position; 0 out of contact",
+    "uncommanded": "holds so far whose torque was never commanded",
+    "longest_hold": "the most sample times for which one torque was held so far",
 }
 
 
@@ -77,13 +91,18 @@ class LogSchema:
     chunk_rows: int
     synchronise: bool  # after each chunk the file is forced to the disk
     attributes: dict[str, Attribute]
+    version: int = FORMAT_VERSION  # of the format
 
     def columns(self) -> list[_LogColumn]:
         """Returns the columns in the order in which the ring's record holds them."""
         columns = [_LogColumn("timing/dropped_before", "1", "u4"), _LogColumn("timing/sync_index", "1", "i8")]
         columns += [_LogColumn(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
+        if self.version > 1:
+            columns.append(_LogColumn("timing/deadline_index", "1", "i8"))
         for port in self.ports:
             columns += _sample_columns(port) + _balance_columns(port)
+            if self.version > 1:
+                columns += _measured_columns(port)
         if self.with_truth:
             for port in self.ports:
                 columns.append(_LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
@@ -134,4 +153,12 @@ def _balance_columns(port: PortDescription) -> list[_LogColumn]:
             f"ports/{port.name}/{_BALANCE_NAMES.get(name, name)}", units.get(name, "J"), _INTEGERS.get(name, "f8")
         )
         for name in EnergyBalance._fields
+    ]
+
+
+def _measured_columns(port: PortDescription) -> list[_LogColumn]:
+    units = {"effort_asked": effort_unit(port.unit), "longest_hold": "1", "uncommanded": "1"}
+    return [
+        _LogColumn(f"ports/{port.name}/{name}", units.get(name, "J"), _INTEGERS.get(name, "f8"))
+        for name in Measured._fields
     ]

@@ -8,7 +8,7 @@ from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import ParameterError
 from canhaptic.logs.columns import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
 from canhaptic.logs.writer_process import WriterProcess
-from canhaptic.signals import CycleTiming, Sample, Truth
+from canhaptic.signals import CycleTiming, Measured, Sample, Truth
 
 _RING_ROWS: Final = 16_384  # 16 s at 1 kHz, longer than a disk stalls
 _FLUSH_TIME_NS: Final = 200_000_000  # a chunk holds this much of the run, at real pace
@@ -51,6 +51,7 @@ class EnergyLogWriter:
     ) -> None:
         _check_names(ports)
         self._ports = tuple(range(len(ports)))
+        self._nothing = (Measured(0.0, 0.0, 0.0, 1, 0),) * len(ports)
         self.path = Path(path).absolute()
         self._free = pace == "free"
         chunk = _FREE_CHUNK if self._free else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))
@@ -82,6 +83,8 @@ class EnergyLogWriter:
         balances: Sequence[EnergyBalance],
         timing: CycleTiming,
         truths: Sequence[Truth] | None = None,
+        deadline: int | None = None,
+        measured: Sequence[Measured] = (),
     ) -> None:
         """Takes one cycle.
 
@@ -91,13 +94,17 @@ class EnergyLogWriter:
             balances: One per port.
             timing: Of this cycle.
             truths: One per port when the log was made with truth.
+            deadline: Sample times since the first SYNC; None: none was skipped.
+            measured: One per port; none where nothing is known beside the balances.
 
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
-        row: tuple[float, ...] = (self._unreported, sync_index) + timing  # noqa: RUF005 - sums of tuples are quickest
+        due = sync_index if deadline is None else deadline
+        row: tuple[float, ...] = (self._unreported, sync_index) + timing + (due,)  # noqa: RUF005 - sums are quickest
+        known = measured or self._nothing
         for port in self._ports:
-            row += samples[port] + balances[port]
+            row += samples[port] + balances[port] + known[port]
         if truths is not None:
             for truth in truths:
                 row += truth[:1] + truth[1]

@@ -146,7 +146,19 @@ class EnergyLog:
     @property
     def time(self) -> Array:
         """Time of each SYNC since the first [s], shape (n_rows,)."""
-        return np.asarray(self.timing["sync_index"] * (self.sample_time_ns * 1e-9))
+        return np.asarray(self.deadlines() * (self.sample_time_ns * 1e-9))
+
+    def deadlines(self, start: int = 0, stop: int | None = None) -> Array:
+        """Returns the sample times from the first SYNC to that of each row; of an older log the index of the SYNC."""
+        return self.timing.read("deadline_index" if "deadline_index" in self.timing else "sync_index", start, stop)
+
+    def time_of(self, sync_index: int) -> float:
+        """Returns the time of a SYNC [s], also of one behind the last row."""
+        if not self.rows:
+            return sync_index * self.sample_time
+        index = self.timing["sync_index"]
+        row = min(int(np.searchsorted(index, sync_index)), self.rows - 1)
+        return float((int(self.deadlines(row, row + 1)[0]) + sync_index - int(index[row])) * self.sample_time)
 
     @property
     def dropped(self) -> int:

@@ -28,8 +28,8 @@ from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import (
     build_axis_controllers,
     build_axis_groups,
+    build_axis_meters,
     build_mechanism_drive,
-    build_resolutions,
     build_servo_drive,
     build_simulated_drive,
     group_places,
@@ -82,9 +82,9 @@ class Experiment:
             ]
             self.rig = _build_rig(scene, links)
             controllers, truths = build_axis_controllers(scene), _truths(self.far_side)
-            groups_of_axes, resolutions = build_axis_groups(scene), build_resolutions(scene)
-            meters = build_loss_meters(scene)
-            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, groups_of_axes, resolutions, meters)
+            groups_of_axes, meters = build_axis_groups(scene), build_axis_meters(scene)
+            losses = build_loss_meters(scene)
+            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, groups_of_axes, meters, losses)
             if self._log_failure:  # before there was a cycle to stop
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()

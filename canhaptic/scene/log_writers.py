@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.columns import GROUP_AXES, Attribute, PortDescription
+from canhaptic.meters import promise_of
 from canhaptic.scene.models import AxisScene, Scene, task_unit
 
 if TYPE_CHECKING:
@@ -95,6 +96,8 @@ def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, At
             f"{group.name}.environment": group.network.name,
             f"{group.name}.kinematics": group.kinematics.name,
             f"{group.name}.algorithm": group.passivity.name,
+            **_promise_attributes(group.name, group.passivity.parameters),
+            **({f"{group.name}.is_damped": 1} if _is_damped(scene, group.axes) else {}),
         }
     return attributes
 
@@ -107,10 +110,24 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
         f"{name}.eds_hash": axis.dictionary_hash(),
         f"{name}.environment": axis.environment.name,
         f"{name}.algorithm": axis.passivity.name,
+        **_promise_attributes(name, axis.passivity.parameters),
+        **({f"{name}.is_damped": 1} if axis.loop.device_damping is not None else {}),
     }
     environment = axis.environment.parameters
+    damping = getattr(environment, "damping", None)
+    if isinstance(damping, float):
+        attributes[f"{name}.damping_asked"] = damping
     for key in ("position", "side"):
         value = getattr(environment, key, None)
         if isinstance(value, str | float):
             attributes[f"{name}.wall_{key}"] = value
     return attributes
+
+
+def _is_damped(scene: Scene, axes: tuple[str, ...]) -> bool:
+    return all(scene.axis(axis).loop.device_damping is not None for axis in axes)
+
+
+def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:
+    """Returns what certificates rest on beside hand and device."""
+    return {f"{name}.{key}": value for key, value in promise_of(parameters)._asdict().items()}

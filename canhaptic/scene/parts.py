@@ -5,8 +5,9 @@ from typing import cast
 import can
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.control.energy_resolution import EnergyResolution, SensorErrors
+from canhaptic.control.axis_meter import Accuracy, AxisMeter
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments.plain import plain
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.axis_group import AxisGroup
@@ -77,9 +78,16 @@ def group_places(scene: Scene) -> list[tuple[int, ...]]:
     return [tuple(places[name] for name in group.axes) for group in scene.groups]
 
 
-def build_resolutions(scene: Scene) -> list[EnergyResolution]:
-    """Returns what sensors and drive of each axis leave open of its energy: half a count of the position."""
-    return [EnergyResolution(SensorErrors(position=0.5 * axis.loop.encoder_count)) for axis in scene.axes]
+def build_axis_meters(scene: Scene) -> list[AxisMeter]:
+    """Returns the meter of each axis; its position is known to half a count."""
+    return [_axis_meter(axis, scene.bus.sample_time) for axis in scene.axes]
+
+
+def _axis_meter(axis: AxisScene, sample_time: float) -> AxisMeter:
+    loop = axis.loop
+    accuracy = Accuracy(sample_time, 0.5 * loop.encoder_count, device_damping=loop.device_damping)
+    environment = None if axis.group else plain(cast(Environment, axis.environment.parameters))
+    return AxisMeter(accuracy, environment)
 
 
 def build_group(scene: Scene, group: GroupScene) -> GroupController:

@@ -28,6 +28,7 @@ class _Tap:
         balances: Sequence[EnergyBalance],
         timing: CycleTiming,
         truths: Sequence[Truth] | None = None,
+        *_known: object,
     ) -> None:
         """Takes one cycle."""
         for axis, row in enumerate(zip(samples, balances, truths or (), strict=True)):

@@ -9,7 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, account_verdict
+from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, account_verdict, handle_verdict
 from canhaptic.units import damping_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable, in_lines
@@ -89,7 +89,7 @@ def _energy_table(result: _Result, names: list[str]) -> Table:
         table.add_column(Text(in_lines(name, _HEAD_WIDTH)), justify="right", no_wrap=True)
     for label, cell in _PORT_ROWS:
         cells = [_cell(cell, result["ports"][name]) for name in names]
-        if any(content != _NOTHING for content in cells):
+        if any(str(content) != _NOTHING for content in cells):
             table.add_row(label, *cells)
     branches = [name for name in _branch_names(result, names) if any(_count(result, port, name) for port in names)]
     for branch in branches:
@@ -158,8 +158,36 @@ def _uncommanded(port: _Result) -> str:
 
 
 def _passive(port: _Result) -> Text:
-    """Returns yes, NO, or that only the energy in doubt, booked at its worst, lies between them."""
     return _VERDICTS[account_verdict(port)].copy()
+
+
+def _at_handle(port: _Result) -> Text:
+    verdict = handle_verdict(port)
+    return Text(_NOTHING) if verdict is None else _VERDICTS[verdict].copy()
+
+
+def _share(name: str) -> Callable[[_Result], str]:
+    return lambda port: f"{100.0 * port['rendered'][name]:.3g} %   "
+
+
+def _silent(port: _Result) -> str | Text:
+    """Returns how many holds of contact had no torque; a wall that renders nothing is absent."""
+    contact = port["contact"]
+    if contact["holds"] and contact["without_torque"] == contact["holds"]:
+        return Text("all: NOTHING WAS RENDERED   ", style="bold red")
+    return f"{contact['without_torque']} of {contact['holds']}   " if contact["holds"] else _NOTHING
+
+
+def _resolution(port: _Result) -> str:
+    """Returns how far the booked energy may be from the true one; what nothing is read back for is believed."""
+    believed = " believed" if port.get("read_back") == "none" else ""
+    resolution = port["energy_resolution"]
+    return f"{energy(resolution)}{believed}" if resolution else f"exact{believed}   "
+
+
+def _certificates(port: _Result) -> str:
+    names = port.get("certificates", [port["certificate"]])
+    return ", ".join(str(name).replace("_", " ") for name in names) + "   " if names else "no torque   "
 
 
 def _damping(port: _Result) -> str:
@@ -179,11 +207,6 @@ def _plain(name: str) -> Callable[[_Result], str]:
     return lambda port: energy(port[name])
 
 
-def _known_to(port: _Result) -> str:
-    """Returns the bound that a measured torque leaves to the energy; nothing to say where the demand is read back."""
-    return {"demand": "exact   ", "none": "believed   "}.get(port["read_back"]) or energy(port["read_back_bound"])
-
-
 _OF_GROUPS: Final = {"supplied": "in by movers, not motors", "unsure": "in doubt, taken off `in`"}
 """Rows that only a group may have, shown where they are not zero."""
 _PORT_ROWS: Final[tuple[_Row, ...]] = (
@@ -197,18 +220,24 @@ _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("leaked", _plain("leaked")),
     ("deficit", _plain("deficit")),
     ("least sum of interaction", _plain("least_interaction")),
-    ("passive (eq. 3)", _passive),
+    ("passive at the motor (eq. 3)", _passive),
+    ("least sum at the handle", _plain("least_at_handle")),
+    ("passive at the handle", _at_handle),
     ("least margin (eq. 4)", _margin),
     ("  reached at", _margin_place),
     ("damping rendered", _damping),
-    ("energy known to", _known_to),
+    ("  of what was asked", _share("damping")),
+    ("stiffness rendered, of asked", _share("stiffness")),
+    ("holds of contact without torque", _silent),
+    ("energy resolution", _resolution),
     ("longest hold", _longest_hold),
     ("holds not as commanded", _uncommanded),
-    ("weakest certificate", lambda port: str(port["certificate"]).replace("_", " ") + "   "),
+    ("certificates", _certificates),
 )
 _TRUTH_ROWS: Final[tuple[_Row, ...]] = (
     ("true interaction", _plain("interaction")),
     ("least true interaction", _plain("least_interaction")),
+    ("least true sum at the handle", _plain("least_at_handle")),
     ("believed minus true, at most", _plain("believed_error")),
 )
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from canhaptic.audit.extent import rows_between, rows_to_draw
-from canhaptic.control.balance import account_verdict
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import CycleTiming
 from canhaptic.view.decimate import decimate
@@ -76,7 +75,7 @@ def _timing(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
     if not any(values.any() for values in parts.values()):
         return None  # in lock-step virtual time does not advance within a cycle
     shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in parts.values()]))
-    time = log.timing["sync_index"][rows][shown] * log.sample_time
+    time = log.deadlines(rows.start, rows.stop)[shown] * log.sample_time
     columns = {name: values[shown].astype(np.float32) for name, values in parts.items()}
     return panels.timing({"time": time, **columns}, log.sample_time)
 
@@ -92,7 +91,7 @@ def _link(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
         changes = np.flatnonzero(np.diff(total, prepend=0))
         picks.append(changes[:: max(1, len(changes) // _LINK_POINTS)])
     shown = np.unique(np.concatenate(picks))
-    time = log.timing["sync_index"][rows][shown] * log.sample_time
+    time = log.deadlines(rows.start, rows.stop)[shown] * log.sample_time
     return panels.link({"time": time} | {name: total[shown].astype(np.float32) for name, total in lost.items()})
 
 
@@ -111,12 +110,9 @@ def _heading(log: EnergyLog, result: dict[str, Any], other: EnergyLog | None, em
         rows.append(f"<tr><td><b>{html.escape(name)}</b></td>{cells}</tr>")
     line = " &nbsp; ".join(fact for fact in facts if fact)
     left_out = f"<p>zero throughout, not drawn: {html.escape(', '.join(empty))}</p>" if empty else ""
-    return f"{_STYLE}<p>{line}</p>{_verdicts(result)}<table class='account'>{''.join(rows)}</table>{left_out}"
-
-
-def _verdicts(result: dict[str, Any]) -> str:
-    accounts = {name: port for name, port in result["ports"].items() if "least_interaction" in port}
-    return verdict_bar({name: account_verdict(port) for name, port in accounts.items()})
+    return (
+        f"{_STYLE}<p>{line}</p>{verdict_bar(result['ports'])}<table class='account'>{''.join(rows)}</table>{left_out}"
+    )
 
 
 def _cell(value: Callable[[dict[str, Any]], float], port: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts
+from canhaptic.audit.port_record import PortRecord
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
@@ -35,7 +36,7 @@ class News(NamedTuple):
     ports: dict[str, dict[str, _Array]]  # new rows, with energies summed from the beginning
     contacts: dict[str, list[tuple[float, float]]]  # first and last time in each contact, of the new rows [s]
     facts: dict[str, PortFacts]
-    least_interaction: dict[str, float]  # least sum of the interaction energy since the beginning [J]
+    accounts: dict[str, dict[str, Any]]  # what verdicts rest on, since the beginning
     events: list[Event]  # all so far
     fresh_share: float  # TPDOs that came, of all expected, since the beginning
     group_of: dict[str, str]  # of each axis in a group, whose account is the group's
@@ -65,7 +66,7 @@ class LiveLog:
     def _forget(self) -> None:
         self._rows = 0
         self._sums: dict[tuple[str, str], float] = {}  # of each port's column; losses belong to port ""
-        self._least: dict[str, float] = {}
+        self._records: dict[str, PortRecord] = {}
         self._expected = self._missed = 0
         self._run: tuple[Any, ...] = ()
 
@@ -86,7 +87,7 @@ class LiveLog:
             self._forget()
         self._run = run
         start, stop = self._rows, min(log.rows, self._rows + _MOST_AT_ONCE)
-        time = log.timing.read("sync_index", start, stop) * log.sample_time
+        time = log.deadlines(start, stop) * log.sample_time
         ports = {name: self._port(log, name, start, stop) for name in log.ports}
         lost = {name: self._summed("", name, values) for name, values in losses(log, start, stop).items()}
         touched = {name: contacts(log.ports[name].read("branch", start, stop)) for name in log.ports}
@@ -101,7 +102,7 @@ class LiveLog:
             ports,
             {name: [(float(time[a]), float(time[b])) for a, b in spans] for name, spans in touched.items()},
             {name: port_facts(log, name) for name in log.ports},
-            dict(self._least),
+            {name: record.account() for name, record in self._records.items()},
             log.events,
             1.0 - self._missed / self._expected if self._expected else 1.0,
             log.group_of,
@@ -122,7 +123,9 @@ class LiveLog:
         taken_in = self._summed(name, "taken_in", port.read("h_i", start, stop))
         dissipated = self._summed(name, "dissipated", port.read("h_r", start, stop))
         deficit = self._summed(name, "deficit", port.read("deficit", start, stop))
-        self._least[name] = min(self._least.get(name, 0.0), float(taken_in.min(initial=0.0)))
+        if name not in self._records:
+            self._records[name] = PortRecord(log, name)
+        self._records[name].take(log, start, stop)
         if name not in log.groups:
             fresh = port.read("fresh", start, stop)
             self._expected += len(fresh)

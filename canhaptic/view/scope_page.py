@@ -7,8 +7,8 @@ import numpy as np
 from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, DataRange1d, Div
 
-from canhaptic.control.balance import passive_verdict
 from canhaptic.logs.statusword import state_text
+from canhaptic.result import with_groups
 from canhaptic.view.common_panels import link_panel, timing_panel
 from canhaptic.view.decimate import decimate
 from canhaptic.view.live_log import LiveLog, News
@@ -145,11 +145,9 @@ def _status(news: News, last: News) -> str:
             margin, surplus = si(float(rows["margin"][-1]), "J"), si(float(rows["surplus"][-1]), "J")
             facts.append(f"{html.escape(name)}: {state.lower()}, margin {margin}, surplus {surplus}")
     events = [f"SYNC {e.sync_index} {e.kind} {e.port}: {e.text}" for e in news.events[-_EVENTS_SHOWN:]]
-    verdicts = {
-        name: passive_verdict(least) for name, least in news.least_interaction.items() if name not in news.group_of
-    }
-    lines = [verdict_bar(verdicts), " &nbsp; ".join(fact for fact in facts if fact), *map(html.escape, events)]
-    return "<br>".join(lines)
+    accounts = {name: account for name, account in news.accounts.items() if name not in news.group_of}
+    bar, line = verdict_bar(with_groups(accounts, {})), " &nbsp; ".join(fact for fact in facts if fact)
+    return "<br>".join([bar, line, *map(html.escape, events)])
 
 
 _COUNTED: Final = ("SYNCs skipped", "cycles not in the log")

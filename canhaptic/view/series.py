@@ -64,8 +64,10 @@ def losses(log: EnergyLog, start: int, stop: int) -> dict[str, _Array]:
     """Returns for each row what was lost before it: SYNCs not sent, TPDOs that did not come, rows without room."""
     index = log.timing.read("sync_index", max(0, start - 1), stop).astype(np.int64)
     dropped = log.timing.read("dropped_before", start, stop).astype(np.int64)
+    deadlines = log.deadlines(max(0, start - 1), stop).astype(np.int64)
+    skipped = np.diff(deadlines - index, prepend=0 if start == 0 else deadlines[:1] - index[:1])
     gaps = np.diff(index, prepend=index[:1] - 1)[len(index) - len(dropped) :] - 1
-    lost = {"SYNCs skipped": np.maximum(gaps - dropped, 0)}
+    lost = {"SYNCs skipped": skipped[len(index) - len(dropped) :] + np.maximum(gaps - dropped, 0)}
     for name, port in log.ports.items():
         if name not in log.groups:
             lost[f"{name}: TPDOs missed"] = (port.read("fresh", start, stop) == 0).astype(np.int64)
@@ -91,7 +93,7 @@ class PortSeries:
         self._rows = rows
         self._port = log.ports[name]
         index = log.timing["sync_index"][rows]
-        time = index * log.sample_time
+        time = log.deadlines(rows.start, rows.stop) * log.sample_time
         full = self._columns()
         worst = int(full["margin"].argmin())
         self.worst = float(time[worst])

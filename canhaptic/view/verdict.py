@@ -2,7 +2,7 @@
 
 import html
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from canhaptic.control.balance import Verdict
 from canhaptic.view.palette import GREEN, ORANGE, VERMILION
@@ -10,11 +10,16 @@ from canhaptic.view.palette import GREEN, ORANGE, VERMILION
 _COLOURS: Final[dict[Verdict, str]] = {"yes": GREEN, "in doubt": ORANGE, "no": VERMILION}
 
 
-def verdict_bar(verdicts: Mapping[str, Verdict]) -> str:
-    """Returns a bar of HTML with the verdict of every account, by name of the port."""
+def verdict_bar(ports: Mapping[str, Mapping[str, Any]]) -> str:
+    """Returns a bar of HTML with the verdicts of every account, by name of the port."""
+    verdicts: dict[str, Verdict] = {}
+    for name, port in ports.items():
+        for key, sum_of in (("passive", "at the motor"), ("passive_at_handle", "at the handle")):
+            if key in port:
+                verdicts[f"{name}: passive {sum_of}"] = port[key]
     style = "display:inline-block;color:white;font-weight:bold;padding:3px 14px;margin-right:6px;border-radius:3px"
     return "".join(
         f"<span class='verdict' style='{style};background:{_COLOURS[word]}'>"
-        f"{html.escape(name)}: passive {word if word != 'no' else 'NO'}</span>"
+        f"{html.escape(name)}: {word if word != 'no' else 'NO'}</span>"
         for name, word in verdicts.items()
     )

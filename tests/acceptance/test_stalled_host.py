@@ -2,16 +2,14 @@
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.control.balance import AT_REST, Certificate, Ledger
-from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.result import _ledger
+from canhaptic.result import withdraw_certificates
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 STALLS = "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}"
@@ -71,7 +69,7 @@ def test_the_table_names_the_longest_hold(capsys: pytest.CaptureFixture[str]) ->
     main(["run", str(DEMO), "--duration", "1.7", "--set", "bus.rate=250 Hz", "--set", STALLS])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["longest", "hold", "16", "T"] in lines
-    assert ["weakest", "certificate", "none"] in lines
+    assert ["certificates", "none"] in lines
 
 
 def test_of_a_group_the_axis_held_longest_counts(capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,16 +81,13 @@ def test_of_a_group_the_axis_held_longest_counts(capsys: pytest.CaptureFixture[s
     assert group["certificate"] in ("none", "exact")
 
 
-@pytest.mark.parametrize(("energies", "certificate"), [((0.5, -0.5), "none"), ((0.5, -0.25), "none"), ((), "exact")])
-def test_only_where_no_energy_moved_a_long_hold_takes_no_certificate(
-    energies: tuple[float, ...], certificate: str
-) -> None:
-    """What came in and went out to the last bit was exchanged all the same."""
+@pytest.mark.parametrize(("torque", "certificates"), [(1.0, ["none"]), (0.0, [])])
+def test_a_long_hold_takes_the_certificates_of_torques(torque: float, certificates: list[str]) -> None:
     ledger = Ledger()
-    for cycle, h_i in enumerate((0.0, *energies)):
-        ledger.add(AT_REST._replace(h_i=h_i, certificate=Certificate.EXACT.value), cycle)
-    drive = cast(ServoDrive, SimpleNamespace(longest_hold=2, longest_gap=1, uncommanded=0))
-    assert _ledger(ledger, 1e-3, [drive], None)["certificate"] == certificate
+    ledger.add(AT_REST._replace(torque=torque, certificate=Certificate.HAND_FORCE.value), 0)
+    account = {**ledger.summary().as_json(1e-3), "longest_hold": 2, "max_consecutive_losses": 0}
+    withdraw_certificates(account, longest_gap=1)
+    assert account["certificates"] == certificates
 
 
 @pytest.mark.parametrize("begin", [0.2167, 0.2232, 0.2284, 0.2297])

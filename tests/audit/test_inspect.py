@@ -131,6 +131,7 @@ def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
     )
     assert result["link"] == {
         "success_rate": 0.97, "missing": 3, "cycles_without_row": 2, "dropped_by_log": 4, "lost_by_damage": 7,
+        "skipped_syncs": 0,
     }  # fmt: skip
     assert part["timing"]["deadlines_missed"] == 0
     assert (part["link"]["missing"], part["link"]["cycles_without_row"]) == (1, 0)

@@ -29,6 +29,7 @@ def columns_of(rows: int) -> dict[str, Any]:
     h_i[rows // 2] -= 5.0  # the worst margin, and the account stays below
     return {
         "timing/sync_index": np.arange(rows),
+        "timing/deadline_index": np.arange(rows),
         "timing/wakeup_lateness": 1000 + 500 * np.abs(noise),
         "timing/sync_to_last_tpdo": 60_000 + 4000 * np.abs(noise),
         "timing/compute": 9000 + 300 * np.abs(noise),

@@ -186,7 +186,7 @@ def test_a_bar_says_the_verdict(write: Any, word: str, tmp_path: Path, monkeypat
     write(tmp_path / "run.h5")
     page, scope = page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")
     for text in (page.select_one({"name": "heading"}).text, scope.select_one({"name": "status"}).text):
-        assert f"handle: passive {word}<" in text
+        assert f"handle: passive at the motor: {word}<" in text
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +210,7 @@ def test_the_page_of_a_stage_shows_path_and_room(groups: Path, monkeypatch: pyte
     y = np.concatenate([np.asarray(line) for line in surface["ys"]])
     assert (np.nanmin(x), np.nanmax(x)) == pytest.approx((-0.03, 0.03), abs=2e-4)
     assert (np.nanmin(y), np.nanmax(y)) == pytest.approx((-0.02, 0.02), abs=2e-4)
-    assert page.select_one({"name": "heading"}).text.count("passive yes") == 1
+    assert page.select_one({"name": "heading"}).text.count("passive at the motor: yes") == 1
 
 
 def test_a_coupling_without_a_surface_has_no_path(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None:

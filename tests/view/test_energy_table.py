@@ -98,15 +98,15 @@ def row_of(content: dict[str, object], label: str) -> str:
 
 
 def test_a_port_that_gave_energy_away_is_marked() -> None:
-    assert row_of(result(["still", "handle"]), "passive (eq. 3)").split() == ["yes", "NO"]
+    assert row_of(result(["still", "handle"]), "passive at the motor (eq. 3)").split() == ["yes", "NO"]
 
 
 @pytest.mark.parametrize(
     ("least", "unsure", "verdict"),
     [
         (0.0, 0.0, "yes"),
-        (-0.9e-6, 0.0, "yes"),  # below the tolerance, which is for rounding and encoder
-        (-1.1e-6, 0.0, "NO"),
+        (-0.9e-9, 0.0, "yes"),  # below the tolerance, which is for rounding
+        (-1.1e-9, 0.0, "NO"),
         (-1e-3, 1e-3, "in doubt"),
         (-1e-3, 0.99e-3, "NO"),
     ],
@@ -114,7 +114,7 @@ def test_a_port_that_gave_energy_away_is_marked() -> None:
 def test_a_port_is_passive_in_doubt_or_not(least: float, unsure: float, verdict: str) -> None:
     content = result(["handle"])
     content["ports"]["handle"] |= {"least_interaction": least, "unsure": unsure}
-    assert row_of(content, "passive (eq. 3)") == verdict
+    assert row_of(content, "passive at the motor (eq. 3)") == verdict
 
 
 @pytest.mark.parametrize(
@@ -123,9 +123,20 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, unsure: float, verdict:
         ("reached at", {"margin": {"value": 0.0, "cycle": 0, "time": 0.0}}, "never below 0"),
         ("reached at", {}, "0.123 s"),
         ("damping rendered", {"damping_rendered": {"least": 4.0, "most": 4.0}, "unit": "rad"}, "4 N*m*s/rad"),
-        ("energy known to", {"read_back": "demand", "read_back_bound": 0.0}, "exact"),
-        ("energy known to", {"read_back": "none", "read_back_bound": 0.0}, "believed"),
-        ("energy known to", {"read_back": "actual", "read_back_bound": 2.5e-3}, "2.500 mJ"),
+        ("energy resolution", {"energy_resolution": 0.0}, "exact"),
+        ("energy resolution", {"read_back": "none", "energy_resolution": 0.0}, "exact believed"),
+        ("energy resolution", {"read_back": "actual", "energy_resolution": 2.5e-3}, "2.500 mJ"),
+        ("stiffness rendered", {"rendered": {"stiffness": 0.875, "damping": None}}, "of asked  87.5 %"),
+        ("holds of contact without torque", {"contact": {"holds": 40, "without_torque": 3}}, "3 of 40"),
+        (
+            "holds of contact without torque",
+            {"contact": {"holds": 40, "without_torque": 40}},
+            "all: NOTHING WAS RENDERED",
+        ),
+        ("certificates", {"certificates": []}, "no torque"),
+        ("certificates", {"certificates": ["exact", "hand_force"]}, "exact, hand force"),
+        ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": -1e-3}, "in doubt"),
+        ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": 0.0}, "yes"),
         ("in by movers, not motors", {"supplied": 0.25}, "250.0 mJ"),
         ("in doubt, taken off `in`", {"unsure": 0.25}, "250.0 mJ"),
         ("holds limited: singular", {"limits": {"singular": 12, "workspace": 0}}, "12"),
@@ -196,5 +207,7 @@ def test_a_range_of_damping_is_written_whole_and_once_where_it_is_one_number(lea
 
 
 def test_a_quantity_that_no_port_has_is_no_row():
-    assert "energy known to" not in printed(result(["handle"]))
-    assert "energy known to" in printed(result(["a"]) | {"ports": {"a": port() | {"read_back": "demand"}}, "truth": {}})
+    assert "energy resolution" not in printed(result(["handle"]))
+    assert "energy resolution" in printed(
+        result(["a"]) | {"ports": {"a": port() | {"energy_resolution": 1e-6}}, "truth": {}}
+    )

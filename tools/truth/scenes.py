@@ -113,7 +113,7 @@ def _drive(chance: _Chance, axis: dict[str, Any], rpdo: str) -> dict[str, Any]:
     deviation = chance.named(
         "drive",
         {"": 0.6, "read_actual": 0.1, "read_none": 0.06, "floor": 0.06, "after_update": next_shown,
-         "own_limit": 0.06,         "per_cent": 0.06, "turned": 0.04},
+         "own_limit": 0.06, "per_cent": 0.06, "turned": 0.04},
     )  # fmt: skip
     if deviation == "read_actual":
         axis["read_back"] = "actual"

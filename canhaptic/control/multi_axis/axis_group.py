@@ -66,13 +66,17 @@ class AxisGroup:
         self.balance = self.controller.step(positions, torques)
         return self.balance
 
-    def book(self, sync_index: int) -> str:
+    def book(self, sync_index: int, deadline: int | None = None) -> str:
         """Takes the last step into the ledger, and counts its limit.
+
+        Args:
+            sync_index: Of its SYNC.
+            deadline: Sample times to it; None: no SYNC was skipped.
 
         Returns:
             What to note of a limit that was not there before; empty otherwise.
         """
-        self.ledger.add(self.balance.account, sync_index)
+        self.ledger.add(self.balance.account, sync_index, deadline)
         self.supplied += self.balance.supplied
         self.unsure += self.balance.unsure
         limit, before = self.balance.limit, self._limit

@@ -85,6 +85,7 @@ class GuardedGroup:
             parameters.max_consecutive_losses,
             parameters.max_consecutive_losses > 0,
         )
+        self.energy_allowance = parameters.energy_allowance
         self._account = GroupAccount(
             known, self._commands, parameters.energy_allowance, parameters.max_consecutive_losses
         )

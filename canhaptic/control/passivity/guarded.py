@@ -446,6 +446,7 @@ class Guarded(SteppedController):
     def __init__(self, environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> None:
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
+        self.energy_allowance = parameters.energy_allowance
 
     def hold(self) -> EnergyBalance:
         """Repeats the last command for want of a position; see `Controller.hold`.

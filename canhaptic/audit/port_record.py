@@ -1,0 +1,102 @@
+"""What an energy log says of a port beside its ledger, read piece by piece: of a finished log, or of one that grows."""
+
+from typing import Any
+
+import numpy as np
+
+from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.meters import Promise
+from canhaptic.result import rendered_shares, withdraw_certificates
+
+
+class PortRecord:
+    """Adds up what `canhaptic.meters.RunMeters` adds up in a run, from the columns of its log.
+
+    Args:
+        log: Any look at the log.
+        name: Of the port.
+        start: First row that counts.
+    """
+
+    def __init__(self, log: EnergyLog, name: str, start: int = 0) -> None:
+        self._name = name
+        losses = int(log.attributes.get(f"{name}.max_consecutive_losses", 0))
+        self._promise = Promise(losses, float(log.attributes.get(f"{name}.energy_allowance", 0.0)))
+        self._is_damped = f"{name}.is_damped" in log.attributes
+        self._damping_asked = float(log.attributes.get(f"{name}.damping_asked", 0.0))
+        self._is_group = name in log.groups
+        self._is_measured = "energy_resolution" in log.ports[name]
+        before = start - 1
+        self._dissipated = self._at(log, "device_dissipated", before) if start else 0.0
+        self._unknown = self._at(log, "energy_resolution", before) if start else 0.0
+        self._resolution, self._longest_hold, self._gap = self._unknown, 1, 1
+        self._certificates = self._contacts = self._silent = self._uncommanded = 0
+        self._interaction, self._least, self._at_handle = np.longdouble(0.0), 0.0, 0.0
+        self._device = self._asked = self._given = self._damping = 0.0
+        self._is_open = False
+
+    def _at(self, log: EnergyLog, column: str, row: int) -> float:
+        return float(log.ports[self._name].read(column, row, row + 1)[0]) if self._is_measured else 0.0
+
+    def take(self, log: EnergyLog, start: int, stop: int) -> None:
+        """Takes the next rows."""
+        port = log.ports[self._name]
+        if stop <= start:
+            return
+        branch, torque = port.read("branch", start, stop), port.read("torque_command", start, stop)
+        running = self._interaction + np.cumsum(port.read("h_i", start, stop), dtype=np.longdouble)
+        self._interaction = running[-1]
+        self._least = min(self._least, float(running.min()))
+        for number in np.unique(port.read("certificate", start, stop)[torque != 0.0]):
+            self._certificates |= 1 << int(number)
+        touching = ~np.isin(branch, OUT_OF_CONTACT)
+        self._contacts += int(touching.sum())
+        self._silent += int((touching & (torque == 0.0)).sum())
+        self._damping += float(port.read("damping_rendered", start, stop)[touching].sum())
+        self._is_open = bool(branch[-1] == Branch.HELD)
+        if self._is_measured:
+            self._take_measured(log, start, stop, running, torque, branch)
+
+    def _take_measured(self, log: EnergyLog, start: int, stop: int, running: Any, torque: Any, branch: Any) -> None:
+        port = log.ports[self._name]
+        dissipated = port.read("device_dissipated", start, stop) - self._dissipated
+        self._device = float(dissipated[-1])
+        self._at_handle = min(self._at_handle, float((running + dissipated).min()))
+        self._resolution = float(port.read("energy_resolution", stop - 1, stop)[0])
+        self._longest_hold = int(port.read("longest_hold", stop - 1, stop)[0])
+        self._uncommanded = int(port.read("uncommanded", stop - 1, stop)[0])
+        asked = port.read("effort_asked", start, stop)
+        booked = (asked != 0.0) & (branch != Branch.HELD)
+        self._asked += float(asked[booked].sum())
+        self._given -= float(torque[booked].sum())
+        deadlines = log.deadlines(max(0, start - 1), stop)
+        if len(deadlines) > 1:
+            self._gap = max(self._gap, int(np.diff(deadlines).max()))
+
+    @property
+    def least_interaction(self) -> float:
+        """Least sum of interaction so far [J]."""
+        return self._least
+
+    def account(self) -> dict[str, Any]:
+        """Returns what is known so far, by the names of `run --json`, without verdicts."""
+        certificates = [certificate.name.lower() for certificate in certificates_of(self._certificates)]
+        account: dict[str, Any] = {
+            "least_interaction": self._least,
+            "certificate": certificates[-1] if certificates else "exact",
+            "certificates": certificates,
+            "contact": {"holds": self._contacts, "without_torque": self._silent},
+            "open_hold": self._is_open,
+            **self._promise._asdict(),
+        }
+        if self._is_measured:
+            account["energy_resolution"] = self._resolution + self._unknown
+            account["longest_hold"], account["uncommanded_cycles"] = self._longest_hold, self._uncommanded
+            if self._is_damped:
+                account |= {"least_at_handle": self._at_handle, "device_dissipated": self._device}
+            if not self._is_group:
+                asked = self._damping_asked * self._contacts
+                account["rendered"] = rendered_shares(self._asked, self._given, asked, self._damping)
+            withdraw_certificates(account, longest_gap=self._gap)
+        return account

@@ -1,0 +1,103 @@
+"""What a run knows of an axis beside its ledger: how well its energy is known, and what the device dissipated.
+
+**Position.** A position p_k = x_k + e_k, |e_k| <= e, is booked as -f_k (p_k - p_(k-1)). The sum of n holds is wrong by
+-sum f_k (e_k - e_(k-1)), by parts at most e (|f_n| + sum |f_k - f_(k-1)|), with f_0 = 0: a torque that stays leaves
+nothing open however long the axis moves.
+
+**Torque.** A motor that gives f (1 + s) + c for a torque f, |s| <= share and |c| <= offset, leaves open
+sum (share |f_k| + offset) |x_k - x_(k-1)|, if the axis does not turn back within a hold.
+
+**Device.** A damping of b at least dissipates b D^2 / t at least in a time t in which the axis moves by D
+(Cauchy-Schwarz), whatever the torque did.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from canhaptic.control.balance import OUT_OF_CONTACT, EnergyBalance
+from canhaptic.control.environments.environment import Environment
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Largest errors of what is booked of an axis, and what its device dissipates for certain."""
+
+    sample_time: float = 1e-3  # longest that a period may be [s]
+    position: float = 0.0  # error of a position, a constant part left out [m or rad]
+    torque_share: float = 0.0  # error of the torque, of the torque
+    torque_offset: float = 0.0  # error of the torque [N or N*m]
+    device_damping: float | None = None  # at least [N*s/m or N*m*s/rad]; None: not declared
+
+
+IDEAL: Final = Accuracy()
+
+
+class AxisMeter:
+    """Adds up, hold by hold.
+
+    Args:
+        accuracy: Of the axis.
+        environment: Rendered on it; None where that is a group's, or unknown.
+
+    Attributes:
+        resolution: Largest |booked - true| sum of interaction so far, by sensors and drive [J]; never falls.
+        dissipated: Dissipated by the device so far, at least [J].
+        damping_asked: Damping of the environment [N*s/m or N*m*s/rad].
+        asked: Effort of the storage of the environment at the last position; 0 out of contact [N or N*m].
+    """
+
+    __slots__ = (
+        "_accuracy", "_booked_at", "_changes", "_environment", "_position", "_torque", "_uneven",
+        "asked", "damping_asked", "dissipated", "resolution",
+    )  # fmt: skip
+
+    def __init__(self, accuracy: Accuracy = IDEAL, environment: Environment | None = None) -> None:
+        self._accuracy = accuracy
+        self._environment = None if environment is None or environment.relaxes else environment
+        self.damping_asked = 0.0 if environment is None else environment.damping
+        self._booked_at = -1
+        self._position = self._torque = self._changes = self._uneven = 0.0
+        self.resolution = self.dissipated = self.asked = 0.0
+
+    @property
+    def is_damped(self) -> bool:
+        """Whether a damping of the device is declared."""
+        return self._accuracy.device_damping is not None
+
+    def take(self, position: float, torque: float, deadline: int, balance: EnergyBalance) -> None:
+        """Takes a hold that was booked.
+
+        Args:
+            position: At its end [m or rad].
+            torque: Booked for it [N or N*m].
+            deadline: Sample times from the first SYNC to its end.
+            balance: Of it.
+        """
+        environment = self._environment
+        if environment is not None:
+            self.asked = 0.0
+            if balance.branch not in OUT_OF_CONTACT and environment.contact(position):
+                self.asked = environment.effort(environment.true_state(position, 0.0, 0.0))
+        booked_at, self._booked_at = self._booked_at, deadline
+        moved, self._position = abs(position - self._position), position
+        if booked_at < 0:
+            return
+        accuracy = self._accuracy
+        if accuracy.device_damping:
+            certain = moved - 2.0 * accuracy.position
+            if certain > 0.0:
+                time = (deadline - booked_at) * accuracy.sample_time
+                self.dissipated += accuracy.device_damping * certain * certain / time
+        if torque != 0.0 or self._torque != 0.0:
+            self._leave_open(torque, moved)
+
+    def _leave_open(self, torque: float, moved: float) -> None:
+        accuracy, size = self._accuracy, abs(torque)
+        self._changes += abs(torque - self._torque)
+        self._torque = torque
+        if accuracy.torque_share or accuracy.torque_offset:
+            farthest = moved + 2.0 * accuracy.position
+            self._uneven += (accuracy.torque_share * size + accuracy.torque_offset) * farthest
+        resolution = accuracy.position * (self._changes + size) + self._uneven
+        if resolution > self.resolution:
+            self.resolution = resolution

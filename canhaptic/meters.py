@@ -1,0 +1,129 @@
+"""What a run knows of its ports beside their ledgers, hold by hold: for the account, and for every row of the log."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from canhaptic.control.axis_meter import AxisMeter
+from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance, Ledger
+from canhaptic.control.multi_axis.axis_group import AxisGroup
+from canhaptic.drive.profile.torque_axis import TorqueAxis
+from canhaptic.signals import Measured, Sample
+
+_HELD = Branch.HELD.value
+
+
+class Promise(NamedTuple):
+    """What the certificates of a controller rest on beside what is declared of hand and device."""
+
+    max_consecutive_losses: int = 0  # sample times without a new torque that they survive
+    energy_allowance: float = 0.0  # they promise a sum of interaction of minus this at least [J]
+
+
+def promise_of(controller: object) -> Promise:
+    """Returns what a controller declares; the least where it declares nothing."""
+    losses = int(getattr(controller, "max_consecutive_losses", 0))
+    return Promise(losses, float(getattr(controller, "energy_allowance", 0.0)))
+
+
+class _Port(NamedTuple):
+    """Where what is known of a port comes from."""
+
+    meters: tuple[AxisMeter, ...]
+    drives: tuple[TorqueAxis, ...]
+    controllers: tuple[Any, ...]  # that may leave energy open themselves
+    group: AxisGroup | None
+
+
+class RunMeters:
+    """The meters of all axes, and their sums for axes and groups.
+
+    Args:
+        axes: One for each axis.
+        drives: Of the axes.
+        controllers: Of each axis that is in no group, in their order.
+        groups: Axes that render together.
+
+    Attributes:
+        axes: As given.
+        deadline: Sample times since the first SYNC; ahead of its index where SYNCs were skipped.
+        least_at_handle: Least sum of interaction and certain dissipation of the device after any hold, of each axis,
+            then of each group [J]; None where no damping of the device is declared.
+        contacts: Holds in contact of each axis and group.
+        silent: Holds of those whose next torque is none.
+        asked: Sums of the effort that the environment of each axis asked for, and of what was rendered there [N].
+        damping: Sum of the damping that was rendered in the contacts of each axis and group [N*s/m].
+    """
+
+    def __init__(
+        self,
+        axes: Sequence[AxisMeter],
+        drives: Sequence[TorqueAxis],
+        controllers: Sequence[object],
+        groups: Sequence[AxisGroup] = (),
+    ) -> None:
+        self.axes, self.deadline = tuple(axes), 0
+        grouped = {axis for group in groups for axis in group.axes}
+        alone = iter(controllers)
+        own = [() if axis in grouped else (next(alone),) for axis in range(len(self.axes))]
+        self._ports = [_Port((m,), (d,), c, None) for m, d, c in zip(self.axes, drives, own, strict=True)]
+        for group in groups:
+            members, moved = tuple(self.axes[axis] for axis in group.axes), tuple(drives[axis] for axis in group.axes)
+            self._ports.append(_Port(members, moved, (group.controller,), group))
+        count = len(self._ports)
+        damped = [all(meter.is_damped for meter in port.meters) for port in self._ports]
+        self.least_at_handle: list[float | None] = [0.0 if is_damped else None for is_damped in damped]
+        self.contacts, self.silent = [0] * count, [0] * count
+        self.damping = [0.0] * count
+        self.asked: list[tuple[float, float]] = [(0.0, 0.0)] * len(self.axes)
+
+    def take(
+        self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], ledgers: Sequence[Ledger], deadline: int
+    ) -> None:
+        """Takes the SYNC whose balances the ledgers have just taken.
+
+        Args:
+            samples: Of each axis, then of each group.
+            balances: The same.
+            ledgers: The same.
+            deadline: Sample times since the first SYNC.
+        """
+        self.deadline = deadline
+        for axis, meter in enumerate(self.axes):
+            balance = balances[axis]
+            if balance.branch != _HELD:
+                meter.take(samples[axis].position, samples[axis].torque_applied, deadline, balance)
+                if meter.asked:
+                    asked, rendered = self.asked[axis]
+                    self.asked[axis] = asked + meter.asked, rendered - balance.torque
+        for place, (port, balance) in enumerate(zip(self._ports, balances, strict=True)):
+            if balance.branch not in OUT_OF_CONTACT:
+                self.contacts[place] += 1
+                self.damping[place] += balance.damping_rendered
+                if not balance.torque:
+                    self.silent[place] += 1
+            least = self.least_at_handle[place]
+            if least is not None:
+                now = ledgers[place].interaction + sum([meter.dissipated for meter in port.meters])
+                if now < least:
+                    self.least_at_handle[place] = now
+
+    def drives_of(self, place: int) -> tuple[TorqueAxis, ...]:
+        """Returns the drives of an axis or group."""
+        return self._ports[place].drives
+
+    def measured(self, place: int) -> Measured:
+        """Returns what is known of an axis or, behind all axes, of a group."""
+        meters, drives, controllers, group = self._ports[place]
+        resolution = sum([meter.resolution for meter in meters]) + sum([drive.read_back_bound for drive in drives])
+        resolution += sum([getattr(controller, "energy_resolution", 0.0) for controller in controllers])
+        return Measured(
+            resolution + (group.unsure if group else 0.0),
+            sum([meter.dissipated for meter in meters]),
+            0.0 if group else meters[0].asked,
+            max([drive.longest_hold for drive in drives]),
+            sum([drive.uncommanded for drive in drives]),
+        )
+
+    def all_measured(self) -> list[Measured]:
+        """Returns what is known of each axis, then of each group."""
+        return [self.measured(place) for place in range(len(self._ports))]

@@ -1,0 +1,87 @@
+"""Run, `inspect`, page and scope give one account of a run, also where SYNCs were skipped or late and frames lost."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.audit.inspection import inspect
+from canhaptic.cli.main import main
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.result import with_groups
+from canhaptic.view.live_log import LiveLog
+from canhaptic.view.verdict import verdict_bar
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+WALL = ["environment.stiffness=2000", "environment.damping=4", "passivity.device_damping=0.05"]
+LATE = "{ids: [0x80], direction: to_drive, delay: 0.4 ms, during: [{duration: 1.2 ms, every: 8 ms}]}"
+RUNS = {
+    "ideal": ("demo.yaml", WALL),
+    "skipped SYNCs": ("demo.yaml", [*WALL, "simulation.bus={stall: [{begin: 0.3, duration: 5 ms, every: 0.21}]}"]),
+    "late SYNCs": ("demo.yaml", [*WALL, f"simulation.bus={LATE}"]),
+    "losses": ("demo.yaml", [*WALL, "simulation.bus={drop: 0.02}"]),
+    "the paper's": ("paper_fig7_40hz.yaml", []),
+    "group with losses": ("two_handles.yaml", ["groups.0.passivity.device_damping=0.05"]),
+}  # fmt: skip
+OF_A_PORT = (
+    "passive", "passive_at_handle", "certificate", "certificates", "least_interaction", "least_at_handle",
+    "energy_resolution", "contact", "rendered", "longest_hold", "open_hold", "in", "out",
+    "branches", "damping_rendered",
+)  # fmt: skip
+
+
+def same(left: Any, right: Any) -> bool:
+    """Whether two values are equal but for the order of sums."""
+    if isinstance(left, dict) and isinstance(right, dict):
+        return left.keys() == right.keys() and all(same(left[key], right[key]) for key in left)
+    if isinstance(left, float) and isinstance(right, float):
+        return math.isclose(left, right, rel_tol=1e-9, abs_tol=1e-15)
+    return left == right
+
+
+@pytest.fixture(params=RUNS)
+def run_and_log(request: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[dict[str, Any], Path]:
+    name, changes = RUNS[request.param]
+    path = tmp_path / "run.h5"
+    words = [word for value in changes for word in ("--set", value)]
+    main(["run", str(CONFIGS / name), "--pace", "free", "--duration", "1.5", "--log", str(path), "--json", *words])
+    return json.loads(capsys.readouterr().out), path
+
+
+def test_every_view_gives_the_account_of_the_run(run_and_log: tuple[dict[str, Any], Path]) -> None:
+    ran, path = run_and_log
+    with EnergyLog.open(path) as log:
+        inspected = inspect(log)
+    news = LiveLog(path).look()
+    live = with_groups(news.accounts, {})
+    assert inspected["link"]["skipped_syncs"] == ran["link"]["skipped_syncs"]
+    assert inspected["passive"] == ran["passive"]
+    assert inspected.get("passive_at_handle") == ran.get("passive_at_handle")
+    for name, port in ran["ports"].items():
+        assert "group" in port or set(OF_A_PORT) - {"rendered", "passive_at_handle", "least_at_handle"} <= set(port)
+        for key in OF_A_PORT:
+            if key in port and key in inspected["ports"][name]:
+                assert same(inspected["ports"][name][key], port[key]), (name, key)
+            if key in live[name] and "group" not in port:
+                assert same(live[name][key], port[key]), (name, key)
+        assert inspected["truth"][name] == pytest.approx(ran["truth"][name], rel=1e-6, abs=1e-12)
+    verdicts = verdict_bar(inspected["ports"])
+    assert verdicts == verdict_bar({name: live[name] for name in live if "group" not in ran["ports"][name]})
+
+
+def test_time_goes_on_while_syncs_are_skipped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.h5"
+    stall = "simulation.bus={stall: [{begin: 0.3, duration: 5 ms, every: 0.21}]}"
+    words = ["run", str(CONFIGS / "demo.yaml"), "--pace", "free", "--duration", "1", "--log", str(path), "--json"]
+    main([*words, "--set", stall])
+    ran = json.loads(capsys.readouterr().out)
+    skipped = ran["link"]["skipped_syncs"]
+    assert skipped >= 12
+    with EnergyLog.open(path) as log:
+        assert log.time[-1] == pytest.approx((999 + skipped) * 1e-3)
+        assert inspect(log)["to"] == pytest.approx(log.time[-1])
+        assert log.time_of(int(log.timing["sync_index"][-1]) + 2) == pytest.approx(log.time[-1] + 2e-3)
+    assert ran["duration"] == pytest.approx((1000 + skipped) * 1e-3)
+    assert ran["ports"]["handle"]["certificates"] in ([], ["none"])
