@@ -113,7 +113,7 @@ def test_a_port_that_gave_energy_away_is_marked() -> None:
 )
 def test_a_port_is_passive_in_doubt_or_not(least: float, unsure: float, verdict: str) -> None:
     content = result(["handle"])
-    content["ports"]["handle"] |= {"least_interaction": least, "unsure": unsure}
+    content["ports"]["handle"] |= {"least_interaction": least, "unsure": unsure, "certificate": "none"}
     assert row_of(content, "passive at the motor (eq. 3)") == verdict
 
 
@@ -126,7 +126,7 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, unsure: float, verdict:
         ("energy resolution", {"energy_resolution": 0.0}, "exact"),
         ("energy resolution", {"read_back": "none", "energy_resolution": 0.0}, "exact believed"),
         ("energy resolution", {"read_back": "actual", "energy_resolution": 2.5e-3}, "2.500 mJ"),
-        ("stiffness rendered", {"rendered": {"stiffness": 0.875, "damping": None}}, "of asked  87.5 %"),
+        ("stiffness rendered, of asked", {"rendered": {"stiffness": 0.875, "damping": None}}, "87.5 %"),
         ("holds of contact without torque", {"contact": {"holds": 40, "without_torque": 3}}, "3 of 40"),
         (
             "holds of contact without torque",
