@@ -75,7 +75,7 @@ Verdict = Literal["yes", "no", "in doubt"]
 """Whether a port was passive; "in doubt" where energy that lost samples leave open decides."""
 
 PASSIVE_TOLERANCE: Final = 1e-6
-"""Energy below zero that a study still counts as zero, for counts of the encoder [J]."""
+"""Energy below zero that still counts as zero, for counts of the encoder, where its resolution is not known [J]."""
 _ROUNDING: Final = 1e-9
 """The same where the resolution of the energy is known [J]."""
 
@@ -110,13 +110,11 @@ def account_verdict(account: Mapping[str, Any]) -> Verdict:
     Args:
         account: As `LedgerSummary.as_json` has it, with what is known beside the ledger.
     """
+    least, resolution = account["least_interaction"], account.get("energy_resolution")
+    if resolution is None:  # of an older log, which does not hold it
+        least, resolution = least + PASSIVE_TOLERANCE, account.get("unsure", 0.0)
     promised = is_certified(account) and account.get("least_at_handle") is None
-    return passive_verdict(
-        account["least_interaction"],
-        account.get("energy_resolution", account.get("unsure", 0.0)),
-        is_promised=promised,
-        has_open_hold=account.get("open_hold", False),
-    )
+    return passive_verdict(least, resolution, is_promised=promised, has_open_hold=account.get("open_hold", False))
 
 
 def handle_verdict(account: Mapping[str, Any]) -> Verdict | None:

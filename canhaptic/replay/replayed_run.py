@@ -27,7 +27,7 @@ from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import (
     build_axis_controllers,
     build_axis_groups,
-    build_resolutions,
+    build_axis_meters,
     build_servo_drive,
     group_places,
 )
@@ -91,9 +91,9 @@ class _Replay:
         self._side = RecordedSide(far_buses, recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
         rig = self._rig([Link(bus, clock) for bus in near_buses])
-        groups, resolutions = build_axis_groups(scene), build_resolutions(scene)
+        groups, known = build_axis_groups(scene), build_axis_meters(scene)
         meters = build_loss_meters(scene)
-        self._cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, resolutions=resolutions, meters=meters)
+        self._cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters)
 
     def _rig(self, links: list[Link]) -> Rig:
         scene = self._scene

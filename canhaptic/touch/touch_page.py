@@ -21,7 +21,7 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from canhaptic.control.balance import passive_verdict
+from canhaptic.control.balance import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.errors import CanHapticError
 from canhaptic.touch.hand import TouchHand, TouchNews
 from canhaptic.touch.hand_process import TouchStatus
@@ -230,7 +230,7 @@ class _SideView:
     def judge(self, status: TouchStatus) -> None:
         """Shows whether the side gave out more than it took in so far."""
         least = status.least[self._number]
-        verdict = verdict_bar({self._name: passive_verdict(least)})
+        verdict = verdict_bar({self._name: {"passive": passive_verdict(least + PASSIVE_TOLERANCE)}})
         self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in"
 
     def clear(self) -> None:

@@ -218,7 +218,7 @@ def test_the_account_on_the_terminal_and_as_json_is_that_of_the_group(capsys: py
     heading = next(line for line in shown.splitlines() if "energy account" in line).split()
     assert heading == ["energy", "account", "stage", "x", "y"]
     passive = next(line for line in shown.splitlines() if "passive at the motor (eq. 3)" in line).split()
-    assert passive[3:] == ["yes", "-", "-"]
+    assert passive[6:] == ["yes", "-", "-"]
 
 
 @pytest.mark.parametrize("name", ["xy_box", "two_handles"])

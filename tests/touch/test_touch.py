@@ -127,8 +127,8 @@ def test_a_pointer_in_a_browser_drags_both_handles(tmp_path: Path) -> None:
             pause.wait(0.02)
         mouse(page, "mouseReleased", middle, across)
         verdicts = [MODEL.format(f"verdict {k}") + ".text" for k in (0, 1)]
-        page.wait_for(f"{verdicts[0]}.includes('passive NO')")
-        assert "passive yes" in page.value(verdicts[1])
+        page.wait_for(f"{verdicts[0]}.includes('passive at the motor: NO')")
+        assert "passive at the motor: yes" in page.value(verdicts[1])
         assert "gave out 0 J" in page.value(verdicts[1])
         handle = MODEL.format("handle 1") + ".data"
         last = -0.4 * 0.09 * math.sin(0.06 * 199)  # the strip shows 9 cm
@@ -137,7 +137,7 @@ def test_a_pointer_in_a_browser_drags_both_handles(tmp_path: Path) -> None:
         assert page.value(f"{handle}.hand_x[0]") == pytest.approx(last, abs=4e-4)  # the pointer sends no more
         assert page.value("window.answers.length") > 10
         page.value(f"({MODEL.format('rate')}).active = 0")  # 200 Hz: begins anew
-        page.wait_for(f"!{verdicts[0]}.includes('passive NO')")
+        page.wait_for(f"!{verdicts[0]}.includes('passive at the motor: NO')")
         page.screenshot(tmp_path / "touch.png")
         assert page.faults == []
         process.send_signal(signal.SIGINT)

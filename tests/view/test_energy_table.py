@@ -105,8 +105,8 @@ def test_a_port_that_gave_energy_away_is_marked() -> None:
     ("least", "unsure", "verdict"),
     [
         (0.0, 0.0, "yes"),
-        (-0.9e-9, 0.0, "yes"),  # below the tolerance, which is for rounding
-        (-1.1e-9, 0.0, "NO"),
+        (-0.9e-6, 0.0, "yes"),  # below the tolerance, which is for rounding and encoder
+        (-1.1e-6, 0.0, "NO"),
         (-1e-3, 1e-3, "in doubt"),
         (-1e-3, 0.99e-3, "NO"),
     ],
