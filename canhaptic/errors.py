@@ -29,7 +29,9 @@
        |  |- CommandLostError                3   a drive does not act on its RPDO
        |  |- SecondMasterError               3   another master sends on the bus
        |  `- BusFailedError                  3   a frame could not be sent, or none be read
+       |- SyncsSkippedError                  3   this computer was late for more SYNCs than it sent
        `- ControlError                       3   the controller raised or produced a non-finite torque
+          |- EnergyLostError                 3   a port gave out more energy than was declared
           |- TorqueNotFiniteError            3   the controller's torque is no number
           `- CycleFailedError                3   anything else was raised in the cycle; it is the cause
 

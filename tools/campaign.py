@@ -44,6 +44,7 @@ DEMO: Final = ROOT / "configs" / "demo.yaml"
 _BAD_INPUT: Final = 2
 _LONGEST: Final = 10.0  # s, one command
 _LARGEST: Final = 300.0  # MB, one case
+_BARE: Final = 60.0  # MB, a process with everything imported; one that a case is forked from may hold more
 _KILLED_AFTER: Final = 60  # s
 _SHORT: Final = ("--pace", "free", "--duration", "0.02")
 
@@ -180,22 +181,28 @@ def run_case(case: Case, seed: str, folder: Path) -> Outcome:
     with os.fdopen(reader, encoding="utf-8") as answer:
         text = answer.read()
     _, status, used = os.wait4(child, 0)
-    memory = used.ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+    per_mb = 1 << 20 if sys.platform == "darwin" else 1 << 10
+    memory = used.ru_maxrss / per_mb
     if status or not text:
         return Outcome([], f"killed by signal {os.WTERMSIG(status)}", 0.0, memory)
     said = json.loads(text)
-    return Outcome([tuple(pair) for pair in said["statuses"]], said["trouble"], said["longest"], memory)
+    return Outcome(
+        [tuple(pair) for pair in said["statuses"]],
+        said["trouble"],
+        said["longest"],
+        memory - said["begun"] / per_mb + _BARE,
+    )
 
 
 def _in_child(case: Case, seed: str, folder: Path) -> dict[str, Any]:
-    session = Session()
+    session, begun = Session(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         trouble = case(random.Random(seed), folder, session)
     except CanHapticError as error:
         trouble = f"refused only by the judge: {error}"
     except BaseException:
         trouble = traceback.format_exc()
-    return {"statuses": session.statuses, "trouble": trouble, "longest": session.longest}
+    return {"statuses": session.statuses, "trouble": trouble, "longest": session.longest, "begun": begun}
 
 
 def record(folder: Path) -> None:

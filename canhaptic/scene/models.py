@@ -217,6 +217,10 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
     return bus
 
 
+_LATER_KEYS: Final = ("energy_loss_limit",)
+"""Keys of an axis that logs of the first release do not have."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """A whole scene: validated, cross-checked, ready to build."""
@@ -294,12 +298,16 @@ class Scene:
             old_names: Whether by the names of the first release, as in its logs.
 
         Comments, the order of keys, log paths and the folder of the dictionaries do not change it, nor does it matter
-        whether an automatic accuracy was chosen yet: it follows from the rest.
+        whether an automatic accuracy was chosen yet: it follows from the rest. Nor do keys of an axis that came after
+        the first release, where they are left out.
         """
         resolved = self.resolved()
         del resolved["log"]
         for axis in self.axes:
             resolved["axes"][axis.parameters.name]["eds"] = axis.dictionary_hash()
+            for key in _LATER_KEYS:
+                if getattr(axis.parameters, key) is None:
+                    del resolved["axes"][axis.parameters.name][key]
             if self.auto_accuracy is not None and axis.simulation is not None:
                 del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
         if self.auto_accuracy is not None:

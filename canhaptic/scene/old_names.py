@@ -62,10 +62,6 @@ def rename_old(scene: MarkedMapping, faults: Diagnostics) -> None:
             section[_SELECTOR] = algorithm_now(name, f"{at.where}: {'.'.join(at.path)}")
 
 
-_LATER_KEYS: Final = frozenset({"energy_loss_limit"})
-"""Keys of an axis that the first release did not have; left out, they change nothing that it computed."""
-
-
 def _sections(scene: MarkedMapping) -> Iterator[tuple[MarkedMapping, bool]]:
     """Yields every section `passivity`, and whether its algorithm is one of an axis."""
     owners: list[tuple[Any, bool]] = [(scene, True)]
@@ -82,10 +78,6 @@ def in_old_names(resolved: Mapping[str, Any]) -> dict[str, Any]:
     """Returns a configuration in effect by the names of the first release, as its logs have hashed it."""
     old = deepcopy(dict(resolved))
     keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
-    for axis in old["axes"].values():
-        for key in _LATER_KEYS & axis.keys():
-            if axis[key] is None:
-                del axis[key]
     for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
         section = {keys.get(key, key): value for key, value in owner[_SECTION].items()}
         section[_SELECTOR] = algorithms.get(section[_SELECTOR], section[_SELECTOR])
