@@ -1,7 +1,10 @@
-"""Writes eds/cia402_servo.eds: the project's own dictionary of a generic CiA 402 servo for cyclic torque (CiA 306).
+"""Writes the project's own dictionaries of generic CiA 402 servos (CiA 306) into eds/.
 
-python tools/make_eds.py           writes the file
-python tools/make_eds.py --check   exits with 1 when the file differs from what would be written
+cia402_servo.eds       cyclic torque
+cia402_admittance.eds  cyclic position, velocity and torque, with two analog inputs
+
+python tools/make_eds.py           writes the files
+python tools/make_eds.py --check   exits with 1 when a file differs from what would be written
 """
 
 import argparse
@@ -10,7 +13,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-PATH: Final = Path(__file__).resolve().parents[1] / "eds" / "cia402_servo.eds"
+_FOLDER: Final = Path(__file__).resolve().parents[1] / "eds"
+PATH: Final = _FOLDER / "cia402_servo.eds"
+ADMITTANCE_PATH: Final = _FOLDER / "cia402_admittance.eds"
 
 I8, I16, I32, U8, U16, U32, TEXT = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x09
 _VAR, _ARRAY, _RECORD = 7, 8, 9
@@ -169,6 +174,28 @@ def _drive_profile() -> dict[int, Variable | Holder]:
     }
 
 
+def _motion_profile() -> dict[int, Variable | Holder]:
+    """Returns what a drive for admittance displays has besides, or in place of the same."""
+    return {
+        0x2205: _array(
+            "Analog input",
+            Variable("Analog input 1", I16, "ro", is_mappable=True),
+            Variable("Analog input 2", I16, "ro", is_mappable=True),
+        ),
+        0x607A: Variable("Target position", I32, "rww", 0, is_mappable=True),
+        0x6083: Variable("Profile acceleration", U32, "rww", 10000, is_mappable=True),
+        0x6084: Variable("Profile deceleration", U32, "rww", 10000, is_mappable=True),
+        0x6085: Variable("Quick stop deceleration", U32, "rww", 10000, is_mappable=True),
+        0x60B1: Variable("Velocity offset", I32, "rww", 0, is_mappable=True),
+        0x60B2: Variable("Torque offset", I16, "rww", 0, is_mappable=True),
+        0x60C5: Variable("Max acceleration", U32, "rww", _hex(0xFFFFFFFF, 8), is_mappable=True),
+        0x60C6: Variable("Max deceleration", U32, "rww", _hex(0xFFFFFFFF, 8), is_mappable=True),
+        0x60F4: Variable("Following error actual value", I32, "ro", is_mappable=True),
+        0x60FF: Variable("Target velocity", I32, "rww", 0, is_mappable=True),
+        0x6502: Variable("Supported drive modes", U32, "ro", _hex(0x380, 8)),
+    }
+
+
 def _variable_lines(section: str, variable: Variable) -> Iterator[str]:
     yield f"[{section}]"
     yield f"ParameterName={variable.name}"
@@ -258,26 +285,43 @@ Line3=Only cyclic synchronous torque is supported (0x6502 = 0x200).
 
 
 def make_eds() -> str:
-    """Returns the text of the dictionary."""
-    objects = dict(sorted((_communication_profile() | _drive_profile()).items()))
-    optional = [index for index in objects if index not in _MANDATORY]
+    """Returns the text of the dictionary for cyclic torque."""
+    return _text(_HEAD, _communication_profile() | _drive_profile())
+
+
+def make_admittance_eds() -> str:
+    """Returns the text of the dictionary for admittance displays."""
+    head = _HEAD.replace("cia402_servo", "cia402_admittance").replace("ProductNumber=402", "ProductNumber=403")
+    head = head.replace("for cyclic synchronous torque", "for admittance displays")
+    head = head.replace(
+        "Only cyclic synchronous torque is supported (0x6502 = 0x200).", "Modes 8, 9, 10 (0x6502 = 0x380)."
+    )
+    return _text(head, _communication_profile() | _drive_profile() | _motion_profile())
+
+
+def _text(head: str, unsorted: dict[int, Variable | Holder]) -> str:
+    objects = dict(sorted(unsorted.items()))
+    manufacturer = [index for index in objects if 0x2000 <= index < 0x6000]
+    optional = [index for index in objects if index not in (*_MANDATORY, *manufacturer)]
     lines = [
         *_list_lines("MandatoryObjects", list(_MANDATORY)),
         *_list_lines("OptionalObjects", optional),
-        *_list_lines("ManufacturerObjects", []),
+        *_list_lines("ManufacturerObjects", manufacturer),
     ]
     for index, item in objects.items():
         lines += _object_lines(index, item)
-    return _HEAD + "\n" + "\n".join(lines).rstrip("\n") + "\n"
+    return head + "\n" + "\n".join(lines).rstrip("\n") + "\n"
 
 
 def main() -> int:
-    """Writes or checks the file; returns the exit status."""
+    """Writes or checks the files; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="only compare the file with what would be written")
+    parser.add_argument("--check", action="store_true", help="only compare the files with what would be written")
+    texts = {PATH: make_eds(), ADMITTANCE_PATH: make_admittance_eds()}
     if parser.parse_args().check:
-        return 0 if PATH.is_file() and PATH.read_text(encoding="utf-8") == make_eds() else 1
-    PATH.write_text(make_eds(), encoding="utf-8")
+        return 0 if all(path.is_file() and path.read_text(encoding="utf-8") == texts[path] for path in texts) else 1
+    for path, text in texts.items():
+        path.write_text(text, encoding="utf-8")
     return 0
 
 

@@ -8,13 +8,13 @@ IEEE 754 has it, so that the audit may ask for equal bits.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame
-from canhaptic.logs.pdo_decoder import PdoMaps
+from canhaptic.logs.pdo_decoder import PdoField, PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.logs.statusword import ENABLED, state_text
 from canhaptic.signals import Sample
@@ -26,6 +26,14 @@ _TORQUE_COUNTS: Final[Mapping[str, float]] = {"torque_per_cent": 1e-2, "torque_p
 _TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
 _DISAGREES: Final = 0.01
 """Largest difference of frames and scene, as a part of the rated torque."""
+
+
+class DeclaredForce(NamedTuple):
+    """What a scene says of the force sensor of an admittance display."""
+
+    object_index: int
+    per_count: float  # [N or N*m]
+    offset_counts: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +49,7 @@ class DeclaredDrive:
     rated_torque: float | None  # of the axis [N*m or N]; None: as the drive states it
     quirks: Sequence[str]
     demand_reported: str  # "before" or "after" the RPDO of the same SYNC
+    force: DeclaredForce | None = None  # of an admittance display, in the place of the torque
 
 
 class ListenedAxis:
@@ -74,12 +83,21 @@ class ListenedAxis:
         elif frame.can_id in self._tpdos:
             fields = self._maps.fields(self._tpdos[frame.can_id], frame.data)
             for field in [] if isinstance(fields, str) else fields:
-                self._fields.setdefault(field.object_index, field.raw)
+                self._fields.setdefault(field.object_index, self._signed(field))
+
+    def _signed(self, field: PdoField) -> int:
+        """Returns the value of a field; the force is an integer with a sign, whatever its object."""
+        force = self._drive.force
+        if force is not None and field.object_index == force.object_index and field.raw >> (field.bits - 1) == 1:
+            return field.raw - (1 << field.bits)
+        return field.raw
 
     @property
     def is_complete(self) -> bool:
         """Whether statusword, position and torque of the last SYNC have come."""
-        return {od.STATUSWORD, od.POSITION_ACTUAL} <= set(self._fields) and any(t in self._fields for t in _TORQUES)
+        force = self._drive.force
+        efforts = _TORQUES if force is None else (force.object_index,)
+        return {od.STATUSWORD, od.POSITION_ACTUAL} <= set(self._fields) and any(t in self._fields for t in efforts)
 
     @property
     def is_enabled(self) -> bool:
@@ -110,6 +128,13 @@ class ListenedAxis:
             reported, self._reported = self._reported, reported
         if not (self.is_complete and is_whole):
             self._last = self._last._replace(sync_index=sync_index, fresh=False)
+            return self._last
+        force = self._drive.force
+        if force is not None:
+            shown = (self._fields[force.object_index] - force.offset_counts) * force.per_count
+            counts = self._unwrapped(self._fields[od.POSITION_ACTUAL])
+            position = counts * (self._drive.direction / self._drive.counts_per_unit)
+            self._last = Sample(sync_index, position, -shown, self._fields[od.STATUSWORD], fresh=True)
             return self._last
         if not self._per_torque_count:
             self._per_torque_count = self._torque_of_a_count()

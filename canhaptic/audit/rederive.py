@@ -9,7 +9,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic.audit.listened_axis import DeclaredDrive, ListenedAxis
+from canhaptic.audit.listened_axis import DeclaredDrive, DeclaredForce, ListenedAxis
 from canhaptic.canopen import objects as od
 from canhaptic.control.balance import Ledger
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
@@ -58,7 +58,11 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[list[Sample]]:
 
 def _declared(axis: AxisScene) -> DeclaredDrive:
     given = axis.parameters
-    return DeclaredDrive(**{field.name: getattr(given, field.name) for field in fields(DeclaredDrive)})
+    named = {field.name: getattr(given, field.name) for field in fields(DeclaredDrive) if field.name != "force"}
+    display, force = given.admittance, None
+    if display is not None:
+        force = DeclaredForce(display.force.place[0], display.force.per_count, display.force.offset_counts)
+    return DeclaredDrive(**named, force=force)
 
 
 def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> dict[str, Any]:

@@ -49,6 +49,7 @@ class Certificate(IntEnum):
     HAND_FORCE = 2
     HAND_SPEED = 3
     NONE = 4  # the algorithm gives no bound
+    VELOCITY_LOOP = 5  # of an admittance display: the drive's own velocity loop
 
 
 class EnergyBalance(NamedTuple):

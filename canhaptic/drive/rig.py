@@ -19,6 +19,8 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
 from canhaptic.drive.can.bus_budget import BusBudget, has_room_for_sdo, require_budget
 from canhaptic.drive.can.can_bring_up import CanBringUp
+from canhaptic.drive.can.display_bring_up import DisplayBringUp
+from canhaptic.drive.can.display_drive import DisplayDrive
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -113,7 +115,7 @@ class Rig:
             link.reserve(_own_frames(link, self.drives, self.bus))
         self.realtime.begin()
         try:
-            rig_start.start(self._exchange, [CanBringUp(drive) for drive in self.drives])
+            rig_start.start(self._exchange, [_bring_up(drive) for drive in self.drives])
         except BaseException as error:
             self.stop_reason = StopReason.EXCEPTION
             self._disable(Trust.FULL)  # it was never given a torque
@@ -341,7 +343,7 @@ class Rig:
         if self._is_running:
             raise RigError("faults are not reset while the rig runs; call stop() first", self.records)
         for drive in self.drives:
-            CanBringUp(drive).reset_fault()
+            _bring_up(drive).reset_fault()
 
     # --- what happened ------------------------------------------------------------------------------------------------
 
@@ -373,6 +375,10 @@ class Rig:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop(ramp=kind is None or not issubclass(kind, Exception))
+
+
+def _bring_up(drive: ServoDrive) -> CanBringUp:
+    return DisplayBringUp(drive) if isinstance(drive, DisplayDrive) else CanBringUp(drive)
 
 
 def _own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> dict[int, str]:

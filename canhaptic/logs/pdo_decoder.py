@@ -11,6 +11,8 @@ _SIGNED: Final = frozenset(
         od.POSITION_ACTUAL,
         od.VELOCITY_ACTUAL,
         od.TARGET_TORQUE,
+        od.TARGET_VELOCITY,
+        od.TARGET_POSITION,
         od.TORQUE_DEMAND,
         od.TORQUE_ACTUAL,
         od.CURRENT_ACTUAL,

@@ -69,9 +69,10 @@ class ComponentOf:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         plain = core_schema.plain_serializer_function_ser_schema(lambda spec: spec.as_plain(self.selector))
-        return core_schema.with_info_plain_validator_function(self._read, serialization=plain)
+        return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
-    def _read(self, value: Any, info: ValidationInfo) -> ComponentSpec:
+    def read(self, value: Any, info: ValidationInfo) -> ComponentSpec:
+        """Returns what a section names."""
         if isinstance(value, ComponentSpec):
             return value
         if value is None:
@@ -153,6 +154,34 @@ def _with_type(value: Parameters | None) -> dict[str, Any] | None:
         return None
     own = type(value).__module__.startswith(OWN_MODULE)
     return {**({"type": type(value).__name__} if own else {}), **value.model_dump(mode="json")}
+
+
+class ComponentByDisplay(ComponentOf):
+    """Annotation of a `ComponentSpec` whose table depends on the kind of display that the axis is.
+
+    Args:
+        impedance: Of an axis that takes motion and gives torque.
+        admittance: Of one that takes force and gives velocity: its parameters have `admittance`.
+    """
+
+    def __init__(self, impedance: ComponentOf, admittance: ComponentOf) -> None:
+        super().__init__(impedance.table, impedance.kind, impedance.selector, impedance.apart)
+        self._admittance = admittance
+
+    def model_of(self, section: Any) -> type[Parameters] | None:
+        """Returns the model of either table that a section names; None when it names none, or a user's own code."""
+        return super().model_of(section) or self._admittance.model_of(section)
+
+    def read(self, value: Any, info: ValidationInfo) -> ComponentSpec:
+        """Returns what a section names, from the table of the kind of display that the axis is."""
+        axis = info.data.get("parameters")
+        if getattr(axis, "admittance", None) is None:
+            return super().read(value, info)
+        return self._admittance.read(value, info)
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        impedance = super().__get_pydantic_json_schema__(schema, handler)["oneOf"]
+        return {"anyOf": [*impedance, *self._admittance.__get_pydantic_json_schema__(schema, handler)["oneOf"]]}
 
 
 class OnDemand:

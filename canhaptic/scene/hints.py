@@ -42,8 +42,8 @@ class Hint(NamedTuple):
 
 def stability_hints(axis: AxisScene) -> list[Hint]:
     """Returns the limits of one axis; none of them is enforced here, the passivity algorithm is what protects."""
-    if axis.group:
-        return []  # see `group_hints`
+    if axis.group or axis.parameters.admittance is not None:
+        return []  # see `group_hints`, `display_hints`
     if not axis.is_read:
         text = "not known: environment or algorithm is own code, which is not run here"
         return [Hint(axis.parameters.name, "stiffness and damping", None, None, "", text)]

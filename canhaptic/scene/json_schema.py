@@ -41,6 +41,7 @@ _OF_GROUP: Final = {
     "passivity": "The algorithm of the group, and what is known of the loops of all its axes.",
 }
 _OF_SIMULATION: Final = {
+    "admittance": "Velocity loop, grip and force sensor of an admittance display.",
     "drive": "The simulated drive.",
     "plant": "The moving mass. Not of an axis that moves a mechanism.",
     "user": "The hand.",
@@ -131,10 +132,11 @@ def _optional(schema: Schema, *keys: str) -> Schema:
 
 def _laid_under(choices: Schema, properties: Schema, *required: str) -> Schema:
     """Returns the schema of a component that has further keys."""
+    [(kind, each)] = [(key, choices[key]) for key in ("oneOf", "anyOf") if key in choices]
     return {
-        "oneOf": [
+        kind: [
             {**of, "properties": {**properties, **of["properties"]}, "required": [*required, *of["required"]]}
-            for of in choices["oneOf"]
+            for of in each
         ]
     }
 
@@ -160,8 +162,8 @@ def _axis(defined: Schema, environment: Schema, passivity: Schema) -> Schema:
     own = {
         "bus": {"type": "string"},
         "drive": {"type": "string"},
-        "environment": {"anyOf": [_optional(choice) for choice in environment["oneOf"]]},
-        "passivity": {"anyOf": [_optional(choice) for choice in passivity["oneOf"]]},
+        "environment": {"anyOf": [_optional(choice) for choice in environment["anyOf"]]},
+        "passivity": {"anyOf": [_optional(choice) for choice in passivity["anyOf"]]},
     }
     return {**schema, "properties": {**schema["properties"], **_described(own, _OF_AXIS)}}
 

@@ -33,7 +33,7 @@ OWN_SECTIONS: Final = ("environment", "passivity")
 """Shared sections of which an axis may have its own."""
 SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")
 """Keys of an axis that its simulated drive takes over unless `simulation.drive` has its own."""
-SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects")
+SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects", "admittance")
 """Parts of `simulation` that `simulation.axes.NAME` may have its own of."""
 
 
@@ -270,7 +270,7 @@ def _put_far_side(
             text = f"{name!r} moves a mechanism, which has masses and hand of its own; leave it out"
             faults.add(own.keys_at[key], text)
         return
-    for key in ("user", "effects"):
+    for key in ("user", "effects", "admittance"):
         if parts.get(key) is None:
             parts = parts.without(key)
     if parts.get("plant") is None:
@@ -299,7 +299,30 @@ def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> Ma
         if key not in drive and axis.get(key) is not None:
             drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
     mirror_quirks(drive, axis)
+    _mirror_display(drive, axis)
     return drive
+
+
+def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
+    """Gives the simulated drive of an admittance display the scales of its axis, unless it has its own."""
+    display = axis.get("admittance")
+    if not isinstance(display, MarkedMapping) or "display" in drive:
+        return
+    force = display.get("force")
+    if not isinstance(force, MarkedMapping) or "object" not in force or "per_count" not in force:
+        return
+    at = axis.value_at("admittance")
+    scales = MarkedMapping(at)
+    named = {
+        "force_object": force["object"],
+        "force_per_count": force["per_count"],
+        "force_offset_counts": force.get("offset_counts", 0.0),
+        "velocity_counts": display.get("velocity_counts"),
+    }
+    for key, value in named.items():
+        if value is not None:
+            scales.put(key, value, at, at)
+    drive.put("display", scales, at, at)
 
 
 def _check_names(

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAda
 from pydantic import ValidationInfo as Info
 from pydantic_core import PydanticCustomError
 
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_ENVIRONMENTS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
@@ -24,7 +25,15 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.logs.log_parameters import LogParameters
-from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OnDemand, OwnModel, UnreadParameters
+from canhaptic.scene.components import (
+    READY,
+    ComponentByDisplay,
+    ComponentOf,
+    ComponentSpec,
+    OnDemand,
+    OwnModel,
+    UnreadParameters,
+)
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.old_names import in_old_names
 from canhaptic.scene.own_code import OwnCode
@@ -34,6 +43,7 @@ from canhaptic.sim.plant.mechanism import MECHANISMS
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
 from canhaptic.units import Name, Parameters, PrintableText, UnitContext, quantity
 
 if TYPE_CHECKING:
@@ -48,8 +58,20 @@ _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 
 UnitT = TypeVar("UnitT", bound=str | None)
 BusName = Annotated[Name, Field(pattern=r"^\S+$")]
-Environment = Annotated[ComponentSpec, ComponentOf(ENVIRONMENTS, "environment")]
-Algorithm = Annotated[ComponentSpec, ComponentOf(ALGORITHMS, "passivity algorithm", "algorithm", LOOP_KEYS)]
+Environment = Annotated[
+    ComponentSpec,
+    ComponentByDisplay(
+        ComponentOf(ENVIRONMENTS, "environment"),
+        ComponentOf(DISPLAY_ENVIRONMENTS, "environment of an admittance display"),
+    ),
+]
+Algorithm = Annotated[
+    ComponentSpec,
+    ComponentByDisplay(
+        ComponentOf(ALGORITHMS, "passivity algorithm", "algorithm", LOOP_KEYS),
+        ComponentOf(DISPLAY_ALGORITHMS, "algorithm of an admittance display", "algorithm"),
+    ),
+]
 GroupAlgorithm = Annotated[ComponentSpec, ComponentOf(GROUP_ALGORITHMS, "group algorithm", "algorithm", LOOP_KEYS)]
 
 
@@ -138,6 +160,7 @@ class AxisSimulation:
     seed: int = 0
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)
     compiled: Annotated[bool, Field(exclude=True)] = False
+    admittance: AdmittanceSimulation | None = None
 
 
 def _loop_of(section: Any, info: Info[SceneContext]) -> Any:
@@ -323,6 +346,13 @@ def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
     parameters, bus, drive = axis.pop("parameters"), axis.pop("bus"), axis.pop("simulated_drive")
     del axis["group"]
     simulation = axis["simulation"] if drive is None else {"drive": drive}
+    for section, key in (
+        (parameters, "admittance"),
+        (simulation, "admittance"),
+        (simulation and simulation["drive"], "display"),
+    ):
+        if section and section.get(key, 0) is None:
+            del section[key]  # keys of admittance displays: without them the configuration is what it was before
     return {**parameters, **axis, "simulation": simulation, **({"bus": bus} if bus else {})}
 
 

@@ -5,6 +5,8 @@ from typing import cast
 import can
 
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.control.admittance import build_display_controller
+from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.axis_meter import Accuracy, AxisMeter
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import plain
@@ -15,6 +17,7 @@ from canhaptic.control.multi_axis.group_controller import GroupController, Netwo
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.display_drive import DisplayDrive
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
@@ -26,11 +29,17 @@ from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.mechanism import Mechanism, MechanismParameters
 from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor, SharedMechanism
 from canhaptic.sim.plant.plant import Plant
+from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
 
 def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> Plant:
     """Returns the motor and user of one axis, at rest until the first SYNC with the drive enabled."""
     effects = [effect_of(effect) for effect in simulation.effects]
+    if simulation.admittance is not None:
+        return AdmittancePlant(
+            simulation.plant, simulation.admittance, simulation.user, effects, sample_time_ns, simulation.seed,
+            simulation.accuracy,
+        )  # fmt: skip
     return Plant(
         simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy,
         simulation.compiled,
@@ -52,11 +61,40 @@ def build_axis_controller(axis: AxisScene) -> Controller:
         raise ParameterError(
             f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected one that renders by itself"
         )
+    if axis.parameters.admittance is not None:
+        return build_display_controller(
+            axis.environment.parameters, axis.passivity.name, axis.passivity.parameters, display_properties(axis)
+        )
     environment = cast(Environment, axis.environment.parameters)  # every class of ENVIRONMENTS is one
     if axis.passivity.own is not None:
         controller: Controller = axis.passivity.own(environment, axis.passivity.parameters, axis.loop)
         return controller
     return build_controller(environment, axis.passivity.name, axis.passivity.parameters, axis.loop)
+
+
+def display_properties(axis: AxisScene) -> DisplayProperties:
+    """Returns what a scene declares of an admittance display.
+
+    Raises:
+        ParameterError: A limit without which nothing may move is missing, or the axis is no admittance display.
+    """
+    given, display = axis.parameters, axis.parameters.admittance
+    if display is None:
+        raise ParameterError(f"{given.name}: has no `admittance`; expected an admittance display")
+    if given.speed_limit is None or display.acceleration_limit is None:
+        missing = "speed_limit" if given.speed_limit is None else "admittance.acceleration_limit"
+        raise ParameterError(f"{given.name}: {missing}: missing; an admittance display does not move without, add it")
+    force, time = display.force, axis.loop.sample_time
+    counts = given.counts_per_unit
+    quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
+    return DisplayProperties(
+        sample_time=time, delay=axis.loop.delay, sampling=force.sampling, latency=force.latency, filter=force.filter,
+        force_slew=force.slew, handle_acceleration=display.handle_acceleration, force_error=force.error,
+        encoder_count=1.0 / counts, speed_quantum=quantum, speed_limit=given.speed_limit,
+        acceleration_limit=display.acceleration_limit, torque_limit=given.torque_limit,
+        **({} if display.position_low is None else {"position_low": display.position_low}),
+        **({} if display.position_high is None else {"position_high": display.position_high}),
+    )  # fmt: skip
 
 
 def build_axis_controllers(scene: Scene) -> list[Controller]:
@@ -128,7 +166,8 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> Mechanism:
 def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters) -> ServoDrive:
     """Returns the master's picture of the drive of one axis."""
     dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
-    return ServoDrive(link, axis.parameters, dictionary, bus)
+    kind = ServoDrive if axis.parameters.admittance is None else DisplayDrive
+    return kind(link, axis.parameters, dictionary, bus)
 
 
 def build_simulated_drive(

@@ -42,6 +42,8 @@ _OWNED: Final = frozenset(
         od.CONTROLWORD,
         od.MODES_OF_OPERATION,
         od.TARGET_TORQUE,
+        od.TARGET_VELOCITY,
+        od.TARGET_POSITION,
         od.MAX_TORQUE,
         od.RATED_CURRENT,
         od.RATED_TORQUE,

@@ -16,7 +16,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.drive.can.pdo_codec import MappedObject, codec, decode_entry
-from canhaptic.drive.profile.object_use import ObjectUse, mapping_objection, objection
+from canhaptic.drive.profile.object_use import ObjectUse, listed, mapping_objection, objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack
 from canhaptic.errors import DictionaryError
@@ -33,7 +33,12 @@ _SIGNED: Final = frozenset(o.index for o in (_TARGET_TORQUE, _POSITION, TORQUE_D
 _WANTED: Final = frozenset(
     o.entry for o in (_CONTROLWORD, _TARGET_TORQUE, _STATUSWORD, _POSITION, TORQUE_DEMAND, _TORQUE_ACTUAL)
 )
-_RPDO_OBJECTS: Final = (_CONTROLWORD, _TARGET_TORQUE)
+_TARGETS: Final = {
+    od.TARGET_TORQUE: _TARGET_TORQUE,
+    od.TARGET_VELOCITY: MappedObject(od.TARGET_VELOCITY, 0, 32, signed=True),
+    od.TARGET_POSITION: MappedObject(od.TARGET_POSITION, 0, 32, signed=True),
+}
+_FORCE_BITS: Final[dict[int, int]] = {od.DataType.INTEGER16: 16, od.DataType.INTEGER32: 32}
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,17 +98,19 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
     Raises:
         DictionaryError: No map carries what cyclic torque needs; names what is missing.
     """
-    for needed in (_CONTROLWORD, _TARGET_TORQUE, _STATUSWORD, _POSITION):
+    target = _TARGETS[axis.target]
+    for needed in (_CONTROLWORD, target, _STATUSWORD, _POSITION):
         if dictionary.get_variable(needed.index, needed.subindex) is None:
-            raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; cyclic torque cannot do without")
+            kind = "cyclic torque" if axis.admittance is None else "an admittance display"
+            raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; {kind} cannot do without")
         if (text := objection(dictionary, ObjectUse(needed.index, 0, needed.data_type))) is not None:
             raise DictionaryError(f"{axis.name}: {axis.eds}: {needed} is {text}; correct the dictionary")
-    read_back, torque = _read_back(dictionary, axis)
+    read_back, torque = _force(dictionary, axis) if axis.admittance else _read_back(dictionary, axis)
     wanted = [_STATUSWORD, _POSITION] + ([torque] if torque else [])
-    rpdo = _choose_rpdo(dictionary, axis)
+    rpdo = _choose_rpdo(dictionary, axis, (_CONTROLWORD, target))
     tpdos = _choose_tpdos(dictionary, axis, wanted)
     plans, taken = [], set(axis.pdo_cob_ids.values())
-    for candidate, entries in [(rpdo, _RPDO_OBJECTS), *tpdos]:
+    for candidate, entries in [(rpdo, (_CONTROLWORD, target)), *tpdos]:
         plan = _plan(dictionary, axis, candidate, tuple(candidate.fixed or entries), taken)
         taken.add(plan.cob_id)
         plans.append(plan)
@@ -141,6 +148,22 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
     raise DictionaryError(
         f"{axis.name}: read_back is {asked!r}, but {axis.eds} does not let {wanted} be mapped; use read_back: auto"
     )
+
+
+def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
+    """Returns the force of an admittance display in the place of the torque; none is read back."""
+    if axis.admittance is None:
+        return "none", None
+    index, subindex = axis.admittance.force.place
+    variable = listed(dictionary, index, subindex)
+    bits = None if variable is None else _FORCE_BITS.get(variable.data_type or 0)
+    if bits is None:
+        seen = "is not in the dictionary" if variable is None else "is not INTEGER16 or INTEGER32"
+        name = axis.admittance.force.object
+        raise DictionaryError(
+            f"{axis.name}: {axis.eds}: admittance.force.object {name} {seen}; name the force's object"
+        )
+    return "none", MappedObject(index, subindex, bits, signed=True)
 
 
 def _is_mappable(dictionary: ObjectDictionary, wanted: MappedObject) -> bool:
@@ -195,18 +218,20 @@ def _is_decodable(entries: Sequence[MappedObject]) -> bool:
     return True
 
 
-def _choose_rpdo(dictionary: ObjectDictionary, axis: AxisParameters) -> PdoCapability:
+def _choose_rpdo(
+    dictionary: ObjectDictionary, axis: AxisParameters, wanted: tuple[MappedObject, MappedObject]
+) -> PdoCapability:
     candidates = [c for c in _candidates(dictionary, "RPDO") if axis.rpdo_number in (None, c.number)]
-    needed = {entry.entry for entry in _RPDO_OBJECTS}
-    unmappable = _unmappable(dictionary, "RPDO", _RPDO_OBJECTS)
+    needed = {entry.entry for entry in wanted}
+    unmappable = _unmappable(dictionary, "RPDO", wanted)
     for candidate in candidates:
-        if candidate.fixed is None and candidate.room >= len(_RPDO_OBJECTS) and not unmappable:
+        if candidate.fixed is None and candidate.room >= len(wanted) and not unmappable:
             return candidate
     for candidate in candidates:
         if {entry.entry for entry in candidate.fixed or ()} == needed:
             return candidate
     raise DictionaryError(
-        f"{axis.name}: {axis.eds}: no RPDO{axis.rpdo_number or ''} can carry {_CONTROLWORD} and {_TARGET_TORQUE}; "
+        f"{axis.name}: {axis.eds}: no RPDO{axis.rpdo_number or ''} can carry {wanted[0]} and {wanted[1]}; "
         "the drive needs a writable mapping (0x1600..) or a fixed one with exactly these two" + unmappable
     )
 
@@ -235,7 +260,9 @@ def _choose_tpdos(
 
 def _unmappable(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"], wanted: Sequence[MappedObject]) -> str:
     """Returns which of the objects cannot be part of a map that is written, and why; empty where all can."""
-    texts = ((entry, mapping_objection(dictionary, kind, entry.index, entry.data_type)) for entry in wanted)
+    texts = (
+        (entry, mapping_objection(dictionary, kind, entry.index, entry.data_type, entry.subindex)) for entry in wanted
+    )
     return "".join(f"; {entry} is {text}" for entry, text in texts if text is not None)
 
 

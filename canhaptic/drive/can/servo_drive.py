@@ -1,6 +1,6 @@
 """One axis on a CAN bus: its TPDOs in, its RPDO out, its heartbeat and EMCY."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from canopen import ObjectDictionary
@@ -65,8 +65,9 @@ class ServoDrive(TorqueAxis):
         self.window = SyncWindow()
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
-        self._pack = self._packer(self.map.rpdo)
-        self._listen()
+        self._pack = self._packer(self.map.rpdo, axis.target)
+        force = {} if axis.admittance is None else {axis.admittance.force.place[0]: 2}
+        self._listen({**_SLOTS, **force})
         self.reset()
 
     def reset(self) -> None:
@@ -138,8 +139,8 @@ class ServoDrive(TorqueAxis):
             self.sdo.write(od.CONSUMER_HEARTBEAT_TIME, 1, 0)
 
     @staticmethod
-    def _packer(rpdo: PdoPlan) -> Callable[[int, int], bytes]:
-        image = codec(rpdo.entries, [od.CONTROLWORD, od.TARGET_TORQUE])
+    def _packer(rpdo: PdoPlan, target: int) -> Callable[[int, int], bytes]:
+        image = codec(rpdo.entries, [od.CONTROLWORD, target])
         if rpdo.entries[0].index == od.CONTROLWORD:
             return image.pack
         return lambda controlword, torque: image.pack(torque, controlword)
@@ -154,22 +155,24 @@ class ServoDrive(TorqueAxis):
         """Handles the frames of the bus until `deadline` [ns]; raises LinkError."""
         self.link.pump(deadline)
 
-    def _listen(self) -> None:
+    def _listen(self, places: Mapping[int, int]) -> None:
         self._all_tpdos = (1 << len(self.map.tpdos)) - 1
         found: set[int] = set()
         for number, plan in enumerate(self.map.tpdos):
-            wanted = [e.index for e in plan.entries if e.index in _SLOTS and _SLOTS[e.index] not in found]
+            wanted = [e.index for e in plan.entries if e.index in places and places[e.index] not in found]
             if self.map.read_back == "demand":
                 wanted = [index for index in wanted if index != od.TORQUE_ACTUAL]
-            found.update(_SLOTS[index] for index in wanted)
-            self.link.subscribe(plan.cob_id, self._tpdo_handler(plan, 1 << number, wanted))
+            found.update(places[index] for index in wanted)
+            slots = tuple(places[index] for index in wanted)
+            self.link.subscribe(plan.cob_id, self._tpdo_handler(plan, 1 << number, wanted, slots))
         self.link.subscribe(od.HEARTBEAT_BASE + self.axis.node_id, self._take_heartbeat)
         self.link.subscribe(od.EMCY_BASE + self.axis.node_id, self._take_emergency)
 
-    def _tpdo_handler(self, plan: PdoPlan, bit: int, wanted: list[int]) -> Callable[[bytearray], None]:
+    def _tpdo_handler(
+        self, plan: PdoPlan, bit: int, wanted: list[int], slots: tuple[int, ...]
+    ) -> Callable[[bytearray], None]:
         image = codec(plan.entries, wanted)
         unpack, length = image.unpack, image.size
-        slots = tuple(_SLOTS[index] for index in wanted)
         is_whole = slots == _IN_ORDER and len(self.map.tpdos) == 1
 
         def take(data: bytearray) -> None:

@@ -20,20 +20,25 @@ from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 _REMEDIES: Final = {
     "identity": "this is not the drive of the configuration; check node_id, vendor_id and product_code",
     "device type": "only CiA 402 drives are supported; check node_id",
-    "drive modes": "this drive has no cyclic synchronous torque mode; choose another drive or firmware",
+    "drive modes": "this drive has no such cyclic synchronous mode; choose another drive or firmware",
     "drive state": "find and remove the cause, then reset the fault (reset_fault: true or the vendor's tool)",
     "rated torque": "correct rated_torque and transmission, or the drive's 0x6076 (quirks: rated_torque_...)",
     "torque limit": "raise torque_limit where the drive calls it too low, reduce it where too high, or change the "
     "drive's own limit with the vendor's tool (quirks: max_torque_absent)",
     "watchdog": "see the quirks abort_... for 0x6007; watchdog: false only if a killed master may leave the torque on",
     "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
-    "mode of operation": "the drive refuses cyclic synchronous torque; check its licence, firmware and settings",
+    "mode of operation": "the drive refuses the cyclic synchronous mode; check its licence, firmware and settings",
     "zero torque": "another master may be writing to this drive",
     "position": "the map or counts may be wrong, or the axis was moved by force during the start",
     "enable": "check the safety inputs (STO), the supply of the power stage and the drive's error code; "
     "quirks: slow_enable where it takes its time",
 }
 
+_MODE_NAMES: Final = {
+    od.CYCLIC_SYNC_POSITION: "cyclic synchronous position",
+    od.CYCLIC_SYNC_VELOCITY: "cyclic synchronous velocity",
+    od.CYCLIC_SYNC_TORQUE: "cyclic synchronous torque",
+}
 _POWERED: Final = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _POLL_PERIOD: Final = 2_000_000  # [ns] between two of them
 
@@ -200,8 +205,10 @@ class BringUp(ABC):
             return  # then 0x6061 alone must confirm the mode
         with self.step("drive modes"):
             modes = self._sdo.read(od.SUPPORTED_DRIVE_MODES)
-        if not modes & od.CYCLIC_SYNC_TORQUE_BIT:
-            raise self.refusal("drive modes", f"0x6502 = {modes:#x}", "bit 9 (cyclic synchronous torque) set")
+        bit = self._drive.axis.mode_code - 1
+        if not modes >> bit & 1:
+            name = _MODE_NAMES[self._drive.axis.mode_code]
+            raise self.refusal("drive modes", f"0x6502 = {modes:#x}", f"bit {bit} ({name}) set")
 
     def _drive_state(self) -> None:
         """Leaves the drive without torque; a fault is reset only if the configuration says so."""
@@ -299,8 +306,9 @@ class BringUp(ABC):
 
     def _mode(self) -> None:
         with self.step("mode of operation"):
-            self._sdo.write(od.MODES_OF_OPERATION, 0, od.CYCLIC_SYNC_TORQUE)
-            confirmed = self._await(lambda: self._sdo.read(od.MODES_OF_OPERATION_DISPLAY) == od.CYCLIC_SYNC_TORQUE)
+            mode = self._drive.axis.mode_code
+            self._sdo.write(od.MODES_OF_OPERATION, 0, mode)
+            confirmed = self._await(lambda: self._sdo.read(od.MODES_OF_OPERATION_DISPLAY) == mode)
             if not confirmed:
                 seen = self._sdo.read(od.MODES_OF_OPERATION_DISPLAY)
-                raise self.refusal("mode of operation", f"0x6061 = {seen}", f"{od.CYCLIC_SYNC_TORQUE}")
+                raise self.refusal("mode of operation", f"0x6061 = {seen}", f"{mode}")

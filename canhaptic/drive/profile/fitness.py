@@ -22,12 +22,13 @@ _ALWAYS_USED: Final = (
     (ObjectUse(od.CONTROLWORD, 0, DataType.UNSIGNED16, writes=True, values=_CONTROLWORDS), "controlword"),
     (ObjectUse(od.STATUSWORD, 0, DataType.UNSIGNED16, reads=True), "statusword"),
     (ObjectUse(od.POSITION_ACTUAL, 0, DataType.INTEGER32, reads=True), "position"),
-    (
-        ObjectUse(od.MODES_OF_OPERATION, 0, DataType.INTEGER8, writes=True, values=(od.CYCLIC_SYNC_TORQUE,)),
-        "modes of operation",
-    ),
     (ObjectUse(od.MODES_OF_OPERATION_DISPLAY, 0, DataType.INTEGER8, reads=True), "modes of operation display"),
 )
+_MODES: Final = {
+    od.CYCLIC_SYNC_POSITION: "position",
+    od.CYCLIC_SYNC_VELOCITY: "velocity",
+    od.CYCLIC_SYNC_TORQUE: "torque",
+}
 _PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: some drives take milliseconds alone
 _ANY_EXPONENT: Final = -3
 _RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
@@ -61,14 +62,16 @@ def profile_findings(
     """
     findings = [
         _device_type(dictionary),
-        _target_torque(dictionary, axis),
+        _target(dictionary, axis),
         *(_used(dictionary, use, name) for use, name in _ALWAYS_USED),
-        _drive_modes(dictionary),
+        _mode_of_operation(dictionary, axis),
+        _drive_modes(dictionary, axis),
         _rated_torque(dictionary, axis),
         _max_torque(dictionary, axis),
         _abort_option(dictionary, axis),
     ]
-    return findings + _read_back(dictionary) + _interpolation(dictionary, axis, sample_time_ns)
+    read_back = _read_back(dictionary) if axis.admittance is None else []
+    return findings + read_back + _interpolation(dictionary, axis, sample_time_ns)
 
 
 def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
@@ -115,7 +118,15 @@ def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
     return Finding(item, Verdict.FIT, "listed")
 
 
-def _target_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
+def _mode_of_operation(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
+    use = ObjectUse(od.MODES_OF_OPERATION, 0, DataType.INTEGER8, writes=True, values=(axis.mode_code,))
+    return _used(dictionary, use, "modes of operation")
+
+
+def _target(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
+    if axis.admittance is not None:
+        name = f"target {_MODES[axis.mode_code]}"
+        return _used(dictionary, ObjectUse(axis.target, 0, DataType.INTEGER32, reads=True, writes=True), name)
     limit = 0 if axis.rated_torque is None else _max_torque_value(axis, axis.rated_torque)
     values = (0, limit, -limit)
     use = ObjectUse(od.TARGET_TORQUE, 0, DataType.INTEGER16, reads=True, writes=True, values=values)
@@ -143,17 +154,19 @@ def _device_type(dictionary: Dictionary) -> Finding:
     return Finding(item, Verdict.FIT, f"{stated:#010x}, a CiA 402 drive")
 
 
-def _drive_modes(dictionary: Dictionary) -> Finding:
+def _drive_modes(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     stated = _stated(dictionary, od.SUPPORTED_DRIVE_MODES)
     item = "0x6502 supported drive modes"
     use = ObjectUse(od.SUPPORTED_DRIVE_MODES, 0, DataType.UNSIGNED32, reads=True)
     if od.SUPPORTED_DRIVE_MODES in dictionary and (text := objection(dictionary, use)) is not None:
         return Finding(item, Verdict.REFUSED, f"{text}; {_CORRECT}")
     if stated is None:
-        return Finding(item, Verdict.UNKNOWN, "not stated; read from the drive, and 0x6061 must confirm mode 10")
-    if not stated & od.CYCLIC_SYNC_TORQUE_BIT:
-        return Finding(item, Verdict.REFUSED, f"got {stated:#06x}, expected bit 9 (cyclic synchronous torque) set")
-    return Finding(item, Verdict.FIT, f"{stated:#06x}, bit 9 is set")
+        text = f"not stated; read from the drive, and 0x6061 must confirm mode {axis.mode_code}"
+        return Finding(item, Verdict.UNKNOWN, text)
+    bit, name = axis.mode_code - 1, _MODES[axis.mode_code]
+    if not stated >> bit & 1:
+        return Finding(item, Verdict.REFUSED, f"got {stated:#06x}, expected bit {bit} (cyclic synchronous {name}) set")
+    return Finding(item, Verdict.FIT, f"{stated:#06x}, bit {bit} is set")
 
 
 def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:

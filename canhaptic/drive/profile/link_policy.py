@@ -19,6 +19,7 @@ from canhaptic.errors import (
     DriveStateFaultError,
     EmergencyError,
     EnergyLostError,
+    ForceSensorError,
     HeartbeatLostError,
     NmtStateLeftError,
     NotFollowingError,
@@ -51,6 +52,8 @@ class StopReason(IntEnum):
     POSITION_JUMP = 24
     NOT_FOLLOWING = 25
     TORQUE_LIMITED = 26
+    FORCE_RANGE = 27
+    FORCE_FROZEN = 28
     CONTROLLER = 30
     EXCEPTION = 31
     ENERGY_LOST = 32
@@ -130,6 +133,16 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
         "the drive limits its torque (bit 11 of the statusword), and none is read back",
         TorqueLimitedError,
         "map 0x6074 or 0x6077 (read_back), or lower torque_limit below the limits of the drive",
+    ),
+    StopReason.FORCE_RANGE: _StopRule(
+        "the force is beyond the range of its sensor",
+        ForceSensorError,
+        "check cable, scale and offset of the sensor, or raise admittance.force.range",
+    ),
+    StopReason.FORCE_FROZEN: _StopRule(
+        "the force sensor shows the same count for too long",
+        ForceSensorError,
+        "check the sensor, its amplifier and its cable, or raise admittance.force.frozen_after",
     ),
     StopReason.CONTROLLER: _StopRule(
         "the controller's torque is not finite",

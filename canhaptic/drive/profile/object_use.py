@@ -78,10 +78,10 @@ def _type_name(data_type: int | None) -> str:
 
 
 def mapping_objection(
-    dictionary: Dictionary, kind: Literal["RPDO", "TPDO"], index: int, data_type: DataType
+    dictionary: Dictionary, kind: Literal["RPDO", "TPDO"], index: int, data_type: DataType, subindex: int = 0
 ) -> str | None:
-    """Returns why an object without subindices cannot be part of a map that is written; None where it can."""
-    variable = listed(dictionary, index)
+    """Returns why an object cannot be part of a map that is written; None where it can."""
+    variable = listed(dictionary, index, subindex)
     if variable is None:
         return "missing"
     if (text := _of_type(variable, data_type)) is not None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from typing import Final
 
-from canhaptic.canopen.objects import POSITION_ACTUAL, TARGET_TORQUE, Controlword, StatusBit
+from canhaptic.canopen.objects import POSITION_ACTUAL, Controlword, StatusBit
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.cyclic_exchange import CyclicExchange
 from canhaptic.drive.profile.power_states import FAULTED, PowerState, next_controlword
@@ -82,9 +82,10 @@ def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]
     _cycle(exchange, bring_ups)  # a synchronous RPDO acts only now
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("zero torque"):
-            target = _read(exchange, drive, TARGET_TORQUE)
-        if target != 0:
-            raise bring_up.refusal("zero torque", f"0x6071 = {target} after an RPDO with 0", "0")
+            target = _read(exchange, drive, drive.axis.target)
+        if not drive.rests_at(target):
+            seen = f"{drive.axis.target:#06x} = {target} after an RPDO with 0"
+            raise bring_up.refusal("zero torque", seen, drive.rest_text)
         if drive.read_back == "demand" and drive.reported_per_mille != 0:
             raise bring_up.refusal("zero torque", f"0x6074 = {drive.reported_per_mille} in the TPDO", "0")
 

@@ -73,7 +73,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     if operational:
         _try(exchange.sync)  # a synchronous RPDO acts at the next SYNC
     for drive in exchange.drives:
-        drive.controlword = int(Controlword.DISABLE_VOLTAGE)
+        drive.controlword = int(drive.stop_word)
     if operational:
         _cycle_until_disabled(exchange, operational, insists=trust is not Trust.FULL)
     confirmed = [drive for drive in reachable if _is_disabled(drive)]
@@ -103,7 +103,8 @@ def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis]
     those that are left says that it is without torque, the last word is SDO's.
     """
     period, now = exchange.sample_time_ns, exchange.now
-    end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.silence)
+    stopping = max([drive.stop_time for drive in drives])
+    end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.silence) + stopping
     cycles = rounds = 0
     while now() < end:
         parts = [_try(partial(_write_zero, exchange.drives)), _try(exchange.beat), _try(exchange.sync)]

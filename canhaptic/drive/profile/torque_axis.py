@@ -101,6 +101,13 @@ class TorqueAxis(ABC):
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
     """
 
+    stop_word: od.Controlword = od.Controlword.DISABLE_VOLTAGE
+    """Controlword of a stop."""
+    stop_time: int = 0
+    """Time that the drive may take to follow it [ns]."""
+    rest_text: str = "0"
+    """Target of a drive at rest, in words."""
+
     def __init__(
         self,
         axis: TorqueAxisParameters,
@@ -357,6 +364,10 @@ class TorqueAxis(ABC):
         return StopReason.TORQUE_LIMITED
 
     # --- out --------------------------------------------------------------------------------------------------------
+
+    def rests_at(self, target: int) -> bool:
+        """Whether a target read from the drive is that of a drive at rest."""
+        return target == 0
 
     def command_per_mille(self, torque: float) -> int:
         """Returns the target torque (0x6071) for what the controller asks [N*m or N], after policy and limiter.

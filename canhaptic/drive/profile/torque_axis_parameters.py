@@ -4,6 +4,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import field_validator
 
+from canhaptic.canopen import objects as od
+from canhaptic.drive.profile.display_parameters import DisplayParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
 from canhaptic.units import Name, Parameters, PrintablePath, quantity
@@ -50,6 +52,8 @@ class TorqueAxisParameters(Parameters):
     """Largest difference of a measured torque (0x6077) from its command, as a part of the rated torque."""
     demand_reported: Literal["before", "after"] = "before"
     """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
+    admittance: DisplayParameters | None = None
+    """Of an admittance display: force in, velocity out. None: an impedance display, motion in and torque out."""
     vendor_id: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
     """Expected 0x1018:01; any when absent."""
     product_code: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
@@ -76,3 +80,13 @@ class TorqueAxisParameters(Parameters):
         except ParameterError as error:
             raise ValueError(str(error)) from error
         return names
+
+    @property
+    def mode_code(self) -> int:
+        """Value of 0x6060 in which the drive runs."""
+        return od.CYCLIC_SYNC_TORQUE if self.admittance is None else self.admittance.mode_code
+
+    @property
+    def target(self) -> int:
+        """Index of the object that carries the command."""
+        return od.TARGET_TORQUE if self.admittance is None else self.admittance.target

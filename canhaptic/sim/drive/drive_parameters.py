@@ -31,6 +31,19 @@ def parse_place(key: str | int) -> tuple[int, int]:
     return place
 
 
+class DisplayScaling(Parameters):
+    """What a simulated drive needs to know to serve an admittance display."""
+
+    force_object: str
+    """Object that shows the force."""
+    force_per_count: Annotated[float, quantity("N", "N*m")]
+    """Force of the hand towards +q, by one count."""
+    force_offset_counts: Annotated[float, quantity("count")] = 0.0
+    """Counts at no force."""
+    velocity_counts: Annotated[float, quantity("count*s/m", "count*s/rad", gt=0.0)] | None = None
+    """Counts of 0x60FF for 1 m/s or 1 rad/s; None: those of the position, as for counts per second."""
+
+
 class SimulatedDriveParameters(Parameters):
     """A simulated drive.
 
@@ -56,6 +69,7 @@ class SimulatedDriveParameters(Parameters):
         follow_delay: Time in OPERATION ENABLED until the torque follows; bit 12 of the statusword is 0 until then.
         sdo_size_indicated: False for a drive that leaves out the length of expedited answers.
         sync_losses_to_fault: Communication cycle periods (0x1006) without SYNC until the drive faults.
+        display: Scales of an admittance display; by default those of the axis.
     """
 
     counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0, le=1e12)]
@@ -78,6 +92,7 @@ class SimulatedDriveParameters(Parameters):
     follow_delay: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 0.0
     sdo_size_indicated: bool = True
     sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
+    display: DisplayScaling | None = None
 
     @field_validator("objects", "absent", "refused")
     @classmethod

@@ -8,7 +8,7 @@ of the object dictionary: its SDO server, codecs, scaling and state machine are 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import can
 from canopen.objectdictionary import ObjectDictionary
@@ -33,6 +33,7 @@ from canhaptic.sim.drive.can.nmt_slave import HeartbeatConsumer, HeartbeatProduc
 from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
 from canhaptic.sim.drive.can.sdo_server import SdoServer
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive.profile.display_servo import DisplayMotor, DisplayServo
 from canhaptic.sim.drive.profile.object_store import ObjectStore
 from canhaptic.sim.drive.profile.servo import Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
@@ -45,6 +46,12 @@ _PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 0x1029: where a lost heartbeat le
 _tuple: Final = tuple.__new__  # makes a truth at half the cost of calling its class
 _TRANSIENT: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.QUICK_STOP_ACTIVE))
 _FAULTY: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT))
+
+
+def _servo(store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> Servo:
+    if parameters.display is not None:
+        return DisplayServo(store, cast(DisplayMotor, motor), parameters)
+    return Servo(store, motor, parameters)
 
 
 class SimulatedDrive:
@@ -91,7 +98,7 @@ class SimulatedDrive:
         absent = parameters.absent_places() | _NOT_SERVED
         self.store = store = ObjectStore(dictionary, parameters.object_values(), absent, parameters.refused_values())
         store.guard_storage()
-        self.servo = Servo(store, motor, parameters)
+        self.servo = _servo(store, motor, parameters)
         self.timers = timers = Timers()
         self.on_routes_changed: Callable[[], None] = lambda: None
         self._emergency = emcy.EmergencyProducer(store, node_id, self._send_emergency)

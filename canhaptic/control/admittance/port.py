@@ -1,0 +1,148 @@
+"""The port of an admittance display: force times displacement at the sensor, with what is unsure of it.
+
+Energy INTO the display is positive: F dq, with F the force of the hand on the mass before the sensor. A `Sample` holds
+-F as its `torque_applied`, the force of the display on the hand, so that eq. 2 of the paper is the same for both kinds.
+
+One hold of length H, with abs(F') <= L and abs(v') <= A:
+
+    mean of F over the hold     F dq                 off by at most  L A H^3 / 12
+    F at both ends              (F_0 + F_1) dq / 2   off by at most  w (L^2 H^2 - dF^2) / 4L + abs(dF) A H^2 / 12
+
+with w = abs(dq) / H + A H / 2 the largest speed. The first is Chebyshev's bound of the covariance of two functions of
+bounded slope. For the second, F differs from its chord by e(t) with e = 0 at both ends and abs(F') <= L, so that
+integral abs(e) <= (L^2 H^2 - dF^2) / 4L; the chord's slope dF / H against v is the first bound again.
+A filter of first order, F = F_f + F_f' / w_f, adds dF_f dq / (w_f H), off by at most L A H^2 / 4 w_f.
+An error eps of the force costs eps abs(dq). The encoder's error of half a count at each end, summed by parts, costs
+half a count times the change of the force; its share of the last force is part of the account until the next.
+"""
+
+from dataclasses import dataclass
+from math import isnan, nan, pi
+from typing import NamedTuple
+
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.kernels import Buffer, MakeBuffer, new
+
+
+@dataclass(frozen=True, slots=True)
+class PortSettings:
+    """What the account of a hold needs to know."""
+
+    sample_time: float  # [s]
+    is_mean: bool  # one force is the mean over a hold, and not its value at the SYNC
+    latency: int  # whole samples by which a force is late
+    slew: float  # largest of the force [N/s or N*m/s]
+    acceleration: float  # largest of the handle [m/s^2 or rad/s^2]
+    error: float  # largest of one force [N or N*m]
+    count: float  # of the encoder [m or rad]
+    lag: float  # time constant of the sensor's filter; 0: none [s]
+
+
+@dataclass(slots=True)
+class Port:
+    """What is remembered between two SYNCs."""
+
+    started: bool = False
+    position: float = 0.0  # of the last SYNC that came [m or rad]
+    missed: int = 0  # samples lost since
+    moved: float = 0.0  # in the last hold [m or rad]
+    newest: int = 0  # place of the last position
+    origin: float = 0.0  # position to which the energy is booked [m or rad]
+    force: float = 0.0  # force there [N or N*m]
+    waiting: int = 0  # samples since
+    mean: float = 0.0  # force with which the hold before was booked [N or N*m]
+    doubt: float = 0.0  # sum of what was unsure [J]
+
+
+class BookedHold(NamedTuple):
+    """What one SYNC adds to the account."""
+
+    energy: float  # that came in, at least [J]
+    speed: float  # largest, at the time to which the account now reaches [m/s or rad/s]
+    is_booked: bool  # whether the account reaches further than before
+    moved: float  # since the SYNC before that came [m or rad]
+    elapsed: float  # the time of that [s]
+
+
+def port_settings(properties: DisplayProperties) -> PortSettings:
+    """Returns what is fixed for a run."""
+    lag = 1.0 / (2.0 * pi * properties.filter) if properties.filter else 0.0
+    return PortSettings(
+        properties.sample_time, properties.sampling == "mean", properties.latency, properties.force_slew,
+        properties.handle_acceleration, properties.force_error, properties.encoder_count, lag,
+    )  # fmt: skip
+
+
+def port_positions(settings: PortSettings, make_buffer: MakeBuffer) -> Buffer:
+    """Returns the positions of the SYNCs whose forces have not come, a ring of shape (latency + 1,) [m or rad]."""
+    return make_buffer(settings.latency + 1)
+
+
+def begin_port(port: Port, positions: Buffer, position: float, force: float) -> None:
+    """Takes the first position and force."""
+    port.started, port.position, port.origin, port.force = True, position, position, force
+    port.missed = port.newest = port.waiting = 0
+    port.moved = port.mean = port.doubt = 0.0
+    for place in range(len(positions)):
+        positions[place] = position
+
+
+def book(settings: PortSettings, port: Port, positions: Buffer, position: float, force: float) -> BookedHold:
+    """Books what the force that came tells of the hold that it belongs to.
+
+    Args:
+        settings: Of the run.
+        port: Moved to this SYNC.
+        positions: Of the SYNCs before.
+        position: At this SYNC [m or rad].
+        force: That came at this SYNC [N or N*m].
+    """
+    holds = port.missed + 1
+    moved = position - port.position
+    for _ in range(port.missed):
+        _put(port, positions, nan)
+    _put(port, positions, position)
+    port.position, port.moved, port.missed = position, moved, 0
+    port.waiting += holds
+    oldest = port.newest + 1 if port.newest + 1 < len(positions) else 0
+    then = positions[oldest]  # the position that belongs to the force
+    elapsed = holds * settings.sample_time
+    if isnan(then):
+        return new(BookedHold, (0.0, 0.0, False, moved, elapsed))
+    energy, speed = _energy(settings, port, then - port.origin, force, port.waiting)
+    port.origin, port.force, port.waiting = then, force, 0
+    return new(BookedHold, (energy, speed, True, moved, elapsed))
+
+
+def _put(port: Port, positions: Buffer, position: float) -> None:
+    port.newest = port.newest + 1 if port.newest + 1 < len(positions) else 0
+    positions[port.newest] = position
+
+
+def _energy(settings: PortSettings, port: Port, moved: float, force: float, samples: int) -> tuple[float, float]:
+    """Returns (the energy [J] that came in at least, the largest speed at the end [m/s or rad/s])."""
+    length, way = samples * settings.sample_time, abs(moved)
+    slew, acceleration, change = settings.slew, settings.acceleration, force - port.force
+    error, count = settings.error, settings.count
+    if not settings.is_mean:
+        mean, rise = 0.5 * (force + port.force), abs(change)
+        fastest = (way + count) / length + 0.5 * acceleration * length
+        room = slew * slew * length * length - rise * rise
+        doubt = rise * acceleration * length * length / 12.0
+        if room > 0.0:
+            doubt += fastest * room / (4.0 * slew)
+    elif samples == 1:
+        mean = force
+        doubt = slew * acceleration * length * length * length / 12.0
+    else:  # of the holds before the last no mean came
+        mean = force
+        doubt = slew * length * (way + 0.25 * acceleration * length * length)
+    if settings.lag > 0.0:
+        mean += change * settings.lag / length
+        doubt += 0.25 * slew * acceleration * length * length * settings.lag
+        error += 2.0 * error * settings.lag / length
+    doubt += error * (way + count)
+    doubt += 0.5 * count * (abs(mean - port.mean) + abs(mean) - abs(port.mean))
+    port.mean = mean
+    port.doubt += doubt
+    return mean * moved - doubt, (way + count) / length + 0.5 * acceleration * length

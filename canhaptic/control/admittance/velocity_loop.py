@@ -1,0 +1,238 @@
+"""How fast a drive may be commanded: its own velocity loop as a certificate for every hand.
+
+The drive moves the mass before the sensor, M v' = f_m + F - friction, by f_m = c (r - v) + f_I with f_I' = k (r - v).
+r is the command. With r = 0 the hand can take V = M v^2 / 2 + f_I^2 / 2k, and
+
+    (E - V)' = friction v - c (r - v) v - f_I r,         E' = F v
+
+so that W = E - V never falls at r = 0. Over a sequence of commands r(s) of length H, with f_0 the integral at its begin
+and rho(s) the integral of r from s to H, W falls by at most (maximum over every motion v)
+
+    f_0 R + k R^2 / 4 + (c / 4) int r^2 + (k^2 / 4c) int rho^2,     R = int r
+
+(complete the square in v; int r rho = R^2 / 2). Within a hold this is convex in H, so that its largest value is at a
+SYNC. Commands that satisfy `loss <= W + allowance`, all that are under way and the new one, keep E >= -allowance for
+every hand: whatever it does in the first hold, the rest of the sequence still fits what is left. A command of 0 adds
+nothing and always fits; so does any between 0 and one that fits, as the loss is convex in it.
+
+W is known from below in two ways, and the larger counts: from the force, E less the largest V; and from the encoder
+alone, as (E - V)' >= c v (v - r) - f_I r over a hold of which displacement and command are known.
+
+No friction is counted; it only helps. With a torque limit: without an integral the loss is smaller still. With one the
+bound holds only where the limit is not reached (`may_limit`).
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+from canhaptic.control.admittance.motion import Motion, sent
+from canhaptic.kernels import Buffer
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """What is declared of the drive."""
+
+    sample_time: float  # [s]
+    delay: int
+    losses: int  # consecutive RPDOs that may be lost
+    mass: float  # over-estimate [kg or kg*m^2]
+    gain: float  # over-estimate of c [N*s/m or N*m*s/rad]
+    gain_least: float  # under-estimate of it, > 0
+    integral: float  # over-estimate of k; 0: none [N/m or N*m/rad]
+    integral_least: float  # under-estimate of it
+    count: float  # of the encoder [m or rad]
+    torque_limit: float  # [N or N*m]
+
+
+@dataclass(slots=True)
+class LoopState:
+    """What is known of the drive."""
+
+    margin: float = 0.0  # W, at least [J]
+    lead: float = 0.0  # way commanded less way moved: f_I = k lead [m or rad]
+
+
+def reserve(settings: LoopSettings, lead: float, speed: float) -> float:
+    """Returns the largest V at a largest speed [J]."""
+    value = 0.5 * settings.mass * speed * speed
+    if settings.integral > 0.0:
+        stretch = abs(lead) + settings.count
+        value += 0.5 * settings.integral * stretch * stretch
+    return value
+
+
+def may_limit(settings: LoopSettings, lead: float, speed: float, command: float) -> bool:
+    """Whether the torque may reach its limit, where the bound is not proved: only with an integral."""
+    if settings.integral == 0.0:
+        return False
+    torque = settings.gain * (abs(command) + speed) + settings.integral * (abs(lead) + settings.count)
+    return torque >= settings.torque_limit
+
+
+def gained(settings: LoopSettings, lead: float, commands: Buffer, motion: Motion, moved: float) -> float:
+    """Returns by how much W changed over the hold that ended, at least, from encoder and commands [J].
+
+    Args:
+        settings: Of the run.
+        lead: At its begin [m or rad].
+        commands: Sent.
+        motion: With the place of the newest.
+        moved: In it [m or rad].
+    """
+    if settings.integral > 0.0:
+        return _gained_with_integral(settings, lead, sent(motion, commands, settings.delay), moved)
+    least = _by_damping(settings, sent(motion, commands, settings.delay), moved)
+    for age in range(settings.delay + 1, settings.delay + settings.losses + 1):
+        least = min(least, _by_damping(settings, sent(motion, commands, age), moved))
+    return least
+
+
+def lost_unseen(settings: LoopSettings, commands: Buffer, motion: Motion) -> float:
+    """Returns the largest loss of W in the hold that ended, of which no sample came; without an integral [J]."""
+    square = _largest_square(commands, motion, settings.delay, settings.delay + settings.losses)
+    return 0.25 * settings.gain * settings.sample_time * square
+
+
+def _by_damping(settings: LoopSettings, command: float, moved: float) -> float:
+    """Returns the least c D (D / T - r) with D unsure by a count and c by its range [J]."""
+    time, count = settings.sample_time, settings.count
+    turn = 0.5 * command * time  # D of the least value
+    nearest = min(max(turn, moved - count), moved + count)
+    power = nearest * (nearest / time - command)
+    return (settings.gain_least if power > 0.0 else settings.gain) * power
+
+
+def _gained_with_integral(settings: LoopSettings, lead: float, command: float, moved: float) -> float:
+    """Returns the same for a drive with an integral, in which no RPDO may be lost.
+
+    Minimum over v(t) with int v = D of int [c v^2 - c r v - f_I r], f_I = f_0 + k (r t - x):
+    c D (D / T - r) - f_0 r T - k r^2 T^2 / 2 + k r D T / 2 - k^2 r^2 T^3 / 48c.
+    """
+    time, gain, least = settings.sample_time, settings.integral, settings.gain_least
+    change = _by_damping(settings, command, moved)
+    change -= _turned(settings, lead, command * time)
+    lag = 0.5 * command * time * (moved - command * time)
+    change += (settings.integral_least if lag > 0.0 else gain) * lag
+    change -= 0.5 * gain * abs(command) * time * settings.count
+    return change - gain * gain * command * command * time * time * time / (48.0 * least)
+
+
+def _turned(settings: LoopSettings, lead: float, way: float) -> float:
+    """Returns the largest f_0 R of a way R [J]."""
+    product = lead * way
+    share = settings.integral if product > 0.0 else settings.integral_least
+    return share * product + settings.integral * settings.count * abs(way)
+
+
+def sequence_loss(
+    settings: LoopSettings, lead: float, commands: Buffer, motion: Motion, holds: int, oldest: int
+) -> float:
+    """Returns the largest loss of W over commands in a row, the first of which has the age `oldest` [J]."""
+    time, way, squares, shifts = settings.sample_time, 0.0, 0.0, 0.0
+    for hold in range(holds):  # from the last to the first
+        command = sent(motion, commands, oldest - holds + 1 + hold)
+        squares += command * command * time
+        step = command * time
+        shifts += time * (way * way + way * step + step * step / 3.0)
+        way += step
+    loss = 0.25 * settings.gain * squares
+    if settings.integral > 0.0:
+        loss += _turned(settings, lead, way) + 0.25 * settings.integral * way * way
+        loss += settings.integral * settings.integral * shifts / (4.0 * settings.gain_least)
+    return loss
+
+
+def fastest(
+    settings: LoopSettings, state: LoopState, commands: Buffer, motion: Motion, budget: float, sign: float
+) -> float:
+    """Returns the largest speed in a direction that may be commanded now [m/s or rad/s].
+
+    Args:
+        settings: Of the run.
+        state: At this SYNC.
+        commands: Sent.
+        motion: With the place of the newest.
+        budget: W and what may be given out besides [J].
+        sign: 1.0 or -1.0.
+    """
+    if settings.integral == 0.0:
+        return _fastest_by_damping(settings, commands, motion, budget)
+    time, gain, least, delay = settings.sample_time, settings.integral, settings.gain_least, settings.delay
+    before = sequence_loss(settings, state.lead, commands, motion, delay, delay - 1)
+    way, shift = 0.0, 0.0
+    for age in range(delay):  # from the last under way to the first
+        step = sent(motion, commands, age) * time
+        shift += time * (2.0 * way + step)
+        way += step
+    square = 0.25 * time * settings.gain + 0.25 * gain * time * time
+    square += gain * gain * time * time * time * (1.0 / 3.0 + delay) / (4.0 * least)
+    line = _turned(settings, state.lead, sign * time)
+    line += sign * time * (0.5 * gain * way + gain * gain * shift / (4.0 * least))
+    room = budget - before
+    inside = line * line + 4.0 * square * room
+    if inside <= 0.0:
+        return 0.0
+    root = sqrt(inside)
+    if line <= 0.0:
+        return (root - line) / (2.0 * square)
+    return 2.0 * room / (root + line) if room > 0.0 else 0.0
+
+
+def _fastest_by_damping(settings: LoopSettings, commands: Buffer, motion: Motion, budget: float) -> float:
+    """Returns the same without an integral: c T / 4 times the squares of all that may act.
+
+    In each hold under way the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
+    lost. The new one may act in 1 + losses holds; in the first of them an older one may, where it is larger.
+    """
+    delay, losses = settings.delay, settings.losses
+    left = 4.0 * budget / (settings.gain * settings.sample_time)
+    for age in range(delay):
+        left -= _largest_square(commands, motion, age, age + losses)
+    if left <= 0.0:
+        return 0.0
+    best = 0.0
+    for own in range(1, losses + 2):  # holds in which the new one is the largest: the last `own` of them
+        rest = left
+        for hold in range(losses + 1 - own):
+            rest -= _largest_square(commands, motion, 0, losses - 1 - hold)
+        if rest > 0.0:
+            best = max(best, _within(commands, motion, sqrt(rest / own), own, losses))
+    return best
+
+
+def _within(commands: Buffer, motion: Motion, speed: float, own: int, losses: int) -> float:
+    """Returns a speed that is the largest in just so many of its holds; 0 where it is not."""
+    square = speed * speed
+    if own > 1 or losses > 0:
+        first = losses + 1 - own  # the first hold in which it is to be the largest
+        older = _largest_square(commands, motion, 0, losses - 1 - first) if first < losses else 0.0
+        if square < older:
+            return 0.0
+        if first > 0:
+            before = _largest_square(commands, motion, 0, losses - first)
+            if square > before:
+                return sqrt(before)
+    return speed
+
+
+def _largest_square(commands: Buffer, motion: Motion, newest: int, oldest: int) -> float:
+    largest = 0.0
+    for age in range(newest, oldest + 1):
+        command = sent(motion, commands, age)
+        largest = max(largest, command * command)
+    return largest
+
+
+def loss_under_way(settings: LoopSettings, lead: float, commands: Buffer, motion: Motion) -> float:
+    """Returns the largest loss of W by the commands that may still act, the newest included, at any SYNC [J]."""
+    total = largest = 0.0
+    if settings.integral > 0.0:
+        for holds in range(1, settings.delay + 2):
+            largest = max(largest, sequence_loss(settings, lead, commands, motion, holds, settings.delay))
+        return largest
+    for age in range(1, settings.delay + 1):
+        total += _largest_square(commands, motion, age, age + settings.losses)
+    for hold in range(settings.losses + 1):
+        total += _largest_square(commands, motion, 0, settings.losses - hold)
+    return 0.25 * settings.gain * settings.sample_time * total

@@ -1,0 +1,50 @@
+"""What the start of an admittance display adds: no ramps, no offsets, a quick stop that stops."""
+
+from typing import Final
+
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.dictionary import is_writable
+from canhaptic.drive.can.can_bring_up import CanBringUp
+from canhaptic.drive.can.display_drive import DisplayDrive
+
+_SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch on disabled
+_RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
+_LARGEST: Final = 0xFFFF_FFFF  # of an UNSIGNED32
+_REMEDY: Final = "set the object with the vendor's tool, or correct its limits in the dictionary"
+
+
+class DisplayBringUp(CanBringUp):
+    """Configures one drive that follows velocities."""
+
+    _drive: DisplayDrive
+
+    def __init__(self, drive: DisplayDrive) -> None:
+        super().__init__(drive)
+        self._remedies = {**self._remedies, "ramps": _REMEDY, "offsets": _REMEDY, "quick stop": _REMEDY}
+
+    def _zero_torque(self) -> None:
+        """Writes a target at rest; the ramps of the drive as steep as they go; no offsets; the quick stop."""
+        target = od.TARGET_VELOCITY
+        if self._drive.display.mode == "position":
+            with self.step("zero torque"):
+                position = self._sdo.read(od.POSITION_ACTUAL)
+            self._write_confirmed("zero torque", od.TARGET_POSITION, 0, position)
+        else:
+            self._write_confirmed("zero torque", target, 0, 0)
+        dictionary = self._drive.dictionary
+        for index in _RAMPS:  # a ramp inside the drive is a command that the certificate does not know
+            if is_writable(dictionary, index, 0):
+                self._write_confirmed("ramps", index, 0, self._most(index))
+        for index in (od.VELOCITY_OFFSET, od.TORQUE_OFFSET):
+            if is_writable(dictionary, index, 0):
+                self._write_confirmed("offsets", index, 0, 0)
+        if is_writable(dictionary, od.QUICK_STOP_DECELERATION, 0):
+            self._write_confirmed("quick stop", od.QUICK_STOP_DECELERATION, 0, self._most(od.QUICK_STOP_DECELERATION))
+        if is_writable(dictionary, od.QUICK_STOP_OPTION, 0):
+            self._write_confirmed("quick stop", od.QUICK_STOP_OPTION, 0, _SLOW_DOWN)
+
+    def _most(self, index: int) -> int:
+        """Returns the largest value that the dictionary allows an object."""
+        variable = self._drive.dictionary.get_variable(index)
+        stated = getattr(variable, "max", None)
+        return stated if isinstance(stated, int) else _LARGEST

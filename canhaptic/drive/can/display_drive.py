@@ -1,0 +1,144 @@
+"""An admittance display on a CAN bus: its force comes in the TPDO, its velocity or position goes out in the RPDO.
+
+It runs in the same cycle as a `ServoDrive`: a sample holds minus the force of the hand where that of an impedance
+display holds the torque, and the command is a velocity.
+"""
+
+from typing import Final
+
+from canopen import ObjectDictionary
+
+from canhaptic.canopen import objects as od
+from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.sdo_transfer import download
+from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.profile.display_parameters import DisplayParameters
+from canhaptic.drive.profile.force_channel import ForceChannel
+from canhaptic.drive.profile.limiter import TorqueLimiter
+from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.profile.power_states import PowerState
+from canhaptic.drive.profile.scaling import AxisScaling
+from canhaptic.errors import ParameterError
+from canhaptic.signals import Sample
+
+_tuple: Final = tuple.__new__
+_QUICK_STOP_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.QUICK_STOP.to_bytes(2, "little")))
+_PER_MILLE: Final = 1000.0  # of `AxisScaling`, which here takes counts of the command
+_WRAP: Final = 1 << 32
+_UNLIMITED_SPEED: Final = 1e9  # [m/s or rad/s] where the scene declares none, on the virtual bus only
+_NEAR: Final = 1 << 10  # counts that a handle may move between two readings of its position
+
+
+class DisplayDrive(ServoDrive):
+    """A drive that follows velocities and reports forces.
+
+    Raises:
+        DictionaryError: The dictionary is not fit for it.
+        ParameterError: The axis is not an admittance display.
+    """
+
+    stop_word = od.Controlword.QUICK_STOP
+
+    def __init__(self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters) -> None:
+        display = axis.admittance
+        if display is None:
+            raise ParameterError(f"{axis.name}: has no `admittance`; expected an admittance display")
+        self.display: DisplayParameters = display
+        self.force = ForceChannel(display.force)
+        self._is_position = display.mode == "position"
+        self.command_quantum = speed_quantum(axis, bus)
+        super().__init__(link, axis, dictionary, bus)
+        self.stop_time = round(display.stop_time * 1e9)
+        self.limiter = TorqueLimiter(axis.speed_limit or _UNLIMITED_SPEED, bus.sample_time, display.acceleration_limit)
+        counts = axis.counts_per_unit
+        self.command_scaling = AxisScaling(counts, self.command_quantum * _PER_MILLE, axis.direction)
+        low, high = display.position_low, display.position_high
+        self._low = -float("inf") if low is None else low
+        self._high = float("inf") if high is None else high
+        if self._is_position:
+            self.rest_text = "the position of the axis"
+
+    def reset(self) -> None:
+        """Forgets everything received and commanded."""
+        super().reset()
+        self.force.reset()
+        self._target = 0
+
+    def sample(self, sync_index: int, periods: int = 1, *, is_whole: bool = True) -> Sample:
+        """Returns what the drive reported for the SYNC that was just answered, or not; see `ServoDrive.sample`."""
+        if not (self.is_complete and is_whole):
+            return super().sample(sync_index, periods, is_whole=is_whole)
+        self._periods += periods
+        self._is_late = periods > 1
+        self.longest_gap = max(self.longest_gap, periods)
+        self.policy.on_tpdo()
+        statusword, counts, shown = self._values
+        position, last = self.scaling.position(counts), self._last
+        periods, self._periods = self._periods, 0
+        if last.sync_index >= 0:
+            self._step = (position - last.position) / periods
+            self.longest_hold = max(self.longest_hold, periods)
+        force = self.force.take(shown)
+        self._last = sample = _tuple(Sample, (sync_index, position, -force, statusword, True))
+        return sample
+
+    def fault(self, now: int) -> StopReason:
+        """Returns why the rig must stop because of this drive; NONE while all is well."""
+        if self.force.is_beyond_range:
+            return StopReason.FORCE_RANGE
+        if self.force.is_frozen:
+            return StopReason.FORCE_FROZEN
+        return super().fault(now)
+
+    def command_per_mille(self, torque: float) -> int:
+        """Returns the command in counts for the velocity that a controller asks [m/s or rad/s]; limited as a torque is.
+
+        Towards a limit of the position that is reached there is no velocity.
+
+        Raises:
+            ControlError: The velocity is not finite.
+        """
+        policy, limiter, position = self.policy, self.limiter, self._last.position
+        if (policy.missed or self._is_late) and torque - torque == 0.0:
+            held = self._held * policy.torque_fraction() if policy.missed else limiter.last
+            torque = max(min(held, 0.0), min(max(held, 0.0), torque))
+        if (position >= self._high and torque > 0.0) or (position <= self._low and torque < 0.0):
+            torque = 0.0
+        torque = limiter.limit(torque, 0.0)
+        return self.command_scaling.torque_per_mille(torque, limiter.low, limiter.high)
+
+    def write(self, torque_per_mille: int) -> None:
+        """Sends controlword and command as one image; in mode 8 the target position moves on by the command.
+
+        Raises:
+            LinkError: It could not be sent.
+        """
+        if self._is_position:
+            if self.state is not PowerState.OPERATION_ENABLED:
+                self._target = self.position_counts
+            self._target = (self._target + torque_per_mille + _WRAP // 2) % _WRAP - _WRAP // 2
+            torque_per_mille = self._target
+        super().write(torque_per_mille)
+
+    def rests_at(self, target: int) -> bool:
+        """Whether a target read from the drive is that of a drive at rest."""
+        if not self._is_position:
+            return target == 0
+        return abs((target - self.position_counts + _WRAP // 2) % _WRAP - _WRAP // 2) <= _NEAR
+
+    def disable_unconfirmed(self) -> None:
+        """Sends the SDO 0x6040 = quick stop and awaits no answer.
+
+        Raises:
+            LinkError: It could not be sent.
+        """
+        self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, _QUICK_STOP_BY_SDO)
+
+
+def speed_quantum(axis: AxisParameters, bus: BusParameters) -> float:
+    """Returns the smallest step of the velocity that can be commanded [m/s or rad/s]."""
+    display = axis.admittance
+    if display is None or display.mode == "position":
+        return 1.0 / (axis.counts_per_unit * bus.sample_time)
+    return 1.0 / (display.velocity_counts or axis.counts_per_unit)

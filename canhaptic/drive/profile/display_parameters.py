@@ -1,0 +1,99 @@
+"""What a configuration says of an axis that is an admittance display: velocity commands, a force sensor, limits."""
+
+import re
+from typing import Annotated, Final, Literal
+
+from pydantic import field_validator, model_validator
+
+from canhaptic.canopen import objects as od
+from canhaptic.units import Parameters, quantity
+
+_OBJECT: Final = re.compile(r"0x([0-9a-fA-F]{4})(?:\.([0-9a-fA-F]{1,2}))?")
+
+Mode = Literal["velocity", "position"]
+"""Cyclic synchronous velocity (mode 9, 0x60FF) or position (mode 8, 0x607A)."""
+
+
+class ForceParameters(Parameters):
+    """The force sensor of an admittance display, in the TPDO of its drive."""
+
+    object: str
+    """Object of the drive that shows the force, `0x3160.1` (index.subindex, hexadecimal); INTEGER16 or INTEGER32."""
+    per_count: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)]
+    """Force of the hand towards +q, by one count; negative where the sensor counts the other way."""
+    offset_counts: Annotated[float, quantity("count", ge=-2e9, le=2e9)] = 0.0
+    """Counts at no force."""
+    range: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
+    """A force beyond it is not believed: the rig stops."""
+    sampling: Literal["point", "mean"] = "point"
+    """What one value is: the force at the SYNC, or its mean since the last."""
+    latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    """Whole SYNCs by which a value is late."""
+    filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
+    """Corner of a first-order filter before the sample; 0: none."""
+    slew: Annotated[float, quantity("N/s", "N*m/s", gt=0.0, le=1e9)]
+    """Largest slew of the force, an over-estimate."""
+    error: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
+    """Largest error of one value, an over-estimate: offset, drift, noise, quantisation."""
+    frozen_after: Annotated[int, quantity("count", ge=2, le=100_000)] | None = None
+    """SYNCs with the same count, beyond `error`, after which the sensor counts as frozen and the rig stops."""
+
+    @field_validator("object")
+    @classmethod
+    def _names_an_object(cls, text: str) -> str:
+        if not _OBJECT.fullmatch(text):
+            raise ValueError(f"got {text!r}, expected an object such as 0x3160.1 (index.subindex, hexadecimal)")
+        return text
+
+    @field_validator("per_count")
+    @classmethod
+    def _is_not_zero(cls, value: float) -> float:
+        if value == 0.0:
+            raise ValueError("got 0, expected the force of one count")
+        return value
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """(index, subindex) of the object."""
+        match = _OBJECT.fullmatch(self.object)
+        if match is None:  # the validator made sure
+            raise ValueError(self.object)
+        return int(match.group(1), 16), int(match.group(2) or "0", 16)
+
+
+class DisplayParameters(Parameters):
+    """Makes an axis an admittance display: force in, velocity out."""
+
+    mode: Mode = "velocity"
+    """velocity: mode 9, the velocity loop of the drive follows 0x60FF. position: mode 8, 0x607A, interpolated."""
+    velocity_counts: Annotated[float, quantity("count*s/m", "count*s/rad", gt=0.0, le=1e15)] | None = None
+    """Counts of 0x60FF for 1 m/s or 1 rad/s of the axis; None: `counts_per_unit`, as for counts per second."""
+    acceleration_limit: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0, le=1e6)] | None = None
+    """Largest rise of the commanded speed per second; a fall to zero is never slowed."""
+    handle_acceleration: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0, le=1e6)]
+    """Largest acceleration of the handle, an over-estimate: by the torque of the drive and the force of the hand."""
+    position_low: Annotated[float, quantity("m", "rad", ge=-1e6, le=1e6)] | None = None
+    """Below it no command leads further down."""
+    position_high: Annotated[float, quantity("m", "rad", ge=-1e6, le=1e6)] | None = None
+    """Above it no command leads further up."""
+    stop_time: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 0.5
+    """Time that a quick stop may take."""
+    force: ForceParameters
+    """The force sensor."""
+
+    @model_validator(mode="after")
+    def _positions_are_in_order(self) -> "DisplayParameters":
+        low, high = self.position_low, self.position_high
+        if low is not None and high is not None and low >= high:
+            raise ValueError(f"position_low is {low}, expected less than position_high ({high})")
+        return self
+
+    @property
+    def mode_code(self) -> int:
+        """Value of 0x6060."""
+        return od.CYCLIC_SYNC_VELOCITY if self.mode == "velocity" else od.CYCLIC_SYNC_POSITION
+
+    @property
+    def target(self) -> int:
+        """Index of the object that carries the command."""
+        return od.TARGET_VELOCITY if self.mode == "velocity" else od.TARGET_POSITION

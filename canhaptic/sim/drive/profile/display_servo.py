@@ -1,0 +1,149 @@
+"""The power stage of a simulated drive in the cyclic modes 8 and 9, with a force sensor at its analog input. No bus."""
+
+from typing import Final, Protocol
+
+from canhaptic.canopen.objects import (
+    CYCLIC_SYNC_POSITION,
+    CYCLIC_SYNC_VELOCITY,
+    TARGET_POSITION,
+    TARGET_VELOCITY,
+    DataType,
+    StatusBit,
+)
+from canhaptic.errors import ParameterError
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
+from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.servo import Motor, Servo
+from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
+from canhaptic.sim.drive.profile.state_machine import DriveState
+
+_FOLLOWS: Final = int(StatusBit.FOLLOWS_COMMAND)
+_BRAKING: Final = frozenset((DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE))
+_STANDSTILL: Final = 2e-3  # [m/s or rad/s] at which a drive that brakes counts as still
+_LONGEST_BRAKING: Final = 500_000_000  # [ns] after which it ends without standstill
+_WRAP: Final = 1 << 32
+
+
+class DisplayMotor(Motor, Protocol):
+    """A motor with a velocity loop and a force sensor; its input is a velocity."""
+
+    def power(self, *, on: bool) -> None:
+        """Switches the power stage."""
+
+    def read_force(self) -> float:
+        """Returns what the force sensor shows now."""
+
+
+class DisplayServo(Servo):
+    """Power stage, velocity loop and force sensor of an admittance display.
+
+    Raises:
+        ParameterError: The parameters say nothing of the display.
+    """
+
+    motor: DisplayMotor
+
+    def __init__(self, store: ObjectStore, motor: DisplayMotor, parameters: SimulatedDriveParameters) -> None:
+        display = parameters.display
+        if display is None:
+            raise ParameterError("display: got none, expected scale and object of the force for a motor with a sensor")
+        self._target_velocity = store.entry(TARGET_VELOCITY, DataType.INTEGER32)
+        self._target_position = store.entry(TARGET_POSITION, DataType.INTEGER32)
+        force = store.find(*parse_place(display.force_object))
+        if force is None:
+            raise ParameterError(f"display.force_object: the dictionary has no object {display.force_object}")
+        self._force, self._per_count, self._force_offset = force, display.force_per_count, display.force_offset_counts
+        self._per_velocity_count = parameters.position_sign / (display.velocity_counts or parameters.counts_per_unit)
+        self._per_position_count = parameters.position_sign / parameters.counts_per_unit
+        self._braking_since = -1
+        self._setpoint: int | None = None
+        self._has_taken = False
+        self._sampled_at = 0
+        self._period = 0.0
+        super().__init__(store, motor, parameters)
+        for commanded in (self._target_velocity, self._target_position):
+            commanded.changed = self.obey
+            commanded.value = 0 if commanded.value is None else commanded.value
+
+    def reset(self) -> None:
+        """Returns to the state after power-on: no power; the motor moves on."""
+        for commanded in (self._target_velocity, self._target_position):
+            commanded.value = commanded.number
+        super().reset()
+
+    def update(self, before: DriveState | None = None) -> None:
+        """Sets velocity, power and statusword to what state, mode and target ask for."""
+        state, command = self.machine.state, 0.0
+        word = STATUSWORDS[state]
+        if state is DriveState.OPERATION_ENABLED:
+            mode = self._mode_display.value
+            if mode == CYCLIC_SYNC_VELOCITY:
+                command, word = self._target_velocity.number * self._per_velocity_count, word | _FOLLOWS
+            elif mode == CYCLIC_SYNC_POSITION:
+                command, word = self._interpolated(), word | _FOLLOWS
+        else:
+            self._setpoint = None
+        if state in _BRAKING:
+            self._braking_since = self.now if self._braking_since < 0 else self._braking_since
+        else:
+            self._braking_since = -1
+        is_on = state is DriveState.OPERATION_ENABLED or state in _BRAKING
+        if command != self.torque or before is not None:
+            self._move()
+            self.torque = command
+            if self.is_running:
+                self.motor.power(on=is_on)
+        if word != self._statusword.value or (before is not None and before is not state):
+            self._statusword.value = word
+            self.has_event = True
+
+    def _interpolated(self) -> float:
+        """Returns the velocity [m/s or rad/s] that leads to the target position by the next SYNC."""
+        target = self._target_position.number
+        if self._setpoint is None or not self._period:
+            self._setpoint = target
+            return 0.0
+        return self.torque if self._has_taken else self._take_setpoint(target)
+
+    def _take_setpoint(self, target: int) -> float:
+        before, self._setpoint = self._setpoint or 0, target
+        self._has_taken = True
+        step = (target - before + _WRAP // 2) % _WRAP - _WRAP // 2
+        return step * self._per_position_count / self._period
+
+    def settle(self) -> bool:
+        """Does the transitions that need no command; a drive that brakes stays until it is still."""
+        if self._braking_since >= 0 and self.is_running:
+            self._move()
+            is_late = self.now - self._braking_since >= _LONGEST_BRAKING
+            if abs(self.motor.velocity) > _STANDSTILL and not is_late:
+                self.has_event = True  # the owner times the next look
+                return False
+        before = self.machine.state
+        has_moved = self.machine.settle(self._quick_stop_option.number)
+        self.update(before)
+        return has_moved
+
+    def fault(self) -> None:
+        """Begins the fault reaction: velocity 0."""
+        before = self.machine.state
+        self.machine.fault()
+        self.update(before)
+
+    def abort_connection(self, option: int) -> None:
+        """Reacts to a lost connection as 0x6007 asks; the power follows the state."""
+        before = self.machine.state
+        super().abort_connection(option)
+        self.update(before)
+
+    def sample(self) -> None:
+        """Measures at a SYNC; in mode 8 the interpolation to the last target ends here."""
+        if self._sampled_at and self.now > self._sampled_at:
+            self._period = (self.now - self._sampled_at) * 1e-9
+        self._sampled_at = self.now
+        super().sample()
+        self._has_taken = False
+        if self._mode_display.value == CYCLIC_SYNC_POSITION and self.machine.state is DriveState.OPERATION_ENABLED:
+            self.torque = 0.0  # until the target of this SYNC acts
+        counts = round(self.motor.read_force() / self._per_count + self._force_offset) if self.is_running else 0
+        self._force.value = int(max(self._force.low, min(self._force.high, counts)))

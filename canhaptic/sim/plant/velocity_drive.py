@@ -1,0 +1,310 @@
+"""The plant of an admittance display: a mass that a velocity loop moves, a force sensor, and the hand behind it.
+
+    drive          M v' = f + F - friction,   f = c (r - v) + f_I,   f_I' = k (r - v),   r held from SYNC to SYNC
+    sensor         F on the mass, by the grip: a spring and a damper between the mass and what lies behind the sensor
+    behind it      the mass behind the sensor, and the hand
+
+The loop is part of the piecewise-affine plant, so that a hold stays exact. With a torque limit its torque has three
+modes and its integral, which is kept within the limit, three of its own. `energy` is what flows through the sensor:
+what the display gives out (`motor`), what the hand brings, and what lies behind the sensor dissipates and stores.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Final
+
+from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, Guard, LinearPart, PlantModel, Rows
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
+from canhaptic.sim.plant.force_sensor import ForceReading, SimulatedForceSensor
+from canhaptic.sim.plant.plant import AccuracyParameters, Plant, PlantParameters
+from canhaptic.sim.plant.propagator import TICKS, Array
+from canhaptic.sim.plant.user import UserParameters
+from canhaptic.units import Parameters, quantity
+
+_LOOP: Final = "velocity_loop"
+_SENSOR: Final = "force_sensor"
+_INTEGRAL: Final = "loop_integral"
+_ON_THE_DEVICE: Final = frozenset(
+    {_LOOP, _SENSOR, "bearings", "viscous_friction", "coulomb_friction", "stribeck_friction", "lugre_friction"}
+)
+"""Works of what lies before the sensor."""
+
+
+class VelocityLoopParameters(Parameters):
+    """The velocity loop of a simulated drive: torque = gain (r - v) + integral of integral_gain (r - v)."""
+
+    gain: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0, le=1e9)]
+    """Proportional gain c; 2 pi f M for a bandwidth of f."""
+    integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
+    """Integral gain k; of a position loop with velocity feed-forward: its gain times `gain`."""
+    torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e9)] | None = None
+    """Largest torque of the loop, and of its integral. None: neither is limited."""
+
+
+class GripParameters(Parameters):
+    """What lies between the sensor and the hand."""
+
+    mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
+    """Behind the sensor: handle, and what of the hand moves with it."""
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)] = 1e5
+    """Of sensor and grip together."""
+    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
+    """Of sensor and grip together."""
+
+
+class AdmittanceSimulation(Parameters):
+    """What is simulated of an admittance display besides mass, hand and effects."""
+
+    loop: VelocityLoopParameters
+    """The drive's own velocity loop."""
+    grip: GripParameters
+    """Between sensor and hand."""
+    sensor: SimulatedForceSensor = SimulatedForceSensor()
+    """The force sensor and its errors."""
+
+
+class _DrivenMass(PlantParameters):
+    """The mass before the sensor, moved by a velocity loop."""
+
+    loop: VelocityLoopParameters
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Adds the mass, its bearings and the loop."""
+        scene.add_state("position", self.initial_position)
+        scene.add_state("velocity", self.initial_velocity)
+        scene.bodies.append(Body("motor", self.mass, "velocity", (("position", 1.0),)))
+        scene.works[_LOOP] = "motor"
+        if self.loop.integral_gain:
+            scene.add_state(_INTEGRAL)
+        if self.damping:
+            scene.works["bearings"] = "dissipated"
+        scene.parts.append(LinearPart("mass", self._write_mass))
+        scene.parts.append(_Loop(self.loop))
+        if self.loop.integral_gain:
+            scene.parts.append(_Integral(self.loop))
+
+    def _write_mass(self, rows: Rows) -> None:
+        velocity = rows.velocity(MOTOR)
+        rows.set_rate("position", velocity)
+        rows.forces[MOTOR] -= self.damping * velocity
+        if self.damping:
+            rows.add_power("bearings", self.damping * velocity, velocity)
+        if rows.scene.efforts:
+            rows.set_rate("travel", velocity)
+            rows.forces[MOTOR] += rows.row(effort=1.0)
+
+
+class _Loop:
+    """The loop as a part: following, limited on either side, or without power."""
+
+    modes = ("follows", "upper", "lower", "off")
+
+    def __init__(self, loop: VelocityLoopParameters) -> None:
+        self.name = _LOOP
+        self._loop = loop
+        self.has_guards = loop.torque_limit is not None
+
+    def _demand(self, rows: Rows) -> Array:
+        gain = self._loop.gain
+        demand = rows.row(torque=gain) - gain * rows.velocity(MOTOR)
+        return demand + rows.row(**{_INTEGRAL: 1.0}) if self._loop.integral_gain else demand
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the torque of the loop."""
+        velocity, limit = rows.velocity(MOTOR), self._loop.torque_limit or 0.0
+        if mode == "off":
+            return
+        force = self._demand(rows) if mode == "follows" else rows.row(one=limit if mode == "upper" else -limit)
+        rows.forces[MOTOR] += force
+        rows.add_power(_LOOP, force, velocity)
+
+    def constrain(self, rows: Rows, mode: str) -> None:
+        """Holds nothing."""
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Returns the ways to and from the limit of the torque."""
+        limit = self._loop.torque_limit
+        if limit is None or mode == "off":
+            return ()
+        demand, most = self._demand(rows), rows.row(one=limit)
+        if mode == "follows":
+            return (Guard(most - demand, "upper"), Guard(most + demand, "lower"))
+        return (Guard((demand if mode == "upper" else -demand) - most, "follows"),)
+
+
+class _Integral:
+    """The integral of the loop as a part: free, or at the limit of the torque."""
+
+    modes = ("free", "upper", "lower")
+
+    def __init__(self, loop: VelocityLoopParameters) -> None:
+        self.name = _INTEGRAL
+        self._loop = loop
+        self.has_guards = loop.torque_limit is not None
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the rate of the integral."""
+        gain = self._loop.integral_gain
+        if mode == "free":
+            rows.set_rate(_INTEGRAL, rows.row(torque=gain) - gain * rows.velocity(MOTOR))
+
+    def constrain(self, rows: Rows, mode: str) -> None:
+        """Holds nothing."""
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Returns the ways to and from the limit."""
+        if self._loop.torque_limit is None:
+            return ()
+        most, value = rows.row(one=self._loop.torque_limit), rows.row(**{_INTEGRAL: 1.0})
+        lag, place = rows.row(torque=1.0) - rows.velocity(MOTOR), rows.index[_INTEGRAL]
+        if mode == "free":
+            return (Guard(most - value, "upper", ((place, most),)), Guard(most + value, "lower", ((place, -most),)))
+        return (Guard(lag if mode == "upper" else -lag, "free"),)
+
+
+class _Sensor:
+    """The force between mass and grip: its impulse, its filtered value, and the work that passes it."""
+
+    order: ClassVar[int | None] = None
+    rank: ClassVar[int] = 9
+    type: ClassVar[str] = _SENSOR
+    name, modes, has_guards = _SENSOR, ("linear",), False
+
+    def __init__(self, grip: GripParameters, corner: float) -> None:
+        self._grip, self._corner = grip, corner
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Adds the sensor to a scene."""
+        scene.add_state("impulse")
+        if self._corner:
+            scene.add_state("filtered_force")
+        scene.works[_SENSOR] = "user"
+        scene.parts.append(self)
+
+    def force(self, rows: Rows) -> Array:
+        """Returns the row of the force on the mass."""
+        grip = self._grip
+        return rows.row(twist=-grip.stiffness) - grip.damping * (rows.velocity(MOTOR) - rows.velocity(MOTOR + 1))
+
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the integral of the force, its filter and its work."""
+        force = self.force(rows)
+        rows.set_rate("impulse", force)
+        rows.add_power(_SENSOR, force, rows.velocity(MOTOR))
+        if self._corner:
+            rows.set_rate("filtered_force", self._corner * (force - rows.row(filtered_force=1.0)))
+
+    def constrain(self, rows: Rows, mode: str) -> None:
+        """Holds nothing."""
+
+    def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
+        """Returns none."""
+        return ()
+
+
+class AdmittancePlant(Plant):
+    """One simulated axis with a velocity loop and a force sensor; the input of a hold is the velocity commanded.
+
+    Args:
+        parameters: Mass before the sensor, and its bearings.
+        display: Loop, grip and sensor.
+        user: The hand; None when nobody holds the handle.
+        effects: Further effects, on the mass before the sensor.
+        sample_time_ns: T [ns].
+        seed: Of everything random.
+        accuracy: Events and substeps; the defaults when None.
+
+    Attributes:
+        reading: What the force sensor shows.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        display: AdmittanceSimulation,
+        user: UserParameters | None,
+        effects: Sequence[Effect],
+        sample_time_ns: int,
+        seed: int = 0,
+        accuracy: AccuracyParameters | None = None,
+    ) -> None:
+        self.display = display
+        self.reading = ForceReading(display.sensor, seed)
+        driven = _DrivenMass(**parameters.model_dump(), loop=display.loop)
+        grip = display.grip
+        behind = ShaftCompliance(stiffness=grip.stiffness, damping=grip.damping, load_mass=grip.mass)
+        sensor = _Sensor(grip, 2.0 * math.pi * display.sensor.filter)
+        super().__init__(driven, user, [behind, *effects, sensor], sample_time_ns, seed, accuracy)
+
+    def reset(self) -> None:
+        """Returns to the initial state, before `begin`, with all energies zero."""
+        scene = self.scene
+        names = list(scene.works)
+        self._sensor_work, self._user_work = names.index(_SENSOR), names.index("hand") if "hand" in names else -1
+        self._losses = [n for n, name in enumerate(names) if name not in _ON_THE_DEVICE and name != "hand"]
+        states = list(scene.names)
+        self._force_state = states.index("filtered_force") if "filtered_force" in states else -1
+        self._places = [states.index(name) for name in ("impulse", "twist", "velocity", "load_velocity")]
+        self._integral = states.index(_INTEGRAL) if _INTEGRAL in states else -1
+        self._moves = self._hold
+        self._is_on = True
+        super().reset()
+        self.reading.reset()
+
+    def power(self, *, on: bool) -> None:
+        """Switches the power stage; without power the mass moves freely. On again, the integral is empty."""
+        if on == self._is_on:
+            return
+        self._is_on = on
+        self._machine.set_part_mode(_LOOP, "follows" if on else "off")
+        if self._integral >= 0:
+            self._machine.state[self._integral] = 0.0
+        self._free_torque = self._passing if on and self._is_flat else -1.0
+        self._hold = self._moves if on or not self._is_flat else self._free_hold
+        self._pause, self._wait = self._tick, 1
+
+    def _free_hold(self, ticks: int, command: float) -> None:
+        self._machine.state[-2] = command
+        self._machine.run_free(ticks)
+        self.position = self._machine.state.item(0)
+
+    @property
+    def force(self) -> float:
+        """True force on the mass at the sensor [N or N*m]."""
+        state, grip = self._machine.state, self.display.grip
+        _, twist, velocity, load = (state.item(place) for place in self._places)
+        return -grip.stiffness * twist - grip.damping * (velocity - load)
+
+    @property
+    def impulse(self) -> float:
+        """Integral of that force since the start [N*s or N*m*s]."""
+        return self._machine.state.item(self._places[0])
+
+    @property
+    def reserve(self) -> float:
+        """What a hand can take from the drive at a command of zero: V = M v^2 / 2 + f_I^2 / 2k [J]."""
+        state, loop = self._machine.state, self.display.loop
+        kinetic = 0.5 * self.parameters.mass * state.item(1) ** 2
+        if self._integral < 0:
+            return kinetic
+        return kinetic + state.item(self._integral) ** 2 / (2.0 * loop.integral_gain)
+
+    def read_force(self) -> float:
+        """Returns what the sensor shows now; `ForceReading.take`."""
+        force = self._machine.state.item(self._force_state) if self._force_state >= 0 else self.force
+        elapsed = self._tick * self.sample_time_ns // TICKS
+        return self.reading.take(elapsed, force, self.impulse)
+
+    def energy(self) -> PlantEnergy:
+        """Returns what went through the sensor since the start [J]; `motor` is what the display gave out."""
+        works = self._machine.works()
+        user = works[self._user_work] if self._user_work >= 0 else 0.0
+        lost = math.fsum(works[place] for place in self._losses)
+        return PlantEnergy(-works[self._sensor_work], user, lost, self._stored() - self.stored_at_start)
+
+    def _stored(self) -> float:
+        """Returns what lies behind the sensor holds [J]."""
+        speed = self._machine.state.item(1)
+        return super()._stored() - 0.5 * self.parameters.mass * speed * speed

@@ -1,0 +1,96 @@
+"""An admittance display through the whole CAN path: modes 8 and 9, judged by the plant at the sensor, and its logs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.cli.main import main
+from canhaptic.cycle import run
+from canhaptic.errors import ForceSensorError, SceneError
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.drive.profile.state_machine import DriveState
+
+SCENE = Path(__file__).parents[2] / "configs" / "admittance" / "virtual_mass.yaml"
+
+
+def _run(*overrides: str, cycles: int = 1500) -> tuple[dict[str, Any], Experiment]:
+    with build(load_scene(SCENE, overrides)) as experiment:
+        run(experiment.cycle, cycles)
+        return experiment_account(experiment, "completed", 1.0), experiment
+
+
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+def test_force_comes_in_and_velocity_goes_out(mode: str) -> None:
+    account, experiment = _run(f"axes.0.admittance.mode={mode}")
+    port, truth = account["ports"]["handle"], account["truth"]["handle"]
+    assert truth["interaction"] > 0.5  # the hand moved the mass
+    assert truth["least_interaction"] >= -1e-3  # the energy allowance of the scene
+    assert port["passive"] == "yes"
+    assert port["certificate"] in ("velocity_loop", "exact")
+    drive = experiment.far_side.drives[0] if experiment.far_side else None
+    assert drive is not None
+    assert drive.store.entry(0x6061, 0x02).value == (9 if mode == "velocity" else 8)
+
+
+def test_the_account_is_a_lower_bound_of_the_energy_at_the_sensor() -> None:
+    with build(load_scene(SCENE)) as experiment:
+        cycle = experiment.cycle
+        run(cycle, 1500, progress=lambda _: None)
+        ledger, judge = cycle.ledgers[0], cycle.judge
+        assert judge is not None
+        assert ledger.interaction <= judge.interaction[0] + 1e-9
+
+
+def test_the_same_scene_gives_the_same_frames_and_every_reader_agrees(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = []
+    for name in ("first", "second"):
+        bus_log, log = tmp_path / f"{name}.log", tmp_path / f"{name}.h5"
+        words = ["run", str(SCENE), "--set", "duration=0.6", "--log", str(log), "--bus-log", str(bus_log)]
+        assert main(words) == 0
+        logs.append(bus_log.read_bytes())
+    assert logs[0] == logs[1]
+    overrides = ["--set", "duration=0.6"]
+    assert main(["replay", "--config", str(SCENE), *overrides, str(tmp_path / "first.log")]) == 0
+    assert main(["inspect", str(tmp_path / "first.h5"), "--recompute", "--bus-log", str(tmp_path / "first.log")]) == 0
+    capsys.readouterr()
+
+
+def test_a_wall_is_a_limit_of_the_position() -> None:
+    _, experiment = _run(cycles=3000)
+    least = min(sample.position for record in experiment.rig.records for sample in record.samples)
+    assert least > -0.1013
+
+
+def test_a_force_beyond_the_range_stops_the_rig() -> None:
+    with pytest.raises(ForceSensorError, match="beyond the range"):
+        _run("axes.0.admittance.force.range=5 N", "simulation.user.push=20 N")
+
+
+def test_a_frozen_sensor_stops_the_rig() -> None:
+    overrides = ("axes.0.admittance.force.frozen_after=20", "simulation.admittance.sensor.freeze_at=0.3 s")
+    with pytest.raises(ForceSensorError, match="same count"):
+        _run(*overrides)
+
+
+def test_the_stop_is_a_quick_stop_until_the_drive_stands() -> None:
+    _, experiment = _run(cycles=200)
+    drive = experiment.far_side.drives[0] if experiment.far_side else None
+    assert drive is not None
+    assert abs(drive.servo.motor.velocity) <= 2e-3
+    assert drive.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_a_display_without_a_speed_limit_is_refused() -> None:
+    with pytest.raises(SceneError, match="speed_limit"):
+        load_scene(SCENE, ["axes.0.speed_limit=null"])
+
+
+def test_the_json_of_a_run_names_the_port(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(SCENE), "--set", "duration=0.1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["ports"]["handle"]["passive"] == "yes"

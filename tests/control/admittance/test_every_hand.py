@@ -1,0 +1,175 @@
+"""The guard of an admittance display against hands that attack it, on a drive written apart from the package (AD3)."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canhaptic.control.admittance import build_display_controller
+from canhaptic.control.admittance.guarded import GuardedDisplayParameters
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.virtual_mass import VirtualMass
+from canhaptic.errors import ParameterError
+from tests.control.admittance import attacked_drive as attack
+
+_ACCELERATION = 150.0
+
+
+@dataclass(frozen=True)
+class _Rig:
+    mass: float = 2.0
+    bandwidth: float = 100.0  # [Hz]
+    corner: float = 0.0  # of the integral [rad/s]
+    time: float = 1e-3
+    delay: int = 1
+    latency: int = 0
+    losses: int = 0
+    allowance: float = 0.0
+    virtual_mass: float = 1.0
+    damping: float = 0.0
+    count: float = 0.0
+    acceleration: float = _ACCELERATION
+
+    @property
+    def gain(self) -> float:
+        return 2.0 * math.pi * self.bandwidth * self.mass
+
+    def controller(self, **declared: float) -> Any:
+        properties = DisplayProperties(
+            sample_time=self.time, delay=self.delay, sampling="mean", latency=self.latency, force_slew=1e-6,
+            handle_acceleration=self.acceleration, encoder_count=self.count, speed_limit=3.0, acceleration_limit=1000.0,
+        )  # fmt: skip
+        known = {"drive_mass": self.mass, "loop_gain": self.gain, "integral_gain": self.gain * self.corner, **declared}
+        parameters = GuardedDisplayParameters(
+            spread=0.0, energy_allowance=self.allowance, max_consecutive_losses=self.losses, **known
+        )
+        environment = VirtualMass(mass=self.virtual_mass, damping=self.damping)
+        return build_display_controller(environment, "guarded", parameters, properties)
+
+    def drive(self) -> attack.AttackedDrive:
+        return attack.AttackedDrive(self.mass, self.gain, self.gain * self.corner, self.time, 10)
+
+
+def _steady(hand: attack.Hand, substeps: int) -> attack.Hand:
+    """Returns a hand whose force changes at SYNCs only, so that mean force times way is its energy."""
+    state = [0, 0.0]
+
+    def pull(drive: attack.AttackedDrive, command: float) -> float:
+        if state[0] % substeps == 0:
+            state[1] = hand(drive, command)
+        state[0] += 1
+        return state[1]
+
+    return pull
+
+
+class _Loop:
+    """Drive and controller with the delays and losses of a rig."""
+
+    def __init__(self, rig: _Rig, controller: Any, random: np.random.Generator) -> None:
+        self.rig, self.controller, self.random = rig, controller, random
+        self.drive = rig.drive()
+        self.queue = [0.0] * (rig.delay + 1)
+        self.late = [0.0] * rig.latency
+        self.acting, self.row, self.impulse = 0.0, 0, 0.0
+        self.least, self.fastest, self.cut = 0.0, 0.0, 0
+
+    def sync(self, hand: attack.Hand, *, heard: bool = True) -> None:
+        command = self.queue.pop(0)
+        if self.row < self.rig.losses and self.random.random() < 0.3:
+            self.row += 1
+        else:
+            self.row, self.acting = 0, command
+        before = self.drive.state[0]
+        self.drive.hold(self.acting, hand)
+        mean = (self.drive.impulse - self.impulse) / self.rig.time
+        self.impulse = self.drive.impulse
+        self.late.append(mean)
+        force = self.late.pop(0)
+        position = float(self.drive.state[0])
+        if self.rig.count:
+            position = round(position / self.rig.count) * self.rig.count
+        balance = self.controller.step(position, -force) if heard else self.controller.hold()
+        self.queue.append(balance.torque)
+        self.cut += balance.certificate == 5
+        self.least = min(self.least, self.drive.energy)
+        unlike = abs(self.drive.state[1] - (self.drive.state[0] - before) / self.rig.time)
+        self.fastest = max(self.fastest, 2.0 * unlike / self.rig.time)
+
+
+def _random_rig(random: np.random.Generator) -> _Rig:
+    corner = random.choice([0.0, 0.0, 20.0, 100.0])
+    return _Rig(
+        mass=random.uniform(0.5, 3.0), bandwidth=random.choice([25.0, 50.0, 100.0]), corner=corner,
+        time=random.choice([1e-3, 4e-3]), delay=int(random.integers(0, 4)), latency=int(random.integers(0, 4)),
+        losses=0 if corner else int(random.integers(0, 4)), allowance=random.choice([0.0, 1e-3]),
+        virtual_mass=random.choice([0.1, 0.5, 1.0, 2.0, 5.0]), damping=random.choice([0.0, 5.0]),
+        count=random.choice([0.0, 1e-6]),
+    )  # fmt: skip
+
+
+def _random_hand(random: np.random.Generator) -> attack.Hand:
+    strength = random.uniform(5.0, 60.0)
+    hands = (
+        lambda: attack.bang_bang(strength, random),
+        lambda: attack.negative_damper(random.uniform(5.0, 100.0), strength),
+        lambda: attack.feed_and_take(strength, random.uniform(0.02, 0.3), random.uniform(0.02, 0.2)),
+        lambda: attack.spring_and_mass(
+            random.uniform(1e2, 5e3), random.uniform(0.0, 20.0), random.uniform(0.1, 5.0), strength
+        ),
+    )
+    return hands[int(random.integers(len(hands)))]()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_hand_gets_more_than_it_gave(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    rig = _random_rig(random)
+    loop = _Loop(rig, rig.controller(), random)
+    hand = _steady(_random_hand(random), loop.drive.substeps)
+    for _ in range(400):
+        loop.sync(hand)
+        if loop.fastest > rig.acceleration:
+            return  # beyond what is declared of the handle
+        assert loop.least >= -rig.allowance - 1e-9
+
+
+def _taken(rig: _Rig, share: float = 0.5, **declared: float) -> float:
+    """Returns the least energy [J] where a hand pushes, then takes all it can while no sample comes."""
+    random = np.random.default_rng(1)
+    loop = _Loop(rig, rig.controller(**declared), random)
+    push = _steady(lambda _drive, _command: 12.0, loop.drive.substeps)
+    for _ in range(round(0.15 / rig.time)):
+        loop.sync(push)
+    assert loop.fastest <= rig.acceleration
+    assert loop.cut > 0  # the guard is at its limit
+    take = attack.greedy(1e9, share)
+    for _ in range(12):
+        loop.sync(take, heard=False)
+    loop.sync(attack.greedy(1e9, 0.0), heard=False)
+    return loop.drive.energy
+
+
+_SHARP = _Rig(virtual_mass=0.3, acceleration=8.0)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_the_worst_hand_takes_nearly_all_and_no_more(delay: int) -> None:
+    rig = replace(_SHARP, delay=delay)
+    left = _taken(rig)
+    fed = 0.5 * rig.mass * 0.5**2
+    assert -1e-9 <= left <= 0.15 * fed
+
+
+@pytest.mark.parametrize("name", ["drive_mass", "loop_gain"])
+def test_a_mutant_that_declares_too_little_loses(name: str) -> None:
+    true = {"drive_mass": _SHARP.mass, "loop_gain": _SHARP.gain}[name]
+    assert _taken(_SHARP, **{name: 0.7 * true}) < -1e-3
+
+
+def test_losses_are_not_declared_with_an_integral() -> None:
+    rig = _Rig(corner=20.0, losses=1)
+    with pytest.raises(ParameterError, match="max_consecutive_losses"):
+        rig.controller()
