@@ -22,7 +22,8 @@
        |  |- NmtStateLeftError               3   the drive left NMT OPERATIONAL
        |  |- NotFollowingError               3   the drive does not follow its target torque
        |  |- TorqueLimitedError              3   the drive gives less torque than it can tell
-       |  |- ForceSensorError                3   a force that cannot be believed
+       |  |- ForceRangeError                 3   a force beyond the range of its sensor
+       |  |- ForceFrozenError                3   a force sensor that shows one count for too long
        |  `- PositionJumpError               3   a position that no hand can have moved to
        |- LinkError (TimeoutError)           3   lost frames, lost heartbeat, bus-off
        |  |- TpdoLostError                   3   too many SYNCs in a row without an answer
@@ -214,8 +215,12 @@ class TorqueLimitedError(DriveFaultError):
     """A drive limits its torque (bit 11 of the statusword) and tells in no TPDO what is left of it."""
 
 
-class ForceSensorError(DriveFaultError):
-    """The force sensor of an admittance display shows a force beyond its range, or the same one for too long."""
+class ForceRangeError(DriveFaultError):
+    """The force sensor of an admittance display shows a force beyond its range."""
+
+
+class ForceFrozenError(DriveFaultError):
+    """The force sensor of an admittance display shows one count for too long."""
 
 
 class PositionJumpError(DriveFaultError):

@@ -15,7 +15,7 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
     """Returns a meter for each port of a scene that has a limit."""
     meters: list[EnergyLossMeter | None] = []
     for place, axis in enumerate(scene.axes):
-        if not axis.group:
+        if not axis.group and axis.parameters.admittance is None:
             allowance = getattr(axis.passivity.parameters, "energy_allowance", 0.0)
             meters.append(_meter(scene, axis.parameters.name, axis.passivity.name, (place,), allowance))
     for group, places in zip(scene.groups, group_places(scene), strict=True):

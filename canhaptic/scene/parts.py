@@ -81,8 +81,8 @@ def display_properties(axis: AxisScene) -> DisplayProperties:
     given, display = axis.parameters, axis.parameters.admittance
     if display is None:
         raise ParameterError(f"{given.name}: has no `admittance`; expected an admittance display")
-    if given.speed_limit is None or display.acceleration_limit is None:
-        missing = "speed_limit" if given.speed_limit is None else "admittance.acceleration_limit"
+    if "speed_limit" not in given.model_fields_set or display.acceleration_limit is None:
+        missing = "admittance.acceleration_limit" if display.acceleration_limit is None else "speed_limit"
         raise ParameterError(f"{given.name}: {missing}: missing; an admittance display does not move without, add it")
     force, time = display.force, axis.loop.sample_time
     counts = given.counts_per_unit

@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
-from canhaptic.errors import ForceSensorError, SceneError
+from canhaptic.errors import ForceFrozenError, ForceRangeError, SceneError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import load_scene
@@ -68,13 +68,13 @@ def test_a_wall_is_a_limit_of_the_position() -> None:
 
 
 def test_a_force_beyond_the_range_stops_the_rig() -> None:
-    with pytest.raises(ForceSensorError, match="beyond the range"):
+    with pytest.raises(ForceRangeError, match="beyond the range"):
         _run("axes.0.admittance.force.range=5 N", "simulation.user.push=20 N")
 
 
 def test_a_frozen_sensor_stops_the_rig() -> None:
     overrides = ("axes.0.admittance.force.frozen_after=20", "simulation.admittance.sensor.freeze_at=0.3 s")
-    with pytest.raises(ForceSensorError, match="same count"):
+    with pytest.raises(ForceFrozenError, match="same count"):
         _run(*overrides)
 
 
@@ -86,9 +86,9 @@ def test_the_stop_is_a_quick_stop_until_the_drive_stands() -> None:
     assert drive.state is DriveState.SWITCH_ON_DISABLED
 
 
-def test_a_display_without_a_speed_limit_is_refused() -> None:
-    with pytest.raises(SceneError, match="speed_limit"):
-        load_scene(SCENE, ["axes.0.speed_limit=null"])
+def test_a_display_without_an_acceleration_limit_is_refused() -> None:
+    with pytest.raises(SceneError, match="acceleration_limit"):
+        load_scene(SCENE, ["axes.0.admittance.acceleration_limit=null"])
 
 
 def test_the_json_of_a_run_names_the_port(capsys: pytest.CaptureFixture[str]) -> None:

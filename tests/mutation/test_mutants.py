@@ -85,6 +85,7 @@ SUBJECTS = {
             "DriveStateFaultError": ("StateLeftError",),
             "StateLeftError": ("NmtStateLeftError",),
             "PositionJumpError": ("TorqueNotFiniteError",),
+            "ForceRangeError": ("ForceFrozenError",),
             "TorqueNotFiniteError": ("CycleFailedError",),
         },
         equivalent={

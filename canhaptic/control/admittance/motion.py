@@ -9,7 +9,6 @@ from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.kernels import Buffer, MakeBuffer
 
-
 _BACK: Final = 0.125
 """Part of the way back that a command takes on in the time of a hold and of the drive's lag."""
 

@@ -19,7 +19,8 @@ from canhaptic.errors import (
     DriveStateFaultError,
     EmergencyError,
     EnergyLostError,
-    ForceSensorError,
+    ForceFrozenError,
+    ForceRangeError,
     HeartbeatLostError,
     NmtStateLeftError,
     NotFollowingError,
@@ -136,12 +137,12 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
     ),
     StopReason.FORCE_RANGE: _StopRule(
         "the force is beyond the range of its sensor",
-        ForceSensorError,
+        ForceRangeError,
         "check cable, scale and offset of the sensor, or raise admittance.force.range",
     ),
     StopReason.FORCE_FROZEN: _StopRule(
         "the force sensor shows the same count for too long",
-        ForceSensorError,
+        ForceFrozenError,
         "check the sensor, its amplifier and its cable, or raise admittance.force.frozen_after",
     ),
     StopReason.CONTROLLER: _StopRule(
