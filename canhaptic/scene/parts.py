@@ -124,7 +124,8 @@ def build_axis_meters(scene: Scene) -> list[AxisMeter]:
 def _axis_meter(axis: AxisScene, sample_time: float) -> AxisMeter:
     loop = axis.loop
     accuracy = Accuracy(sample_time, 0.5 * loop.encoder_count, device_damping=loop.device_damping)
-    environment = None if axis.group else plain(cast(Environment, axis.environment.parameters))
+    is_display = axis.parameters.admittance is not None  # its effort is not that of an environment
+    environment = None if axis.group or is_display else plain(cast(Environment, axis.environment.parameters))
     return AxisMeter(accuracy, environment)
 
 
