@@ -43,7 +43,7 @@ class PassivityObserverParameters(DamperVelocity):
 
 
 @dataclass(frozen=True, slots=True)
-class _PassivityObserverSettings:
+class ObserverSettings:
     """What is fixed for a run."""
 
     damping_limit: float  # of the passivity controller [N*s/m or N*m*s/rad]
@@ -61,8 +61,19 @@ class _PassivityObserverState:
 
 def settings_of(
     environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
-) -> _PassivityObserverSettings:
+) -> ObserverSettings:
     """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: Nothing bounds the damper.
+    """
+    return observer_settings("passivity_observer", environment, parameters, loop)
+
+
+def observer_settings(
+    algorithm: str, environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
+) -> ObserverSettings:
+    """Returns what is fixed for a run of an algorithm with a passivity controller.
 
     Raises:
         ParameterError: Nothing bounds the damper.
@@ -70,22 +81,22 @@ def settings_of(
     limit = parameters.damping_limit
     if limit is None and loop.moving_mass is None:
         raise ParameterError(
-            "passivity_observer: got neither damping_limit nor moving_mass, expected one of them to bound the "
+            f"{algorithm}: got neither damping_limit nor moving_mass, expected one of them to bound the "
             "damper; give passivity.damping_limit, or passivity.moving_mass for the cap it implies"
         )
     if limit is None:
         limit = max(0.0, damping_cap(loop.delay, loop.moving_mass, loop.sample_time) - environment.damping)
-    return _PassivityObserverSettings(limit, hold_settings(parameters, loop, Certificate.NONE))
+    return ObserverSettings(limit, hold_settings(parameters, loop, Certificate.NONE))
 
 
-def memory_of(settings: _PassivityObserverSettings, make_buffer: MakeBuffer) -> AxisMemory:
+def memory_of(settings: ObserverSettings, make_buffer: MakeBuffer) -> AxisMemory:
     """Returns the buffers of one axis."""
     return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
 
 
 def step(
     environment: Environment,
-    settings: _PassivityObserverSettings,
+    settings: ObserverSettings,
     state: _PassivityObserverState,
     memory: AxisMemory,
     position: float,
@@ -101,19 +112,19 @@ def step(
     observed = add(state.observed, hold.h_i)
     branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
     gen, leak = settle(environment, model, 1.0, hold.h_i - hold.h_pas, h_r)
-    extra = controlling_damping(settings, observed, hold) if contact else 0.0
+    extra = controlling_damping(settings.damping_limit, observed, hold) if contact else 0.0
     efforts = spring, damper, extra * hold.displacement / hold.elapsed
     account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
     rendered = environment.damping + extra if contact else 0.0
     return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
 
 
-def controlling_damping(settings: _PassivityObserverSettings, observed: float, hold: Hold) -> float:
-    """Returns the damping [N*s/m or N*m*s/rad] that wins back a negative energy [J] in one hold like the last."""
+def controlling_damping(limit: float, missing: float, hold: Hold) -> float:
+    """Returns the damping [N*s/m or N*m*s/rad] that wins back an energy below zero [J] in one hold like the last."""
     displacement = hold.displacement
-    if observed >= 0.0 or displacement == 0.0:
+    if missing >= 0.0 or displacement == 0.0:
         return 0.0
-    return min(settings.damping_limit, -observed * hold.elapsed / displacement / displacement)
+    return min(limit, -missing * hold.elapsed / displacement / displacement)
 
 
 class PassivityObserver(SteppedController):
