@@ -1,0 +1,153 @@
+"""`force_augmentation`: successive force augmentation, a soft spring with an offset that grows from press to press.
+
+The first press renders the stiffness K of the environment. From the first release on the feedback is that of a soft
+spring k, which sampling leaves passive, plus an offset: force = k x + o. While the hand presses, o grows as long as
+force / x is below K, by `reach` (K - force / x) where much is missing and by `increment` else, and falls by `increment`
+where it is above; while the hand releases, o stays. So a push meets K in the end, and what is given back is that of k.
+Source: H. Singh et al., "Enhancing the rate-hardness of haptic interaction: successive force augmentation approach",
+IEEE Trans. Industrial Electronics, 2019, doi:10.1109/TIE.2019.2918500, of which the abstract was read; the equations
+are those of `HapticSFA` in `KTBioLabLib.cpp` of the Biorobotics Laboratory of KOREATECH, version 0.1, which was read.
+
+Departures: the contact ends where that of the environment ends; the force never pulls; the offset stays zero in the
+first press, where the source lets it fall by its increments; the damper of the environment acts as it is. It promises
+nothing.
+"""
+
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
+
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.hold_account import (
+    Axis,
+    AxisMemory,
+    HoldAccount,
+    HoldSettings,
+    axis_memory,
+    begin,
+    close_hold,
+    hold_settings,
+    open_hold,
+)
+from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
+from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.velocity import DamperVelocity
+from canhaptic.kernels import Kernel, MakeBuffer, new
+from canhaptic.units import Parameters, quantity
+
+
+class ForceAugmentationParameters(DamperVelocity):
+    """The soft spring and the growth of the offset; the defaults are those of the source."""
+
+    feedback_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)] = 1200.0
+    """k: of the soft spring."""
+    increment: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e3)] = 0.001
+    """Change of the offset in one hold where little is missing."""
+    reach: Annotated[float, quantity("m", "rad", ge=0.0, le=1.0)] = 1e-5
+    """Change of the offset in one hold for each unit of stiffness, where more than `coarse` is missing."""
+    coarse: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)] = 1000.0
+    """Stiffness that counts as much."""
+
+
+@dataclass(frozen=True, slots=True)
+class _ForceAugmentationSettings:
+    """What is fixed for a run."""
+
+    feedback_stiffness: float  # [N/m or N*m/rad]
+    increment: float  # [N or N*m]
+    reach: float  # [m or rad]
+    coarse: float  # [N/m or N*m/rad]
+    hold: HoldSettings
+
+
+@dataclass(slots=True)
+class _ForceAugmentationState:
+    """What is remembered between two SYNCs."""
+
+    axis: Axis = field(default_factory=Axis)
+    model: SampledModel = field(default_factory=SampledModel)
+    offset: float = 0.0  # o [N or N*m]
+    depth: float = 0.0  # of the last command [m or rad]
+    force: float = 0.0  # of its spring [N or N*m]
+    released: bool = False  # since the contact began
+
+
+def settings_of(
+    environment: Environment, parameters: ForceAugmentationParameters, loop: LoopProperties
+) -> _ForceAugmentationSettings:
+    """Returns what is fixed for a run."""
+    given = parameters
+    hold = hold_settings(given, loop, Certificate.NONE)
+    return _ForceAugmentationSettings(given.feedback_stiffness, given.increment, given.reach, given.coarse, hold)
+
+
+def memory_of(settings: _ForceAugmentationSettings, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis."""
+    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
+
+
+def step(
+    environment: Environment,
+    settings: _ForceAugmentationSettings,
+    state: _ForceAugmentationState,
+    memory: AxisMemory,
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Accounts for the hold that ended; see `Controller.step`."""
+    axis, model = state.axis, state.model
+    if not axis.started:
+        begin(axis, memory, position)
+        begin_model(environment, model, position)
+        return AT_REST
+    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
+    zone = model.zone
+    branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
+    gen, leak = settle(environment, model, 1.0, hold.h_i, h_r)
+    if model.zone != zone:
+        state.offset = state.depth = state.force = 0.0
+        state.released = False
+    size = abs(spring)
+    share = augmented_force(settings, state, abs(model.true), size) / size if size > 0.0 else 0.0
+    account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
+    rendered = environment.damping if contact else 0.0
+    efforts = spring * share, damper, 0.0
+    return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+
+
+def augmented_force(
+    settings: _ForceAugmentationSettings, state: _ForceAugmentationState, depth: float, full: float
+) -> float:
+    """Returns the size of the spring's force in the next command [N or N*m].
+
+    Args:
+        settings: Of the run.
+        state: Of the contact; changed.
+        depth: In the environment, not below 0 [m or rad].
+        full: Size of the force of the environment there [N or N*m].
+    """
+    if depth <= 0.0:
+        return full
+    stiffness, force = full / depth, state.force
+    soft = min(stiffness, settings.feedback_stiffness) * depth
+    if depth > state.depth:
+        if state.released and state.depth > 0.0:
+            missing = stiffness - state.force / state.depth
+            if missing > settings.coarse:
+                state.offset += settings.reach * missing
+            else:
+                state.offset += settings.increment if missing > 0.0 else -settings.increment
+        force = max(0.0, soft + state.offset) if state.released else full
+    elif depth < state.depth:
+        state.released = True
+        force = max(0.0, soft + state.offset)
+    state.depth, state.force = depth, force
+    return force
+
+
+class ForceAugmentation(SteppedController):
+    """The sampled environment by a soft spring and an offset."""
+
+    parameters_type: ClassVar[type[Parameters]] = ForceAugmentationParameters
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _ForceAugmentationState, memory_of, step)
