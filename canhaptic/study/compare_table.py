@@ -1,4 +1,4 @@
-"""A comparison as a table for a terminal: one column per algorithm, one row per figure, the best of a row in bold."""
+"""A comparison as tables for a terminal: one column per algorithm, one row per figure, the best of a row in bold."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -13,6 +13,8 @@ from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 
 _Account = Mapping[str, Any]
+_COLUMNS: Final = 6
+"""Algorithms that a terminal of 100 characters shows side by side."""
 
 
 def comparison_report(result: _Account) -> RenderableType:
@@ -24,7 +26,8 @@ def comparison_report(result: _Account) -> RenderableType:
     parts: list[RenderableType] = [_heading(result)]
     for name, axis in result["axes"].items():
         parts.append(Text(f" {name}: {axis['environment']}   continuous: {axis['reference']['method']}"))
-        parts.append(_table(axis, list(axis["algorithms"])))
+        names = list(axis["algorithms"])
+        parts.extend(_table(axis, names[i : i + _COLUMNS]) for i in range(0, len(names), _COLUMNS))
         parts.extend(_remarks(axis))
     return Group(*parts)
 
@@ -43,10 +46,10 @@ def _table(axis: _Account, algorithms: list[str]) -> Table:
     for name in algorithms:
         table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True, min_width=10)
     for label, read, show, better in _ROWS:
-        values = [_value(read, axis, axis["algorithms"][name]) for name in algorithms]
-        if all(value is None for value in values):
+        every = {name: _value(read, axis, account) for name, account in axis["algorithms"].items()}
+        if all(value is None for value in every.values()):
             continue
-        best = _best(values, better)
+        values, best = [every[name] for name in algorithms], _best(list(every.values()), better)
         cells = [Text("-" if v is None else show(v, axis["unit"]), style="bold" if v == best else "") for v in values]
         for cell, value in zip(cells, values, strict=True):
             if isinstance(value, float) and label in _ENERGIES_BELOW and value < -PASSIVE_TOLERANCE:

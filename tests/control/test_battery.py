@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.control.balance import AT_REST, Branch, residual
+from canhaptic.control.passivity import LITERATURE
 from canhaptic.errors import ControlError
 from tests.control.cases import EXAMPLES, algorithms, controller
 
 pytestmark = pytest.mark.parametrize("environment", sorted(EXAMPLES))
-UNPROTECTED_START = {"unprotected", "passivity_observer"}
+UNPROTECTED_START = {"unprotected", "passivity_observer", *LITERATURE}
 UNDERFLOW = 1e-40  # J: below it squares and differences are no longer normal numbers
 every_algorithm = pytest.mark.parametrize("algorithm", algorithms())
 

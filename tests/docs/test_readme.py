@@ -10,7 +10,7 @@ from canhaptic.sim.bus.bus_effects import BusEffects
 from tests.docs.documents import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-NUMBERS = {6: "Six", 9: "nine"}
+NUMBERS = {9: "nine", 13: "Thirteen"}
 
 
 def section(title: str) -> str:

@@ -11,6 +11,17 @@ from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.passivity"
 
+LITERATURE: Final[dict[str, str]] = {
+    "adaptive_reference": f"{_HERE}.adaptive_reference:AdaptiveReference",
+    "windowed_observer": f"{_HERE}.windowed_observer:WindowedObserver",
+    "bounded_observer": f"{_HERE}.bounded_observer:BoundedObserver",
+    "force_gradient": f"{_HERE}.force_gradient:ForceGradient",
+    "force_augmentation": f"{_HERE}.force_augmentation:ForceAugmentation",
+    "energy_tank": f"{_HERE}.energy_tank:EnergyTank",
+    "ultimate_passivity": f"{_HERE}.ultimate_passivity:UltimatePassivity",
+}
+"""Of other authors, for comparison: none of them bounds its torque by a proof. As `ALGORITHMS`."""
+
 ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.unprotected:Unprotected",
     "a_priori_dissipation": f"{_HERE}.a_priori_dissipation:APrioriDissipation",
@@ -18,6 +29,7 @@ ALGORITHMS: Final[dict[str, str]] = {
     "passivity_observer": f"{_HERE}.passivity_observer:PassivityObserver",
     "energy_bounding": f"{_HERE}.energy_bounding:EnergyBounding",
     "guarded": f"{_HERE}.guarded:Guarded",
+    **LITERATURE,
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity import ALGORITHMS, LITERATURE
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
@@ -106,7 +106,7 @@ def _delays(base: Variant, scene: Scene) -> list[Variant]:
 def _algorithms(base: Variant, scene: Scene) -> list[Variant]:
     found = []
     for name in ALGORITHMS:
-        if name == base.axis.passivity.name:
+        if name == base.axis.passivity.name or name in LITERATURE:
             continue
         try:
             chosen = able_under(base.axis, name, scene)
