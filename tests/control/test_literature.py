@@ -134,7 +134,7 @@ def test_a_force_that_is_augmented_meets_the_stiffness_in_the_end_and_gives_back
     assert torques[53] == pytest.approx(500.0 * 1.95e-3, rel=0.2)  # and its release soft
     assert torques[-1] == pytest.approx(5000.0 * 2e-3, rel=0.02)  # K, in the middle of the way
     assert np.diff(torques[-22:-11]) / np.diff(positions[-22:-11]) == pytest.approx(-500.0)
-    assert sum(balance.h_i for balance in balances[-220:]) > 0.0
+    assert sum(balance.h_i for balance in balances) > 0.0
 
 
 def test_a_tank_gives_no_more_than_is_in_it_to_a_motion_that_goes_on():
