@@ -23,6 +23,7 @@ from bokeh.plotting import figure
 
 from canhaptic.control.balance import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.errors import CanHapticError
+from canhaptic.study.loop import Array
 from canhaptic.touch.hand import TouchHand, TouchNews
 from canhaptic.touch.hand_process import TouchStatus
 from canhaptic.view.bokeh_style import finished, new_panel
@@ -31,9 +32,10 @@ from canhaptic.view.palette import BLUE, GREY, PALE, VERMILION
 from canhaptic.view.si import si
 from canhaptic.view.verdict import verdict_bar
 
-_WINDOW: Final = 4.0  # [s]
+_WINDOW: Final = 3.0  # [s]
 _POINTS: Final = 3000  # kept per line
 _BUCKETS: Final = 120  # per second of the run
+_LINES_EVERY: Final = 0.2  # [s] of the run: handles move at every look, lines grow more slowly
 _MOST_WAITED: Final = 60  # looks without an answer, after which the page is asked again
 _COLOURS: Final = (VERMILION, BLUE)
 _RATES: Final = ("200", "500", "1000", "2000")  # [Hz]
@@ -64,11 +66,10 @@ class TouchPage:
     def __init__(self, document: Any, hand: TouchHand, period: float) -> None:
         self._hand, self._document = hand, document
         touched = hand.touched
-        self._time: Any = DataRange1d(follow="end", follow_interval=_WINDOW, range_padding=0.0)
         self._pointer = ColumnDataSource({"x": [0.0], "y": [0.0], "token": [0.0]}, name="pointer")
         self._pointer.on_change("data", self._take_pointer)
         self._status: Any = Div(text="the drives start ...", name="status", sizing_mode="stretch_width")
-        self._sides = [_SideView(hand, number, self._time, self._pointer) for number in range(2)]
+        self._sides = [_SideView(hand, number, self._pointer) for number in range(2)]
         self._handles = self._sides[-1].handle
         self._drawn = ColumnDataSource({"frame": [0]}, name="drawn")
         self._handles.js_on_change("data", CustomJS(args={"drawn": self._drawn}, code=_MEASURE))
@@ -132,8 +133,9 @@ def _share_range(sides: list["_SideView"]) -> None:
 class _SideView:
     """Handle, force, energy and verdict of one side."""
 
-    def __init__(self, hand: TouchHand, number: int, time: Any, pointer: Any) -> None:
+    def __init__(self, hand: TouchHand, number: int, pointer: Any) -> None:
         touched = hand.touched
+        self._waiting: list[dict[str, Array]] = []
         self._name, self._number, self._is_plane = touched.sides[number].name, number, touched.is_plane
         self._directions = ("x", "y") if touched.is_plane else ("x",)
         start = dict(zip(("x", "y"), (*touched.start, 0.0), strict=False))
@@ -155,8 +157,8 @@ class _SideView:
         self.scene = self._new_scene(touched, pointer)
         force_unit = "N" if touched.unit == "m" else "N*m"
         self.panels = [
-            self._panel("force", force_unit, self._directions, time),
-            self._panel("energy", "J", ("energy",), time),
+            self._panel("force", force_unit, self._directions),
+            self._panel("energy", "J", ("energy",)),
         ]
         self.panels[1].add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
         title = Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
@@ -168,7 +170,7 @@ class _SideView:
         (low, high), *rest = touched.shown
         across = rest[0] if rest else (-1.0, 1.0)
         plane = figure(
-            height=330 if touched.is_plane else 120,
+            height=330 if touched.is_plane else 105,
             x_range=Range1d(low, high),
             y_range=Range1d(*across),
             tools="",
@@ -202,30 +204,40 @@ class _SideView:
             edges |= {"right": high} if high < shown[1] else {}
             plane.add_layout(BoxAnnotation(**edges, **look))
 
-    def _panel(self, title: str, unit: str, names: tuple[str, ...], time: Any) -> Any:
-        panel = new_panel(title, unit, time, 190)
+    def _panel(self, title: str, unit: str, names: tuple[str, ...]) -> Any:
+        # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
+        time: Any = DataRange1d(follow="end", follow_interval=_WINDOW, range_padding=0.0)
+        panel = new_panel(title, unit, time, 150)
         for name, dash in zip(names, ("solid", "dashed"), strict=False):
             label = "taken in by the wall" if name == "energy" else f"force {name}" if len(names) > 1 else "force"
             panel.line(
                 "time", name, source=self._lines, color=_COLOURS[self._number], line_width=1.5, line_dash=dash,
                 legend_label=label,
             )  # fmt: skip
-        panel.toolbar_location = None
+        panel.toolbar_location, panel.window_axis = None, "none"
         return finished(panel)
 
     def take(self, news: TouchNews, frame: int) -> None:
         """Takes rows; `frame` comes back when they are drawn."""
         rows, number = news.rows, self._number
-        columns = {d: rows[f"{number}.torque.{d}"] for d in self._directions} | {"energy": rows[f"{number}.energy"]}
-        buckets = max(2, round(_BUCKETS * (rows["time"][-1] - rows["time"][0])))
-        shown = np.unique(np.concatenate([decimate(values, buckets) for values in columns.values()]))
-        new = {"time": rows["time"][shown]} | {name: values[shown] for name, values in columns.items()}
-        self._lines.stream(new, rollover=_POINTS)
         last: dict[str, Any] = {"token": rows["token"][-1:], "frame": [frame]}
         for name, prefix in (("", f"{number}.position."), ("hand_", "hand.")):
             for d in ("x", "y"):
                 last[name + d] = rows[prefix + d][-1:] if d in self._directions else np.zeros(1)
         self.handle.data = last
+        self._waiting.append(rows)
+        if rows["time"][-1] - self._waiting[0]["time"][0] >= _LINES_EVERY:
+            parts, self._waiting = self._waiting, []
+            self._grow({name: np.concatenate([part[name] for part in parts]) for name in rows})
+
+    def _grow(self, rows: dict[str, Array]) -> None:
+        """Adds rows to the lines."""
+        number = self._number
+        columns = {d: rows[f"{number}.torque.{d}"] for d in self._directions} | {"energy": rows[f"{number}.energy"]}
+        buckets = max(2, round(_BUCKETS * (rows["time"][-1] - rows["time"][0])))
+        shown = np.unique(np.concatenate([decimate(values, buckets) for values in columns.values()]))
+        new = {"time": rows["time"][shown]} | {name: values[shown] for name, values in columns.items()}
+        self._lines.stream(new, rollover=_POINTS)
 
     def judge(self, status: TouchStatus) -> None:
         """Shows whether the side gave out more than it took in so far."""
@@ -236,6 +248,7 @@ class _SideView:
     def clear(self) -> None:
         """Forgets the run before."""
         self._lines.data = {name: [] for name in self._lines.data}
+        self._waiting = []
 
 
 class _Controls:

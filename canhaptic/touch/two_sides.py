@@ -111,7 +111,7 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     axes = tuple(
         replace(
             one,
-            parameters=one.parameters.model_copy(update={"name": side.name}),
+            parameters=one.parameters.model_copy(update={"name": side.name, "energy_loss_limit": "none"}),
             bus=side.name,
             simulation=replace(simulation_of(one), user=_pointer_hand(user, start)),
         )
@@ -201,7 +201,11 @@ def _plane(scene: Scene, name: str) -> TouchScene:
     members = [scene.axis(axis) for axis in group.axes]
     plain = [_walled(axis, box, k) for k, axis in enumerate(members)]
     axes = [
-        replace(axis, parameters=axis.parameters.model_copy(update={"name": port}), bus=side.name)
+        replace(
+            axis,
+            parameters=axis.parameters.model_copy(update={"name": port, "energy_loss_limit": "none"}),
+            bus=side.name,
+        )
         for side, of_side in zip(sides, (plain, members), strict=True)
         for axis, port in zip(of_side, side.axes, strict=True)
     ]

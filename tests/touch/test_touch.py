@@ -136,6 +136,8 @@ def test_a_pointer_in_a_browser_drags_both_handles(tmp_path: Path) -> None:
         pause.wait(1.0)
         assert page.value(f"{handle}.hand_x[0]") == pytest.approx(last, abs=4e-4)  # the pointer sends no more
         assert page.value("window.answers.length") > 10
+        lines, force = MODEL.format("lines 1") + ".data", MODEL.format("force")
+        page.wait_for(f"{lines}.time.at(-1) - ({force}).x_range.end < 1.0")  # what is shown moves on with the run
         page.value(f"({MODEL.format('rate')}).active = 0")  # 200 Hz: begins anew
         page.wait_for(f"!{verdicts[0]}.includes('passive at the motor: NO')")
         page.screenshot(tmp_path / "touch.png")

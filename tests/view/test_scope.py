@@ -115,7 +115,8 @@ def test_a_browser_sees_a_run_while_it_goes_on(tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     log = tmp_path / "run.h5"
     words = ["run", str(DEMO), "--pace", "real", "--duration", "600", "--set", "bus.rate=200 Hz", "--log", str(log)]
-    words += ["--set", "bus.heartbeat_timeout=10 s", "--set", "bus.stop_cycles=2000"]  # beside a busy browser
+    words += ["--set", "bus.heartbeat_timeout=10 s", "--set", "bus.stop_cycles=2000"]
+    words += ["--set", "axes.0.energy_loss_limit=none"]  # beside a busy browser
     with chromium(height=900) as page, scope(log) as address:
         assert address.startswith("http://127.0.0.1:")
         page.open(address)
@@ -129,6 +130,8 @@ def test_a_browser_sees_a_run_while_it_goes_on(tmp_path: Path) -> None:
                 page.wait_for(f"({source}).data.position.length > 300")
                 early = page.value(f"({source}).data.time.at(-1)")
                 page.wait_for(f"({source}).data.time.at(-1) > {early} + 0.5")
+                panel = "[...Bokeh.documents[0]._all_models.values()].find(m => m.x_range && m.x_range.follow)"
+                page.wait_for(f"({panel}).x_range.end > {early} + 0.5")  # what is shown moves on with the run
                 page.screenshot(tmp_path / "scope.png")
                 assert run.poll() is None  # all that was while the run went on
                 text = page.value(status)
