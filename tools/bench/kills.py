@@ -86,12 +86,15 @@ def _kill(process: int, number: int) -> None:
         os.kill(process, number)
 
 
-def one_kill(kind: str, chance: random.Random, folder: Path) -> tuple[int, int]:
-    """Returns how many rows and SYNCs of completed cycles are in no log."""
+def one_kill(kind: str, chance: random.Random, folder: Path) -> tuple[int, int] | None:
+    """Returns how many rows and SYNCs of completed cycles are in no log; None where the rig did not start."""
     child, reader = _started(folder)
     with os.fdopen(reader, "rb") as pipe:
-        writers = [_COUNT.unpack(pipe.read(8))[0] for _ in range(2)]
-        pipe.read(8)  # the first cycle is done
+        begin = pipe.read(3 * _COUNT.size)  # of both writers, and of the first cycle
+        if len(begin) < 3 * _COUNT.size:
+            os.waitpid(child, 0)
+            return None
+        *writers, _ = (number for (number,) in _COUNT.iter_unpack(begin))
         _wait(chance.uniform(0.0, _LONGEST))
         if kind == "a writer":
             _kill(chance.choice(writers), signal.SIGKILL)
@@ -152,9 +155,10 @@ def main() -> None:
     for number in range(arguments.kills):
         kind = KINDS[number % len(KINDS)]
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            rows, syncs = one_kill(kind, chance, Path(folder))
-        lost[kind].rows.append(rows)
-        lost[kind].syncs.append(syncs)
+            lacking = one_kill(kind, chance, Path(folder))
+        if lacking is not None:
+            lost[kind].rows.append(lacking[0])
+            lost[kind].syncs.append(lacking[1])
     publish("kills", [row for kind in KINDS for row in _table(kind, lost[kind])], ["canhaptic", "h5py", "python-can"])
 
 
