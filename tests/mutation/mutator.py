@@ -28,6 +28,7 @@ _OTHERS: dict[type, tuple[type, ...]] = {
     ast.Div: (ast.Mult,),
     ast.FloorDiv: (ast.Mult,),
     ast.Mod: (ast.Mult,),
+    ast.Pow: (ast.Mult,),
     ast.BitAnd: (ast.BitOr, ast.BitXor),
     ast.BitOr: (ast.BitAnd,),  # bits that do not overlap are the same under ^
     ast.BitXor: (ast.BitAnd, ast.BitOr),
@@ -62,7 +63,15 @@ def mutants(
         members: Enumerations by the name they have in the module; each use of a member becomes each of its neighbours.
         names: Further names and what each is taken for.
     """
-    tree = ast.parse(path.read_text())
+    for name, tree in changes(path, members, names):
+        yield Mutant(name, compile(tree, str(path), "exec"))
+
+
+def changes(
+    path: Path, members: Mapping[str, type[Enum]], names: Mapping[str, Sequence[str]] | None = None
+) -> Iterator[tuple[str, ast.Module]]:
+    """Yields the name and the syntax tree of every mutant; the tree is changed again behind each. As `mutants`."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
     seen: dict[str, int] = {}
     for scope, body, place in list(_statements(tree.body, "module")):
         statement = body[place]
@@ -71,11 +80,11 @@ def mutants(
             old = getattr(node, field)
             setattr(node, field, value)
             ast.fix_missing_locations(tree)
-            yield _mutant(f"{scope}: {_change(text, _head(statement))}", tree, path, seen)
+            yield _numbered(f"{scope}: {_change(text, _head(statement))}", seen), tree
             setattr(node, field, old)
         if scope != "module" and _may_be_left_out(statement):
             body[place] = ast.copy_location(ast.Pass(), statement)
-            yield _mutant(f"{scope}: {text} => left out", tree, path, seen)
+            yield _numbered(f"{scope}: {text} => left out", seen), tree
             body[place] = statement
 
 
@@ -86,9 +95,9 @@ def load(code: CodeType) -> ModuleType:
     return module
 
 
-def _mutant(name: str, tree: ast.Module, path: Path, seen: dict[str, int]) -> Mutant:
+def _numbered(name: str, seen: dict[str, int]) -> str:
     seen[name] = number = seen.get(name, 0) + 1
-    return Mutant(name if number == 1 else f"{name} #{number}", compile(tree, str(path), "exec"))
+    return name if number == 1 else f"{name} #{number}"
 
 
 def _head(statement: ast.stmt) -> str:
@@ -158,10 +167,10 @@ def _nodes(node: ast.AST) -> Iterator[ast.AST]:
 def _operators(node: ast.AST) -> _Sites:
     if isinstance(node, ast.Compare):
         for place, operator in enumerate(node.ops):
-            for other in _OTHERS[type(operator)]:
+            for other in _OTHERS.get(type(operator), ()):
                 yield node, "ops", [*node.ops[:place], other(), *node.ops[place + 1 :]]
     elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign | ast.UnaryOp):
-        for other in _OTHERS[type(node.op)]:
+        for other in _OTHERS.get(type(node.op), ()):
             yield node, "op", other()
 
 

@@ -24,6 +24,7 @@ from tests.mutation import (
     specification_of_state_machine,
 )
 from tests.mutation.mutator import load, mutants
+from tools import mutants as campaign
 
 
 class Subject(NamedTuple):
@@ -187,3 +188,21 @@ def test_the_mutator_makes_every_slip_once_and_leaves_text_alone(tmp_path: Path)
             "limited: return True => return None",
         ]
     )
+
+
+def test_a_sample_of_the_package_is_drawn_the_same_again_and_survivors_decide(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The long run over the package is `python -m tools.mutants`."""
+    drawn = campaign.sample(["replay"], 30, seed=1)
+    assert drawn == campaign.sample(["replay"], 30, seed=1) != campaign.sample(["replay"], 30, seed=2)
+    assert {campaign.room_of(path) for path, _ in drawn} == {"replay"}
+    outcomes: list[dict[str, object]] = [
+        {"path": path.as_posix(), "number": n, "name": f"slip {n}", "killed_by": None if k < 2 else "FAILED a"}
+        for k, (path, n) in enumerate(drawn[:10])
+    ]
+    assert campaign.report(outcomes, at_least=0.9) == 1
+    assert f"survived: {outcomes[0]['path']}:{outcomes[0]['number']}: slip" in capsys.readouterr().out
+    monkeypatch.setitem(campaign.EQUIVALENT, f"{outcomes[0]['path']}: {outcomes[0]['name']}", "of no use")
+    assert campaign.report(outcomes, at_least=0.88) == 0
+    assert "10 mutants, 1 equivalent, 88.9 % of the others killed" in capsys.readouterr().out

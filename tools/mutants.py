@@ -1,0 +1,166 @@
+"""Do the tests notice small slips? Samples mutants of the package: `python -m tools.mutants --sample 300 --seed 1`.
+
+Each mutant is a module with one change that a slip of the hand could make (`tests/mutation/mutator.py`), written into a
+copy of the repository. The tests of its room run there, nearest first, until one fails: then the mutant is killed. One
+that ends no test run within its time is killed as well. What has run is kept in `--kept` (JSON lines), so that the same
+command goes on where it was stopped. A survivor is equivalent, or a test is missing: both are for a person to say, in
+`EQUIVALENT` here or as a test.
+
+Exit status 1 when fewer than `--at-least` of the mutants that are not equivalent were killed. 300 mutants take some two
+hours of one processor; `--seconds` ends earlier, and `--only PATH:NUMBER` runs one.
+"""
+
+import argparse
+import ast
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from tests.mutation.mutator import changes
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders of its tests, nearest first
+    "drive": ("drive", "replay", "sim_bus", "acceptance", "commission"),
+    "logs": ("logs", "audit", "replay", "view"),
+    "replay": ("replay", "acceptance"),
+    "sim": ("sim_drive", "sim_bus", "plant", "replay", "acceptance"),
+    "view": ("view", "audit", "cli", "project"),
+    "result.py": ("audit", "acceptance", "cli", "view"),
+    "control/certificates": ("control", "replay", "kernels", "acceptance"),
+    "control/balance.py": ("control", "audit", "replay", "acceptance"),
+}
+EQUIVALENT: Final[dict[str, str]] = {}
+"""`path: name of the mutant` -> why nobody can notice it."""
+_LONGEST: Final = 240  # s, one folder of tests
+
+
+def modules(rooms: Sequence[str]) -> list[Path]:
+    """Returns the modules of the rooms, relative to the repository."""
+    found: list[Path] = []
+    for room in rooms:
+        place = ROOT / "canhaptic" / room
+        found += [place] if place.is_file() else sorted(place.rglob("*.py"))
+    return [path.relative_to(ROOT) for path in found]
+
+
+def _texts(path: Path) -> Iterator[tuple[str, ast.Module]]:
+    return changes(ROOT / path, {}, None)
+
+
+def sample(rooms: Sequence[str], count: int, seed: int) -> list[tuple[Path, int]]:
+    """Returns so many mutants, each as module and number, every mutant of all rooms with the same chance."""
+    every = [(path, number) for path in modules(rooms) for number, _ in enumerate(_texts(path))]
+    return random.Random(seed).sample(every, min(count, len(every)))
+
+
+def room_of(path: Path) -> str:
+    """Returns the key of `ROOMS` that a module belongs to."""
+    inside = path.relative_to("canhaptic").as_posix()
+    return next(room for room in ROOMS if inside == room or inside.startswith(f"{room}/"))
+
+
+def copied(folder: Path) -> Path:
+    """Returns a copy of what git knows or would take of the repository."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    for name in listed.stdout.splitlines():
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+    return folder
+
+
+def outcome(copy: Path, path: Path, number: int) -> dict[str, Any]:
+    """Returns `{path, number, name, killed_by}` of one mutant; `killed_by` is None for a survivor."""
+    name, tree = next(islice(_texts(path), number, None))
+    target, kept = copy / path, (copy / path).read_bytes()
+    begin = time.monotonic()
+    target.write_text(ast.unparse(tree), encoding="utf-8")
+    try:
+        killer = next((found for room in ROOMS[room_of(path)] if (found := _failure(copy, room))), None)
+    finally:
+        target.write_bytes(kept)
+    seconds = round(time.monotonic() - begin, 1)
+    return {"path": path.as_posix(), "number": number, "name": name, "killed_by": killer, "seconds": seconds}
+
+
+def _failure(copy: Path, room: str) -> str:
+    """Returns the first test of a folder that fails; "" where all pass."""
+    words = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", "--no-header", f"tests/{room}"]
+    environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        done = subprocess.run(
+            [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=_LONGEST
+        )
+    except subprocess.TimeoutExpired:
+        return f"no end of tests/{room} within {_LONGEST} s"
+    if done.returncode == 0:
+        return ""
+    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return failed[0][:160] if failed else f"tests/{room} ended with {done.returncode}"
+
+
+def _read(kept: Path) -> dict[tuple[str, int], dict[str, Any]]:
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
+    found: list[dict[str, Any]] = [json.loads(line) for line in lines]
+    return {(one["path"], one["number"]): one for one in found}
+
+
+def report(outcomes: Sequence[dict[str, Any]], at_least: float) -> int:
+    """Prints how many were killed and who survived; returns the exit status."""
+    survivors = [one for one in outcomes if one["killed_by"] is None]
+    noticed = [one for one in survivors if f"{one['path']}: {one['name']}" not in EQUIVALENT]
+    judged = len(outcomes) - len(survivors) + len(noticed)
+    share = (judged - len(noticed)) / judged if judged else 1.0
+    for one in noticed:
+        print(f"survived: {one['path']}:{one['number']}: {one['name']}")
+    print(f"{len(outcomes)} mutants, {len(outcomes) - judged} equivalent, {100.0 * share:.1f} % of the others killed")
+    return 0 if share >= at_least else 1
+
+
+def main() -> int:
+    """Runs what the arguments ask for; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--sample", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--rooms", nargs="+", choices=ROOMS, default=["drive", "logs", "replay", "sim", "view", "result.py"]
+    )
+    parser.add_argument("--only", metavar="PATH:NUMBER", help="one mutant")
+    parser.add_argument("--seconds", type=float, default=1e9, help="starts no further mutant after that time")
+    parser.add_argument("--at-least", type=float, default=0.9, help="share that must be killed")
+    parser.add_argument("--kept", type=Path, default=ROOT / "bench_output" / "mutants.jsonl")
+    arguments = parser.parse_args()
+    if arguments.only:
+        path, _, number = arguments.only.rpartition(":")
+        wanted = [(Path(path), int(number))]
+    else:
+        wanted = sample(arguments.rooms, arguments.sample, arguments.seed)
+    done = {} if arguments.only else _read(arguments.kept)
+    arguments.kept.parent.mkdir(parents=True, exist_ok=True)
+    until = time.monotonic() + arguments.seconds
+    with tempfile.TemporaryDirectory() as folder:
+        copy = copied(Path(folder))
+        for path, number in wanted:
+            if (path.as_posix(), number) in done or time.monotonic() > until:
+                continue
+            one = done[path.as_posix(), number] = outcome(copy, path, number)
+            print(f"{one['path']}:{number}: {one['killed_by'] or 'SURVIVED'} ({one['seconds']} s)", flush=True)
+            with arguments.kept.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(one) + "\n")
+    found = [done[path.as_posix(), number] for path, number in wanted if (path.as_posix(), number) in done]
+    return report(found, arguments.at_least)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
