@@ -17,12 +17,17 @@ What has to be avoided so that both give the same bits: `x**0.5` and `x**2` (the
 root nor the exact product), `sum()` (Python compensates it from 3.12 on), None for a number that is missing.
 """
 
-from collections.abc import Callable, MutableSequence
+from collections.abc import Callable, MutableSequence, Sequence
 from functools import cache
+from types import FunctionType
 from typing import Any, Final, NamedTuple, TypeAlias
 
 Buffer: TypeAlias = MutableSequence[float]
 """Numbers that a kernel changes in place, shape (n,)."""
+Matrix: TypeAlias = Sequence[Buffer]
+"""Rows of such numbers, shape (m, n)."""
+Indices: TypeAlias = MutableSequence[int]
+"""Whole numbers, shape (n,)."""
 MakeBuffer: TypeAlias = Callable[[int], Buffer]
 """Returns a buffer of zeros of a given length."""
 
@@ -35,20 +40,31 @@ def list_of_zeros(length: int) -> Buffer:
     return [0.0] * length
 
 
+def zeros(rows: int, columns: int) -> Matrix:
+    """Returns a matrix of zeros for kernels that Python runs."""
+    return [list_of_zeros(columns) for _ in range(rows)]
+
+
 def with_quick_fields(memory: Any) -> Any:
-    """Returns an object with the fields of a NamedTuple, and of those in it, which Python reads at half the price."""
+    """Returns an object like a NamedTuple, and those in it, of which Python reads a field at half the price."""
     names: tuple[str, ...] = getattr(memory, "_fields", ())
     if not names:
         return memory
-    quick = _quick_class(names)()
+    kind: Any = type(memory)
+    quick = _quick_class(kind)()
     for name in names:
         setattr(quick, name, with_quick_fields(getattr(memory, name)))
     return quick
 
 
 @cache
-def _quick_class(names: tuple[str, ...]) -> Any:
-    return type("Memory", (), {"__slots__": names})
+def _quick_class(kind: Any) -> Any:
+    methods = {
+        name: value
+        for name, value in vars(kind).items()
+        if isinstance(value, FunctionType) and not name.startswith("_")
+    }
+    return type(kind.__name__, (), {"__slots__": kind._fields, **methods})
 
 
 class Kernel(NamedTuple):

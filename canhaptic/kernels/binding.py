@@ -2,6 +2,7 @@
 
 import builtins
 from collections.abc import Callable, Mapping
+from dis import get_instructions
 from types import CodeType, FunctionType
 from typing import Any
 
@@ -59,5 +60,6 @@ def bound(function: Any, instead: Mapping[Any, Any]) -> Any:
 
 
 def _names_in(code: CodeType) -> set[str]:
+    """Returns the global names that a function asks for; those of attributes are not among them."""
     inner = [_names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
-    return {*code.co_names}.union(*inner)
+    return {step.argval for step in get_instructions(code) if step.opname == "LOAD_GLOBAL"}.union(*inner)

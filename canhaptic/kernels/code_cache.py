@@ -8,11 +8,12 @@ to the user, and only the user may read it; otherwise nothing is kept.
 
 import hashlib
 import os
+import pickle
 import platform
 import stat
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,8 +21,50 @@ import llvmlite
 import numba
 import numpy as np
 from llvmlite import binding
+from numba.core import caching
+
+_Files: Any = caching.IndexDataCacheFile
+_Cache: Any = caching.FunctionCache
 
 _PRIVATE: Final = 0o700
+_DIGEST: Final = hashlib.sha256().digest_size
+
+
+class _CheckedFiles(_Files):  # type: ignore[misc]
+    """numba's files of one function, each with a digest at its end: one that is damaged counts as missing."""
+
+    def _dump(self, obj: Any) -> bytes:
+        data: bytes = super()._dump(obj)
+        return data + hashlib.sha256(data).digest()
+
+    def _load_index(self) -> Any:
+        path = Path(self._index_path)
+        return super()._load_index() if path.is_file() and _is_whole(path.read_bytes(), self._version) else {}
+
+    def _load_data(self, name: str) -> Any:
+        if not _is_whole(Path(self._data_path(name)).read_bytes()):
+            raise OSError(f"{name}: damaged")  # the caller takes it for missing
+        return super()._load_data(name)
+
+
+class CheckedCache(_Cache):  # type: ignore[misc]
+    """The code of one function on disk; where it is damaged or cannot be written, the function is compiled anew."""
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        locator = self._impl.locator
+        self._cache_file = _CheckedFiles(locator.get_cache_path(), self._impl.filename_base, locator.get_source_stamp())
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keeps the code; a full disk is no reason not to run it."""
+        with suppress(OSError):
+            super().save_overload(sig, data)
+
+
+def _is_whole(content: bytes, version: str = "") -> bool:
+    """Returns whether the digest at the end is that of the rest, without the version that stands before an index."""
+    start = len(pickle.dumps(version, protocol=-1)) if version else 0
+    return content[-_DIGEST:] == hashlib.sha256(content[start:-_DIGEST]).digest()
 
 
 @contextmanager

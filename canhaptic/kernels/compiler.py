@@ -5,7 +5,7 @@ operation is reordered or fused, and a division by zero gives an infinity, so th
 Reference counts of arrays are left out - a kernel makes no array - which makes it ten times faster.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any, Final
@@ -17,9 +17,11 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from canhaptic.kernels import new
 from canhaptic.kernels.binding import Binding
-from canhaptic.kernels.code_cache import kept_code
+from canhaptic.kernels.code_cache import CheckedCache, kept_code
 
 _OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
+_INNER: Final = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Of functions that are never called from Python: a fifth less to compile."""
 METHODS: Final = (
     "contact",
     "true_state",
@@ -28,27 +30,47 @@ METHODS: Final = (
     "effort",
     "state_of_energy",
     "relaxed",
+    "locate",
+    "measure",
+    "energy",
+    "add_gradient",
+    "add_discrete_gradient",
+    "add_slopes",
+    "add_change",
+    "fill_structure",
 )
-"""What a kernel may ask an environment."""
+"""What a kernel may ask an environment, a mechanism, a geometry and the functions of a network."""
 
 fixed_tuple: Any = to_fixed_tuple
 """(array, length) -> tuple of its numbers; the length is a global name of the function that calls it."""
 
 
-def compiled(function: Callable[..., Any], instead: Mapping[Any, Any] | None = None, *, keep: bool = False) -> Any:
+def compiled(
+    function: Callable[..., Any],
+    instead: Mapping[Any, Any] | None = None,
+    *,
+    keep: bool = False,
+    parts: Iterable[type] = (),
+) -> Any:
     """Returns a kernel as a function that is compiled at its first call.
 
     Args:
         function: The kernel.
         instead: A function that it reaches, or a global name -> what to take in its place.
         keep: Whether the machine code is kept on disk for the next process.
+        parts: Classes whose methods it calls, but does not name.
     """
     compiling = _Compiling(instead or {})
     rebound = compiling.rebound(function)
+    for kind in parts:
+        compiling.look_at(kind)
     if not keep:
         return numba.njit(rebound, **_OPTIONS)
+    made: Any = numba.njit(rebound, **_OPTIONS)
     with kept_code(compiling.sources) as can_keep:
-        return numba.njit(rebound, cache=can_keep, **_OPTIONS)
+        if can_keep:
+            made._cache = CheckedCache(rebound)  # noqa: SLF001 - as `enable_caching` does
+    return made
 
 
 class _Compiling(Binding):
@@ -59,7 +81,7 @@ class _Compiling(Binding):
     """
 
     def __init__(self, instead: Mapping[Any, Any]) -> None:
-        super().__init__(instead, lambda function: numba.njit(function, **_OPTIONS), {new: _made})
+        super().__init__(instead, lambda function: numba.njit(function, **_INNER), {new: _made})
         self.sources: list[str] = [repr(_OPTIONS), Path(__file__).read_text(encoding="utf-8")]
 
     def rebound(self, function: Any) -> FunctionType:
@@ -75,13 +97,17 @@ class _Compiling(Binding):
     def of(self, name: str, value: Any) -> Any:
         """Returns what takes the place of a function or class, and takes down what of a class matters."""
         if value not in self._known and isinstance(value, type):
-            self.sources.append(f"{name}={value.__qualname__}{getattr(value, '_fields', ())}")
-            for method in METHODS:
-                if isinstance(getattr(value, method, None), FunctionType):
-                    self.rebound(getattr(value, method))
+            self.look_at(value)
         elif not isinstance(value, FunctionType):
             self.sources.append(f"{name}={getattr(value, '__name__', name)}")
         return super().of(name, value)
+
+    def look_at(self, kind: Any) -> None:
+        """Takes the fields of a class and the code of its methods among the sources."""
+        self.sources.append(f"{kind.__qualname__}{getattr(kind, '_fields', ())}")
+        for method in METHODS:
+            if isinstance(getattr(kind, method, None), FunctionType):
+                self.rebound(getattr(kind, method))
 
 
 def _text_of(code: CodeType) -> str:

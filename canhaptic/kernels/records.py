@@ -1,14 +1,18 @@
-"""Settings and states of many scenes as NumPy records: compiled kernels use them as they use dataclasses."""
+"""What compiled kernels take in the place of dataclasses and of buffers: NumPy records and arrays."""
 
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.kernels import Buffer, Indices, Matrix
+
 Records = NDArray[np.void]
+_ARRAYS: Final[dict[Any, Any]] = {Buffer: np.float64, Matrix: np.float64, Indices: np.int64}
+"""Annotation of a field that holds buffers -> its numbers."""
 
 
 class _Part(NamedTuple):
@@ -57,3 +61,64 @@ def _flat(kind: np.dtype[Any], path: str = "", offset: int = 0) -> Iterable[_Par
             yield from _flat(part, f"{path}{name}.", offset + at)
         else:
             yield _Part(path + name, part, offset + at)
+
+
+def arrays_of(value: Any) -> Any:
+    """Returns a NamedTuple of buffers, and of such, with arrays of its own in their place.
+
+    What a field is follows from its annotation: `Buffer`, `Indices`, `Matrix`, or anything else.
+    """
+    kind = type(value)
+    if not hasattr(kind, "_fields"):
+        return value
+    found = []
+    for name in kind._fields:
+        part, annotation = getattr(value, name), kind.__annotations__[name]
+        if annotation in _ARRAYS:
+            number, shape = _form(annotation, part)
+            found.append(np.array(part, dtype=number).reshape(shape))
+        else:
+            found.append(arrays_of(part))
+    return kind(*found)
+
+
+def record_of(value: Any) -> Records:
+    """Returns a NamedTuple of buffers, of such and of dataclasses, as one record of arrays, shape (1,).
+
+    Compiled code takes it by its address, where a tuple of arrays would come apart into hundreds of arguments; and it
+    knows the lengths.
+    """
+    record = np.zeros(1, _record_type(value))
+    _fill(record[0], value)
+    return record
+
+
+def _record_type(value: Any) -> np.dtype[Any]:
+    if is_dataclass(value):
+        return record_type(value)
+    kind: Any = type(value)
+    parts: list[Any] = []
+    for name in getattr(kind, "_fields", ()):
+        part, annotation = getattr(value, name), kind.__annotations__[name]
+        if annotation in _ARRAYS:
+            parts.append((name, *_form(annotation, part)))
+        elif isinstance(part, list):
+            parts.append((name, record_type(part[0]), (len(part),)))
+        else:
+            parts.append((name, _record_type(part)))
+    return np.dtype(parts, align=True) if parts else np.dtype(kind)
+
+
+def _form(annotation: Any, value: Any) -> tuple[Any, tuple[int, ...]]:
+    """Returns type and shape of the array of a buffer."""
+    inner = (len(value[0]) if len(value) else 0,) if annotation == Matrix else ()
+    return _ARRAYS[annotation], (len(value), *inner)
+
+
+def _fill(record: Any, value: Any) -> None:
+    for name in value._fields:
+        part = getattr(value, name)
+        if hasattr(part, "_fields"):
+            _fill(record[name], part)
+        elif record[name].size:
+            record[name] = records_of(part) if isinstance(part, list) and is_dataclass(part[0]) else part

@@ -48,6 +48,18 @@ def test_the_next_process_loads_the_code_and_an_edit_of_a_called_kernel_is_seen(
     assert called(tmp_path, 5.0) == ["[5.0, 10.0", " 0\n"]  # numba's own key knows the file of the outer one alone
 
 
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"], ids=["index", "code"])
+@pytest.mark.parametrize("cut", [None, 0, 40], ids=["a bit", "to nothing", "in the middle"])
+def test_damaged_code_is_compiled_anew_and_kept_again(tmp_path: Path, suffix: str, cut: int | None) -> None:
+    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 0\n"]
+    (kept,) = (tmp_path / "cache").rglob(f"*{suffix}")
+    content = bytearray(kept.read_bytes())
+    content[len(content) // 2] ^= 1
+    kept.write_bytes(content if cut is None else content[:cut])
+    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 0\n"]
+    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 1\n"]
+
+
 def test_the_folder_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     folder = cache_folder()
