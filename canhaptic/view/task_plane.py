@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import NETWORKS
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, coordinates_at
 from canhaptic.errors import CanHapticError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.registry import load
@@ -86,7 +86,7 @@ def _has_surface(rendered: Rendered) -> bool:
 
 def _depth(rendered: Rendered, position: Sequence[float]) -> float:
     """Returns how far the spring that is deepest is beyond its edge; negative in free space [m or rad]."""
-    tables, values = rendered.network.tables, rendered.geometry.measure(position).values
+    tables, values = rendered.network.tables, coordinates_at(rendered.geometry, position)
     deepest = -np.inf
     for row, low, high in zip(tables.gain, tables.lower, tables.upper, strict=True):
         if low != high:

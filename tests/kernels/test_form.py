@@ -13,7 +13,17 @@ from typing import Any
 import pytest
 
 from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.mechanisms.five_bar import FiveBarMap
+from canhaptic.control.mechanisms.identity import IdentityMap
+from canhaptic.control.mechanisms.planar_2r import LinkMap
+from canhaptic.control.mechanisms.transmission import LinearMap
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.port_hamiltonian.shapes.box import Body
+from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry
+from canhaptic.control.port_hamiltonian.shapes.guided_path import FromPath
+from canhaptic.control.port_hamiltonian.shapes.sphere import Round
+from canhaptic.control.port_hamiltonian.shapes.tube import AroundLine
 from canhaptic.registry import load
 from canhaptic.study.batch.closed_loop import run_loop
 
@@ -63,6 +73,25 @@ def test_an_algorithm_keeps_to_the_form_of_kernels(algorithm: str) -> None:
     kernel = load(ALGORITHMS, algorithm, "passivity algorithm").kernel
     assert len(list(reached(kernel.step, set()))) >= 8
     assert all_faults(kernel.step) == []
+
+
+@pytest.mark.parametrize("algorithm", GROUP_ALGORITHMS)
+def test_an_algorithm_of_groups_keeps_to_the_form_of_kernels(algorithm: str) -> None:
+    kernel = load(GROUP_ALGORITHMS, algorithm, "group algorithm").kernel
+    assert len(list(reached(kernel.step, set()))) >= 40
+    assert all_faults(kernel.step) == []
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        *(mechanism.locate for mechanism in (IdentityMap, LinearMap, LinkMap, FiveBarMap)),
+        *(geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, Body)),
+    ],
+    ids=lambda method: method.__qualname__,
+)
+def test_a_mechanism_and_a_geometry_keep_to_the_form_of_kernels(method: Any) -> None:
+    assert all_faults(method) == []
 
 
 @pytest.mark.parametrize("world", ENVIRONMENTS)

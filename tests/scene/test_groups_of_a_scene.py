@@ -11,7 +11,6 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.control.multi_axis.axis_group import AxisGroup
 from canhaptic.control.multi_axis.group_certificates import axes_of
-from canhaptic.control.multi_axis.per_axis_certificates import PerAxisBound
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.build import build
@@ -20,6 +19,7 @@ from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.scene.parts import build_axis_controller, build_axis_groups
+from tests.control.network.networks import AxesApart
 from tests.scene.scene_text import REPOSITORY
 
 CONFIGS = REPOSITORY / "configs"
@@ -180,7 +180,7 @@ def test_hints_say_what_lost_frames_and_a_hand_on_every_axis_leave() -> None:
 def test_the_hint_for_lost_frames_is_what_the_certificates_do() -> None:
     scene = load_scene(HANDLES, ["groups.0.passivity.max_consecutive_losses=1"])
     loops = [LoopProperties(sample_time=1e-3, delay=1, moving_mass=0.2)] * 2
-    apart = PerAxisBound(axes_of(tuple(loops), 0.0, None), 1, 1)
+    apart = AxesApart(axes_of(tuple(loops), 0.0, None), 1, 1)
     still, torques = (0.0, 0.0), (20.0, 0.0)
     apart.take(still, still, torques, [torques])
     limit = next(h.limit for h in group_hints(scene) if h.what == "stiffness, certified by hand force")

@@ -37,74 +37,46 @@ class Gap(NamedTuple):
     lost: float  # largest share of a motion that friction takes from the next hold
 
 
-def _mirrored(gap: Gap) -> Gap:
-    """Returns the same seen from the other side."""
-    return gap._replace(moved=-gap.moved, start=-gap.start)
+def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
+    """Returns the largest displacement of one hold, counted along `sign` [m or rad].
+
+    Args:
+        gap: Of the axis.
+        sign: 1 or -1.
+        hold: 1 for the first one; the last is not asked for.
+        along: Whether a torque along the sign acts in it; else one against it acts in the last.
+    """
+    holds, moved, start, error, blur, step, lost = gap
+    start, moved = sign * start, sign * moved
+    first = start + blur
+    if along:
+        return first + hold * (step + lost * (-first if first < 0.0 else 0.0))
+    later = holds - hold
+    least = start - blur
+    pairs = hold * (hold - 1) + later * (later + 1)
+    total = moved + error - (hold - 1) * least + 0.5 * pairs * step
+    total += 0.5 * hold * (hold - 1) * lost * (least if least > 0.0 else 0.0)
+    if total <= 0.0:
+        return total / (later + 1)  # nothing that friction could take
+    kept, power, series = 1.0 - lost, 1.0, 0.0
+    for _ in range(later + 1):
+        series += power
+        power *= kept
+    return total / series
 
 
-def _farthest(gap: Gap, hold: int, *, along: bool) -> float:
-    """Returns the largest displacement of one hold, counted positive [m or rad].
+def doubt_of(gap: Gap, hold: int, torque: float, last: float) -> float:
+    """Returns by how much the booked energy of one hold is too high if a torque acted in it [J].
 
     Args:
         gap: Of the axis.
         hold: 1 for the first one; the last is not asked for.
-        along: Whether a positive torque acts in it; else a negative one acts in the last.
+        torque: That may have acted [N or N*m].
+        last: Torque of the last hold, with which the energy was booked [N or N*m].
     """
-    first = gap.start + gap.blur
-    if along:
-        return first + hold * (gap.step + gap.lost * (-first if first < 0.0 else 0.0))
-    later = gap.holds - hold
-    least = gap.start - gap.blur
-    pairs = hold * (hold - 1) + later * (later + 1)
-    total = gap.moved + gap.error - (hold - 1) * least + 0.5 * pairs * gap.step
-    total += 0.5 * hold * (hold - 1) * gap.lost * (least if least > 0.0 else 0.0)
-    if total <= 0.0:
-        return total / (later + 1)  # nothing that friction could take
-    kept = 1.0 - gap.lost
-    return total / sum([kept**more for more in range(later + 1)])
-
-
-def worst(gap: Gap, last: float, candidates: list[list[float]]) -> float:
-    """Returns how much less than booked may have come in by one axis [J]; below 0 where more has for certain.
-
-    Args:
-        gap: Of the axis.
-        last: Torque of the last hold [N or N*m].
-        candidates: Torques that may have acted, for each hold but the last.
-    """
-    total, other = 0.0, _mirrored(gap)
-    for index, torques in enumerate(candidates):
-        most = None
-        for torque in torques:
-            more = torque - last
-            if more > 0.0:
-                doubt = more * _farthest(gap, index + 1, along=torque > 0.0)
-            elif more < 0.0:
-                doubt = -more * _farthest(other, index + 1, along=torque < 0.0)
-            else:
-                doubt = 0.0
-            if most is None or doubt > most:
-                most = doubt
-        total += most or 0.0
-    return total
-
-
-def worst_of_path(path: float, last: float, candidates: list[list[float]]) -> float:
-    """Returns `worst` for an axis that moves no further than `path` [m or rad] in each hold [J]."""
-    return sum(max(abs(torque - last) for torque in torques) for torques in candidates) * path
-
-
-def worst_damped(gap: Gap, last: float, candidates: list[list[float]], damping: float) -> float:
-    """Returns `worst` for every hand, of an axis that dissipates at least damping * D_j^2 in each hold [J].
-
-    Args:
-        gap: Of the axis.
-        last: Torque of the last hold [N or N*m].
-        candidates: Torques that may have acted, for each hold but the last.
-        damping: Certain damping over the sample time [N/m or N*m/rad], > 0.
-    """
-    total = 0.0
-    for torques in candidates:
-        total += max([(t - last) * gap.moved + abs(t - last) * gap.error for t in torques]) / gap.holds
-        total += max([(t - last) ** 2 for t in torques]) / (4.0 * damping)
-    return total
+    more = torque - last
+    if more > 0.0:
+        return more * farthest(gap, 1.0, hold, torque > 0.0)
+    if more < 0.0:
+        return -more * farthest(gap, -1.0, hold, torque < 0.0)
+    return 0.0

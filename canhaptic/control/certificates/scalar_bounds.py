@@ -95,19 +95,20 @@ def next_displacement(
 
 
 def hand_force_bound(budget: float, base: float, gain: float) -> float:
-    """Returns the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget.
+    """Returns the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget; infinite where every one has.
 
     Where none has that (budget below zero by more than an inward motion can bring in), the one that brings in most.
+    For a group the torques are l W: base and gain are those of W, in [J], and the result is the share l.
 
     Args:
         budget: Energy that may be taken out [J].
         base: Largest outward displacement in the hold of F without F [m or rad]; negative while moving inward.
-        gain: Displacement per torque [m/N or rad/(N*m)], > 0.
+        gain: Displacement per torque [m/N or rad/(N*m)], >= 0.
     """
     square = base * base + 4.0 * gain * budget
     root = math.sqrt(square) if square > 0.0 else 0.0
     if base <= 0.0:
-        return (root - base) / (2.0 * gain)
+        return (root - base) / (2.0 * gain) if gain > 0.0 else math.inf
     return 2.0 * budget / (root + base) if budget > 0.0 else 0.0  # the form without cancellation
 
 

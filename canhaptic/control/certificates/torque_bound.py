@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import inf, isnan, nan
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from canhaptic.control.certificates.scalar_bounds import (
     WINDOW,
@@ -136,7 +136,13 @@ def end_gap(
     return doubt
 
 
-def keep(bound: TorqueBound, energy: float, enough: float) -> None:
+class Dissipated(Protocol):
+    """What remembers how much the device dissipated for certain, and not forgotten [J]."""
+
+    dissipated: float
+
+
+def keep(bound: Dissipated, energy: float, enough: float) -> None:
     """Forgets what the device dissipated beyond `enough` [J] together with `energy`.
 
     Without it a contact could live, and buzz, on what the device dissipated long ago.

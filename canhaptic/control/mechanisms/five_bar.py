@@ -1,21 +1,62 @@
 """A planar five-bar: two motors on the base, two proximal links, two distal links that meet at the handle."""
 
 import math
-from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import model_validator
 
-from canhaptic.control.mechanisms.kinematics import Limit, Pose
-from canhaptic.control.mechanisms.workspace import FromPose, check_box, outside_box
+from canhaptic.control.mechanisms.kinematics import Limit
+from canhaptic.control.mechanisms.workspace import FromMechanism, WorkspaceBox, check_box, is_outside, workspace_box
+from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Parameters, quantity
 
-_ZEROS = ((0.0, 0.0), (0.0, 0.0))
-_SINGULAR = Pose((0.0, 0.0), _ZEROS, Limit.SINGULAR.value)
-_APART = Pose((0.0, 0.0), _ZEROS, Limit.WORKSPACE.value)
+_WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
 
-class FiveBar(FromPose, Parameters):
+class FiveBarMap(NamedTuple):
+    """Two motors and four links; see `FiveBar` and `Mechanism`."""
+
+    base: float
+    proximal_1: float
+    proximal_2: float
+    distal_1: float
+    distal_2: float
+    is_below: bool
+    least_sine: float
+    box: WorkspaceBox
+
+    def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
+        """Writes the place of the handle."""
+        l1, l2, l3, l4 = self.proximal_1, self.proximal_2, self.distal_1, self.distal_2
+        ax, ay = l1 * math.cos(positions[0]), l1 * math.sin(positions[0])  # of the elbows, from their motors
+        bx, by = l2 * math.cos(positions[1]), l2 * math.sin(positions[1])
+        dx, dy = bx - ax + self.base, by - ay
+        square = dx * dx + dy * dy
+        span = math.sqrt(square)
+        if not abs(l3 - l4) < span < l3 + l4:
+            return _WORKSPACE
+        along = (l3 * l3 - l4 * l4 + square) / (2.0 * span)
+        height = math.sqrt(max(0.0, l3 * l3 - along * along))
+        if self.is_below:
+            height = -height
+        cx, cy = (along * dx - height * dy) / span, (along * dy + height * dx) / span  # first distal link
+        ex, ey = cx - dx, cy - dy  # second distal link
+        cross = cx * ey - cy * ex
+        limit = self.least_sine
+        if (
+            abs(cross) < limit * l3 * l4
+            or abs(ax * cy - ay * cx) < limit * l1 * l3
+            or abs(bx * ey - by * ex) < limit * l2 * l4
+        ):
+            return _SINGULAR
+        first, second = (ax * cy - ay * cx) / cross, (bx * ey - by * ex) / cross
+        place[0], place[1] = ax - 0.5 * self.base + cx, ay + cy
+        jacobian[0][0], jacobian[0][1] = first * ey, -second * cy
+        jacobian[1][0], jacobian[1][1] = -first * ex, second * cx
+        return _WORKSPACE if is_outside(self.box, place) else 0
+
+
+class FiveBar(FromMechanism, Parameters):
     """Motors at (-base / 2, 0) and (base / 2, 0); angles counted from the +x axis.
 
     With A and B the elbows, the handle p is where the circles of the distal links meet. Differentiating
@@ -49,33 +90,7 @@ class FiveBar(FromPose, Parameters):
             raise ValueError(f"base: got {self.base:g} m, expected < {reach:g} m, the length of all links together")
         return self
 
-    def pose(self, positions: Sequence[float]) -> Pose:
-        """Returns the place of the handle; see `Kinematics`."""
-        (l1, l2), (l3, l4), half = self.proximal, self.distal, 0.5 * self.base
-        ax, ay = l1 * math.cos(positions[0]), l1 * math.sin(positions[0])  # of the elbows, from their motors
-        bx, by = l2 * math.cos(positions[1]), l2 * math.sin(positions[1])
-        dx, dy = bx - ax + self.base, by - ay
-        square = dx * dx + dy * dy
-        span = math.sqrt(square)
-        if not abs(l3 - l4) < span < l3 + l4:
-            return _APART
-        along = (l3 * l3 - l4 * l4 + square) / (2.0 * span)
-        height = math.sqrt(max(0.0, l3 * l3 - along * along))
-        if self.assembly == "down":
-            height = -height
-        cx, cy = (along * dx - height * dy) / span, (along * dy + height * dx) / span  # first distal link
-        ex, ey = cx - dx, cy - dy  # second distal link
-        cross = cx * ey - cy * ex
-        limit = self.least_sine
-        if (
-            abs(cross) < limit * l3 * l4
-            or abs(ax * cy - ay * cx) < limit * l1 * l3
-            or abs(bx * ey - by * ex) < limit * l2 * l4
-        ):
-            return _SINGULAR
-        first, second = (ax * cy - ay * cx) / cross, (bx * ey - by * ex) / cross
-        place = (ax - half + cx, ay + cy)
-        outside = outside_box(place, self.workspace_lower, self.workspace_upper)
-        return Pose(
-            place, ((first * ey, -second * cy), (-first * ex, second * cx)), Limit.WORKSPACE.value if outside else 0
-        )
+    def mechanism(self) -> FiveBarMap:
+        """Returns the map."""
+        box = workspace_box(self.workspace_lower, self.workspace_upper)
+        return FiveBarMap(self.base, *self.proximal, *self.distal, self.assembly == "down", self.least_sine, box)

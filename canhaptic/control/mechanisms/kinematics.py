@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
+from canhaptic.kernels import Buffer, Matrix
+
 
 class Limit(IntEnum):
     """Why a group of axes renders nothing although its environment might: torque zero, the account goes on."""
@@ -25,6 +27,19 @@ class Pose(NamedTuple):
     position: tuple[float, ...]  # task coordinates [m or rad], length `dimensions`
     jacobian: tuple[tuple[float, ...], ...]  # d position / d motor position, rows: task, columns: motor axes
     limit: int = 0  # Limit.NONE, WORKSPACE or SINGULAR
+
+
+class Mechanism(Protocol):
+    """A mechanism as the kernels ask it; a NamedTuple of numbers and buffers where it can be compiled."""
+
+    def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
+        """Writes where the mechanism is, and returns its limit.
+
+        Args:
+            positions: Of the motor axes [rad or m], (axes,).
+            place: Receives the position in task space [m or rad], (dimensions,).
+            jacobian: Receives d place / d positions, (dimensions, axes); zeros at first.
+        """
 
 
 class Kinematics(Protocol):

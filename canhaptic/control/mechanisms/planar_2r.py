@@ -1,19 +1,47 @@
 """An arm with two revolute joints in a plane, driven at the joints or both from the base."""
 
 import math
-from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import model_validator
 
-from canhaptic.control.mechanisms.kinematics import Limit, Pose
-from canhaptic.control.mechanisms.workspace import FromPose, check_box, outside_box
+from canhaptic.control.mechanisms.kinematics import Limit
+from canhaptic.control.mechanisms.workspace import FromMechanism, WorkspaceBox, check_box, is_outside, workspace_box
+from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Parameters, quantity
 
-_NOWHERE = Pose((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), Limit.SINGULAR.value)
+_WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
 
-class Planar2R(FromPose, Parameters):
+class LinkMap(NamedTuple):
+    """Two links; see `Planar2R` and `Mechanism`."""
+
+    first: float
+    second: float
+    base_x: float
+    base_y: float
+    relative: bool
+    least_sine: float
+    box: WorkspaceBox
+
+    def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
+        """Writes the place of the handle."""
+        a = positions[0]
+        b = a + positions[1] if self.relative else positions[1]
+        if not abs(math.sin(b - a)) >= self.least_sine:
+            return _SINGULAR
+        x1, y1 = self.first * math.cos(a), self.first * math.sin(a)
+        x2, y2 = self.second * math.cos(b), self.second * math.sin(b)
+        place[0], place[1] = self.base_x + x1 + x2, self.base_y + y1 + y2
+        if self.relative:
+            jacobian[0][0], jacobian[1][0] = -y1 - y2, x1 + x2
+        else:
+            jacobian[0][0], jacobian[1][0] = -y1, x1
+        jacobian[0][1], jacobian[1][1] = -y2, x2
+        return _WORKSPACE if is_outside(self.box, place) else 0
+
+
+class Planar2R(FromMechanism, Parameters):
     """x = base + l1 (cos a, sin a) + l2 (cos b, sin b), a = q1, b the direction of the second link."""
 
     axes: ClassVar[int] = 2
@@ -39,16 +67,7 @@ class Planar2R(FromPose, Parameters):
         check_box(self.workspace_lower, self.workspace_upper, 2)
         return self
 
-    def pose(self, positions: Sequence[float]) -> Pose:
-        """Returns the place of the handle; see `Kinematics`."""
-        a = positions[0]
-        relative = self.elbow == "relative"
-        b = a + positions[1] if relative else positions[1]
-        if not abs(math.sin(b - a)) >= self.least_sine:
-            return _NOWHERE
-        x1, y1 = self.first * math.cos(a), self.first * math.sin(a)
-        x2, y2 = self.second * math.cos(b), self.second * math.sin(b)
-        place = (self.base[0] + x1 + x2, self.base[1] + y1 + y2)
-        jacobian = ((-y1 - y2, -y2), (x1 + x2, x2)) if relative else ((-y1, -y2), (x1, x2))
-        outside = outside_box(place, self.workspace_lower, self.workspace_upper)
-        return Pose(place, jacobian, Limit.WORKSPACE.value if outside else 0)
+    def mechanism(self) -> LinkMap:
+        """Returns the map."""
+        box = workspace_box(self.workspace_lower, self.workspace_upper)
+        return LinkMap(self.first, self.second, *self.base, self.elbow == "relative", self.least_sine, box)

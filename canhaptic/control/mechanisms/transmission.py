@@ -1,18 +1,45 @@
 """A linear transmission: task coordinates are a matrix times the motor positions (gears, belts, differentials)."""
 
-from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import model_validator
 
-from canhaptic.control.mechanisms.kinematics import Limit, Pose
-from canhaptic.control.mechanisms.workspace import FromPose, Rows, check_box, outside_box
+from canhaptic.control.mechanisms.kinematics import Limit
+from canhaptic.control.mechanisms.workspace import (
+    FromMechanism,
+    Rows,
+    WorkspaceBox,
+    check_box,
+    is_outside,
+    workspace_box,
+)
+from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Parameters
 
 _LEAST_RATIO = 1e-6
+_WORKSPACE = Limit.WORKSPACE.value
 
 
-class Transmission(FromPose, Parameters):
+class LinearMap(NamedTuple):
+    """x = A q + offset; see `Mechanism`."""
+
+    matrix: Matrix
+    offset: Buffer
+    box: WorkspaceBox
+
+    def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
+        """Writes A q + offset and A."""
+        for i in range(len(place)):
+            row, into, total = self.matrix[i], jacobian[i], self.offset[i]
+            for j in range(len(row)):
+                total += row[j] * positions[j]
+                into[j] = row[j]
+            place[i] = total
+        return _WORKSPACE if is_outside(self.box, place) else 0
+
+
+class Transmission(FromMechanism, Parameters):
     """x = A q + offset."""
 
     matrix: Rows
@@ -56,13 +83,8 @@ class Transmission(FromPose, Parameters):
         """Of task space."""
         return len(self.matrix)
 
-    def pose(self, positions: Sequence[float]) -> Pose:
-        """Returns A q + offset and A."""
-        values = []
-        for index, row in enumerate(self.matrix):
-            total = 0.0 if self.offset is None else self.offset[index]
-            for a, q in zip(row, positions, strict=True):
-                total += a * q
-            values.append(total)
-        outside = outside_box(values, self.workspace_lower, self.workspace_upper)
-        return Pose(tuple(values), self.matrix, Limit.WORKSPACE.value if outside else 0)
+    def mechanism(self) -> LinearMap:
+        """Returns the map."""
+        offset = self.offset or (0.0,) * len(self.matrix)
+        box = workspace_box(self.workspace_lower, self.workspace_upper)
+        return LinearMap([list(row) for row in self.matrix], list(offset), box)

@@ -1,12 +1,13 @@
 """What mechanisms share: place and Jacobian from the pose, a workspace box, and the test of a Jacobian."""
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 
-from canhaptic.control.mechanisms.kinematics import Limit, Pose
+from canhaptic.control.mechanisms.kinematics import Kinematics, Limit, Mechanism, Pose
 from canhaptic.errors import ControlError, ParameterError
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 
@@ -45,6 +46,64 @@ class FromPose:
         return pose
 
 
+class FromMechanism(FromPose):
+    """Pose of a mechanism that is written as a kernel; it has `axes` and `dimensions`, see `Kinematics`."""
+
+    def mechanism(self) -> Mechanism:
+        """Returns it as the kernels ask it."""
+        raise NotImplementedError
+
+    def pose(self, positions: Sequence[float]) -> Pose:
+        """Returns position, Jacobian and limit; see `Kinematics`."""
+        kinematics = cast(Kinematics, self)
+        place, jacobian = list_of_zeros(kinematics.dimensions), zeros(kinematics.dimensions, kinematics.axes)
+        limit = self.mechanism().locate(list(positions), place, jacobian)
+        return Pose(tuple(place), tuple(tuple(row) for row in jacobian), limit)
+
+
+class PoseAsked(NamedTuple):
+    """A mechanism of which only the pose is known, in Python; see `Mechanism`."""
+
+    kinematics: Kinematics
+
+    def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
+        """Copies the pose."""
+        pose = self.kinematics.pose(positions)
+        if not pose.limit:
+            place[:] = pose.position
+            for into, row in zip(jacobian, pose.jacobian, strict=True):
+                into[:] = row
+        return pose.limit
+
+
+def mechanism_of(kinematics: Kinematics) -> Mechanism:
+    """Returns a mechanism as the kernels ask it."""
+    return kinematics.mechanism() if isinstance(kinematics, FromMechanism) else PoseAsked(kinematics)
+
+
+class WorkspaceBox(NamedTuple):
+    """Edges of a workspace in task space; empty without such a limit."""
+
+    lower: Buffer
+    upper: Buffer
+
+
+def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None) -> WorkspaceBox:
+    """Returns the edges of a workspace."""
+    return WorkspaceBox(list(lower or ()), list(upper or ()))
+
+
+def is_outside(box: WorkspaceBox, place: Buffer) -> bool:
+    """Returns True where a place is outside the workspace."""
+    for i in range(len(box.lower)):
+        if place[i] < box.lower[i]:
+            return True
+    for i in range(len(box.upper)):
+        if place[i] > box.upper[i]:
+            return True
+    return False
+
+
 def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dimensions: int) -> None:
     """Checks the edges of a workspace.
 
@@ -58,19 +117,6 @@ def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dime
         raise ValueError(
             f"got workspace_lower {lower} not below workspace_upper {upper} everywhere, expected an inside"
         )
-
-
-def outside_box(position: Sequence[float], lower: Sequence[float] | None, upper: Sequence[float] | None) -> bool:
-    """Returns True where a position is outside the workspace box; False without one."""
-    if lower is not None:
-        for value, edge in zip(position, lower, strict=True):
-            if value < edge:
-                return True
-    if upper is not None:
-        for value, edge in zip(position, upper, strict=True):
-            if value > edge:
-                return True
-    return False
 
 
 def check_jacobian(

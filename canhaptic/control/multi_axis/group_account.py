@@ -1,276 +1,365 @@
 """The account of a group between holds: one scalar balance for all its torques, and the certificates of the next."""
 
-import math
-from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+from typing import NamedTuple
 
-from canhaptic.control.certificates import lost_samples
-from canhaptic.control.certificates.lost_samples import Gap
-from canhaptic.control.multi_axis import group_certificates as bound
-from canhaptic.control.multi_axis.group_certificates import AxisLimits
-from canhaptic.control.multi_axis.group_commands import GroupCommands, Values
-from canhaptic.control.multi_axis.per_axis_certificates import PerAxisBound
-from canhaptic.control.passivity.settlement import settle
+from canhaptic.control.certificates.lost_samples import Gap, doubt_of
+from canhaptic.control.certificates.scalar_bounds import hand_force_bound
+from canhaptic.control.certificates.torque_bound import keep
+from canhaptic.control.multi_axis.group_certificates import (
+    AxisLimits,
+    along_last,
+    base_of,
+    damping_need,
+    gain_of,
+    path_need,
+    taken_by_mover,
+)
+from canhaptic.control.multi_axis.group_commands import GroupHolds
+from canhaptic.control.multi_axis.per_axis_certificates import (
+    PerAxisLimits,
+    PerAxisMemory,
+    needed_by_hand,
+    share_by_hand,
+    take_sent,
+    taken_at_most,
+    write_needs,
+)
+from canhaptic.kernels import Buffer, Matrix
 
 
+@dataclass(slots=True)
 class GroupAccount:
-    """Store, surplus and certificates.
+    """Store, surplus and what is not known for certain."""
 
-    Attributes:
-        h_s: Stored energy that the network may still give [J].
-        h_dis: Surplus still to be dissipated [J].
-        dissipated: By the devices for certain, and not forgotten [J].
-        unsure: How much less than booked may have come in so far [J]: encoder counts and lost samples.
-    """
+    h_s: float = 0.0  # stored energy that the network may still give [J]
+    h_dis: float = 0.0  # surplus still to be dissipated [J]
+    dissipated: float = 0.0  # by the devices for certain, and not forgotten [J]
+    changes: float = 0.0  # energy that encoders leave unsure, up to the last change of torque [J]
+    unsure: float = 0.0  # how much less than booked may have come in so far [J]: encoder counts and lost samples
+    kept_back: float = 0.0  # dissipated or leaked, and not paid [J]
 
-    def __init__(self, axes: AxisLimits, commands: GroupCommands, credit: float, losses: int = 0) -> None:
-        """Makes an empty account.
 
-        Args:
-            axes: What the certificates know of the motor axes.
-            commands: Of the same group.
-            credit: Energy that may be given out before any came in [J].
-            losses: Consecutive cycles without a new torque, on any axis, that the certificates survive.
-        """
-        self._axes, self._commands, self._credit = axes, commands, credit
-        self._losses = losses
-        self._apart = PerAxisBound(axes, commands.delay, losses) if losses else None
-        self._coarse = any(axes.count)
-        self.reset()
+class AccountSettings(NamedTuple):
+    """What is fixed for a run."""
 
-    def reset(self) -> None:
-        """Nothing stored, nothing owed, at rest."""
-        zeros: Values = (0.0,) * len(self._axes.count)
-        self.h_s = self.h_dis = self.dissipated = self.unsure = 0.0
-        self._unsure = self._kept_back = 0.0
-        self._displacement, self._torques, self._blur = zeros, zeros, zeros
-        self._still = zeros
+    axes: AxisLimits
+    apart: PerAxisLimits
+    moves: bool  # whether a mover may give or take energy
 
-    def ended_hold(self, displacement: Values, torques: Values) -> None:
-        """Takes one hold: displacements [rad or m] and the torques applied in it [N*m or N]."""
-        axes = self._axes
-        if axes.by_damping or self._coarse:
-            unsure = 0.0
-            for i, torque in enumerate(torques):
-                count = axes.count[i]
-                certain = abs(displacement[i]) - count
-                if certain > 0.0:
-                    self.dissipated += axes.damping[i] * certain * certain
-                self._unsure += 0.5 * count * abs(torque - self._torques[i])
-                unsure += 0.5 * count * abs(torque)
-            self.unsure = self._unsure + unsure
-        self._blur = self._still
-        self._displacement, self._torques = displacement, torques
 
-    def ended_gap(self, displacement: Values, sent: tuple[Values, ...], carried: tuple[Values, ...]) -> float:
-        """Takes several holds of which only the whole displacement is known; returns how much less may have come in.
+class AccountMemory(NamedTuple):
+    """Buffers of the account."""
 
-        In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
-        then, or the one of the hold before (`lost_samples`).
+    displacement: Buffer  # of the hold that ended, (axes,) [rad or m]
+    torques: Buffer  # held in it [N*m or N]
+    blur: Buffer  # by which its displacement is unsure beyond a count [rad or m]
+    coming: Matrix  # motion of a mover in the holds to come as one of the motors, (holds, axes) [rad or m]
+    passing: Buffer  # room for that of one hold, (axes,)
+    apart: PerAxisMemory
 
-        Args:
-            displacement: In all of them, (axes,) [rad or m].
-            sent: Torques for each of the holds, (axes,) each; of the last one those applied [N*m or N].
-            carried: Motion of a mover in each of them, (axes,) each; empty where nothing moves [rad or m].
-        """
-        axes, holds, last, before = self._axes, len(sent), sent[-1], self._torques
-        largest = [max([abs(torques[i]) for torques in (before, *sent)]) for i in range(len(last))]
-        reached = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
-        push = math.sqrt(sum([r * t * t for r, t in zip(reached, largest, strict=True)])) + axes.hand
-        doubt = 0.0
-        blur: list[float] = []
-        for i, moved in enumerate(displacement):
-            count, step = axes.count[i], math.sqrt(reached[i]) * push if axes.by_hand else 0.0
-            gap = Gap(holds, moved, self._displacement[i], count, self._blur[i] + count, step, axes.lost[i])
-            candidates = [[before[i], *[torques[i] for torques in sent[:j]]] for j in range(1, holds)]
-            doubt += self._doubt(i, gap, candidates, last[i])
-            for torques, motion in zip(candidates, carried, strict=False):  # not of the last hold
-                doubt += max([(last[i] - torque) * motion[i] for torque in torques])
-            excursion = abs(moved) + count + holds * (abs(gap.start) + gap.blur + holds * step)
-            blur.append(0.5 * (holds - 1) * step + axes.lost[i] * holds * excursion)
-            self._unsure += holds * count * largest[i]
-            certain = abs(moved) - count
+
+class UnderWay(NamedTuple):
+    """Torques that act before the next command."""
+
+    torques: Matrix  # a ring, (delay + 1, axes) [N*m or N]
+    first: int  # place of the one that acts next; below 0 it wraps
+    holds: int
+
+
+def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds) -> None:
+    """Takes one hold: its displacements and the torques applied in it."""
+    axes = settings.axes
+    unsure = 0.0
+    for i in range(len(ended.applied)):
+        torque, count = ended.applied[i], axes.counts[i]
+        if axes.by_damping or axes.coarse:
+            certain = abs(ended.displacement[i]) - count
             if certain > 0.0:
-                self.dissipated += axes.damping[i] * certain * certain / holds
-        self._blur = tuple(blur) if axes.by_hand else self._still
-        self.unsure = self._unsure + sum([0.5 * c * abs(t) for c, t in zip(axes.count, last, strict=True)])
-        self._displacement, self._torques = tuple([d / holds for d in displacement]), last
-        return doubt if doubt > 0.0 else 0.0
+                account.dissipated += axes.damping[i] * certain * certain
+            account.changes += 0.5 * count * abs(torque - memory.torques[i])
+            unsure += 0.5 * count * abs(torque)
+        memory.displacement[i], memory.torques[i], memory.blur[i] = ended.displacement[i], torque, 0.0
+    account.unsure = account.changes + unsure
 
-    def _doubt(self, axis: int, gap: Gap, candidates: list[list[float]], last: float) -> float:
-        """Returns how much less than booked may have come in by one axis [J]."""
-        axes = self._axes
-        if axes.by_hand:
-            return lost_samples.worst(gap, last, candidates)
-        if axes.path:
-            return lost_samples.worst_of_path(axes.path, last, candidates)
-        return lost_samples.worst_damped(gap, last, candidates, axes.damping[axis])
 
-    def book(
-        self, h_i: float, h_pas: float, lost: float, ceiling: float, coming: tuple[Values, ...]
-    ) -> tuple[float, float, float, float]:
-        """Books one hold into store and surplus; returns (h_r, deficit, leak, paid) [J].
+def end_group_gap(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds, missed: int
+) -> float:
+    """Takes several holds of which only the whole displacement is known; returns how much less may have come in [J].
 
-        Args:
-            h_i: Interaction energy of the hold, supplied energy included [J].
-            h_pas: Part of it taken by the modulated damper [J].
-            lost: What the dissipators of the network took [J]; below 0 counts as 0.
-            ceiling: What the network stores at its state [J]; more is not kept.
-            coming: Motion of a mover in the holds to come, (axes,) each; empty where nothing moves [rad or m].
-        """
-        h_s, surplus = self.h_s + h_i - h_pas, self.h_dis - h_pas
-        slack = 0.0
-        if lost > 0.0 or h_s > ceiling:
-            slack = min(self._free(h_s - surplus + self._credit, coming), h_s)
-        self.h_s, self.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, lost, ceiling, slack)
-        self._kept_back += h_r + leak - paid
-        return h_r, deficit, leak, paid
+    In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
+    then, or the one of the hold before (`lost_samples`).
+    """
+    axes, holds = settings.axes, missed + 1
+    push = 0.0
+    for i in range(len(ended.applied)):
+        largest = largest_of(memory, ended, missed, i)
+        push += (axes.before[i] + axes.during[i]) * largest * largest
+    push = sqrt(push) + axes.hand
+    doubt = unsure = 0.0
+    for i in range(len(ended.applied)):
+        moved, count, last = ended.displacement[i], axes.counts[i], ended.applied[i]
+        largest = largest_of(memory, ended, missed, i)
+        step = sqrt(axes.before[i] + axes.during[i]) * push if axes.by_hand else 0.0
+        start, blur = memory.displacement[i], memory.blur[i] + count
+        gap = Gap(holds, moved, start, count, blur, step, axes.lost[i])
+        doubt += doubt_of_axis(axes, memory, ended, gap, missed, i)
+        excursion = abs(moved) + count + holds * (abs(start) + blur + holds * step)
+        memory.blur[i] = 0.5 * missed * step + axes.lost[i] * holds * excursion if axes.by_hand else 0.0
+        account.changes += holds * count * largest
+        certain = abs(moved) - count
+        if certain > 0.0:
+            account.dissipated += axes.damping[i] * certain * certain / holds
+        unsure += 0.5 * count * abs(last)
+    for i in range(len(ended.applied)):
+        memory.displacement[i], memory.torques[i] = ended.displacement[i] / holds, ended.applied[i]
+    account.unsure = account.changes + unsure
+    return doubt
 
-    def certain(self) -> float:
-        """Returns the energy [J] that the next torques may take out; see `Guarded`."""
-        energy = self.h_s - self.h_dis + self._credit
-        lacking = self.unsure - self._kept_back
-        return energy - lacking if lacking > 0.0 else energy
 
-    def keep(self, energy: float, enough: float) -> None:
-        """Forgets what the devices dissipated beyond `enough` [J] together with `energy`."""
-        if energy + self.dissipated > enough:
-            self.dissipated = max(0.0, enough - energy)
+def largest_of(memory: AccountMemory, ended: GroupHolds, missed: int, axis: int) -> float:
+    """Returns the size of the largest torque that may have acted in the holds that ended, or before [N*m or N]."""
+    most = max(abs(memory.torques[axis]), abs(ended.applied[axis]))
+    for place in range(min(missed, len(ended.lost))):
+        most = max(most, abs(ended.lost[place][axis]))
+    return most
 
-    def fade(self, share: float) -> None:
-        """Keeps a share of what the devices dissipated and the account together, out of contact."""
-        if self.dissipated:
-            energy = self.h_s - self.h_dis
-            self.keep(energy, share * max(0.0, energy + self.dissipated))
 
-    def _base(self, torques: Sequence[float], under_way: list[Values]) -> float:
-        axes = self._axes
-        along = bound.along_last(axes, torques, self._displacement, self._blur)
-        return bound.base_of(axes, torques, self._displacement, along, self._torques, under_way)
+def doubt_of_axis(
+    axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, gap: Gap, missed: int, axis: int
+) -> float:
+    """Returns how much less than booked may have come in by one axis over several holds [J].
 
-    def _extractions(self, under_way: list[Values], coming: tuple[Values, ...]) -> list[float]:
-        """Returns the most energy [J] that each of the torques under way may take out in its hold."""
-        return [
-            self._base(torques, under_way[:k])
-            + bound.gain_of(self._axes, torques)
-            + (bound.taken_by_mover(torques, coming[k]) if coming else 0.0)
-            if any(torques)
-            else 0.0
-            for k, torques in enumerate(under_way)
-        ]
+    Below 0 where more has for certain. By hand speed |D_j| <= v_max T; see `lost_samples` for the others.
+    """
+    last, damping, total = ended.applied[axis], axes.damping[axis], 0.0
+    for hold in range(1, missed + 1):
+        most = largest = -inf
+        square = 0.0
+        for place in range(-1, min(hold, len(ended.lost))):
+            torque = memory.torques[axis] if place < 0 else ended.lost[place][axis]
+            more = torque - last
+            if axes.by_hand:
+                most = max(most, doubt_of(gap, hold, torque, last))
+            elif axes.path > 0.0:
+                most = max(most, abs(more))
+            else:
+                largest = max(largest, more * gap.moved + abs(more) * gap.error)
+                square = max(square, more * more)
+        if axes.by_hand or axes.path > 0.0:
+            total += most
+        else:
+            total += largest / gap.holds
+            total += square / (4.0 * damping)
+    return total * axes.path if axes.path > 0.0 and not axes.by_hand else total
 
-    def _moved_at_most(self, under_way: list[Values], coming: tuple[Values, ...]) -> float:
-        """Returns what a mover takes [J] in the holds of torques under way in which it takes anything."""
-        total = 0.0
-        for torques, moved in zip(under_way, coming, strict=False):
-            taken = bound.taken_by_mover(torques, moved)
+
+def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float:
+    """Returns how much less than booked a mover may have given in one hold whose sample was lost [J].
+
+    Args:
+        memory: Of the account, before `end_group_gap`; its `passing` is the motion of the mover in the hold.
+        ended: The holds.
+        hold: 0 for the first one.
+    """
+    last, moved, total = ended.applied, memory.passing, 0.0
+    for i in range(len(last)):
+        most = (last[i] - memory.torques[i]) * moved[i]
+        for place in range(min(hold + 1, len(ended.lost))):
+            most = max(most, (last[i] - ended.lost[place][i]) * moved[i])
+        total += most
+    return total
+
+
+def certain_energy(account: GroupAccount, credit: float) -> float:
+    """Returns the energy [J] that the next torques may take out.
+
+    What was dissipated or leaked is not available again, but it covers what the encoders leave unsure.
+    """
+    energy = account.h_s - account.h_dis + credit
+    lacking = account.unsure - account.kept_back
+    return energy - lacking if lacking > 0.0 else energy
+
+
+def fade(account: GroupAccount, share: float) -> None:
+    """Keeps a share of what the devices dissipated and the account together, out of contact."""
+    if account.dissipated != 0.0:
+        energy = account.h_s - account.h_dis
+        keep(account, energy, share * max(0.0, energy + account.dissipated))
+
+
+def worst_case(
+    settings: AccountSettings, memory: AccountMemory, torques: Buffer, under_way: UnderWay, count: int
+) -> float:
+    """Returns the base of torques that act after some of those under way [J]; see `base_of`."""
+    along = along_last(settings.axes, torques, memory.displacement, memory.blur)
+    return base_of(
+        settings.axes, torques, memory.displacement, along, memory.torques, under_way.torques, under_way.first, count
+    )
+
+
+def extraction_of(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay, hold: int) -> float:
+    """Returns the most energy [J] that the torques of one of the holds under way may take out in it."""
+    torques = under_way.torques[under_way.first + hold]
+    acts = False
+    for torque in torques:
+        if torque != 0.0:
+            acts = True
+    if not acts:
+        return 0.0
+    taken = worst_case(settings, memory, torques, under_way, hold) + gain_of(settings.axes, torques)
+    return taken + taken_by_mover(torques, memory.coming[hold]) if settings.moves else taken
+
+
+def moved_at_most(settings: AccountSettings, memory: AccountMemory, under_way: UnderWay) -> float:
+    """Returns what a mover takes [J] in the holds of torques under way in which it takes anything."""
+    total = 0.0
+    if settings.moves:
+        for hold in range(under_way.holds):
+            taken = taken_by_mover(under_way.torques[under_way.first + hold], memory.coming[hold])
             if taken > 0.0:
                 total += taken
-        return total
+    return total
 
-    def _free(self, energy: float, coming: tuple[Values, ...]) -> float:
-        """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
-        axes, under_way = self._axes, self._commands.under_way
-        if self._apart is not None:
-            return self._free_apart(self._apart, energy, coming)
-        if not under_way:
-            return energy + self.dissipated
-        free, moved = 0.0, self._moved_at_most(under_way, coming)
-        if axes.by_hand:
-            worst = given = 0.0
-            for extraction in self._extractions(under_way, coming):
-                given += extraction
-                worst = max(worst, given)
-            free = energy - worst
-        if axes.path:
-            free = max(free, energy - moved - sum(bound.path_need(axes, torques) for torques in under_way))
+
+def free_energy(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, energy: float
+) -> float:
+    """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
+    axes = settings.axes
+    if settings.apart.losses:
+        return free_if_apart(settings, account, memory, under_way, energy)
+    if under_way.holds == 0:
+        return energy + account.dissipated
+    free, moved = 0.0, moved_at_most(settings, memory, under_way)
+    if axes.by_hand:
+        worst = given = 0.0
+        for hold in range(under_way.holds):
+            given += extraction_of(settings, memory, under_way, hold)
+            worst = max(worst, given)
+        free = energy - worst
+    paths = needs = 0.0
+    for hold in range(under_way.holds):
+        torques = under_way.torques[under_way.first + hold]
+        if axes.path > 0.0:
+            paths += path_need(axes, torques)
         if axes.by_damping:
-            needed = moved + sum(bound.damping_need(axes, torques) for torques in under_way)
-            free = max(free, energy + self.dissipated - needed)
-        return free if free > 0.0 else 0.0
+            needs += damping_need(axes, torques)
+    if axes.path > 0.0:
+        free = max(free, energy - moved - paths)
+    if axes.by_damping:
+        free = max(free, energy + account.dissipated - (moved + needs))
+    return free if free > 0.0 else 0.0
 
-    def shares(self, torques: Sequence[float], energy: float, coming: tuple[Values, ...]) -> tuple[float, float, float]:
-        """Returns how much of the torques each certificate admits: hand force, device damping, hand speed; may be > 1.
 
-        Args:
-            torques: W, for the next free hold [N*m or N].
-            energy: That may be taken out [J].
-            coming: Motion of a mover in the holds to come, (axes,) each; empty where nothing moves [rad or m].
-        """
-        axes, under_way = self._axes, self._commands.under_way
-        if self._apart is not None:
-            return self._shares_apart(self._apart, tuple(torques), energy, coming)
-        by_force = by_damping = by_speed = moved = 0.0
-        if coming:
-            moved = bound.taken_by_mover(torques, coming[self._commands.delay])
-        if axes.by_hand:
-            budget = energy
-            for acting, extraction in zip(under_way, self._extractions(under_way, coming), strict=True):
-                same = sum(a * b for a, b in zip(acting, torques, strict=True)) >= 0.0
-                budget -= extraction if same else max(0.0, extraction)
-            base = self._base(torques, under_way) + moved
-            by_force = bound.share_within(budget, base, bound.gain_of(axes, torques))
+def shares(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, torques: Buffer,
+    energy: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Returns how much of the torques each certificate admits: hand force, device damping, hand speed; may be > 1.
+
+    Args:
+        settings: Of the run.
+        account: Of the group.
+        memory: Of the account.
+        under_way: Torques that act before these.
+        torques: W, for the next free hold [N*m or N].
+        energy: That may be taken out [J].
+    """
+    axes = settings.axes
+    if settings.apart.losses:
+        return shares_if_apart(settings, account, memory, under_way, torques, energy)
+    by_force = by_damping = by_speed = moved = 0.0
+    if settings.moves:
+        moved = taken_by_mover(torques, memory.coming[under_way.holds])
+    if axes.by_hand:
+        budget = energy
+        for hold in range(under_way.holds):
+            extraction = extraction_of(settings, memory, under_way, hold)
+            acting, along = under_way.torques[under_way.first + hold], 0.0
+            for i in range(len(torques)):
+                along += acting[i] * torques[i]
+            budget -= extraction if along >= 0.0 else max(0.0, extraction)
+        base = worst_case(settings, memory, torques, under_way, under_way.holds) + moved
+        by_force = hand_force_bound(budget, base, gain_of(axes, torques))
+    if axes.by_damping or axes.path > 0.0:
+        more, taken = max(0.0, moved), moved_at_most(settings, memory, under_way)
+        needs = paths = 0.0
+        for hold in range(under_way.holds):
+            acting = under_way.torques[under_way.first + hold]
+            needs += damping_need(axes, acting) if axes.by_damping else 0.0
+            paths += path_need(axes, acting)
         if axes.by_damping:
-            budget = energy + self.dissipated - max(0.0, moved) - self._moved_at_most(under_way, coming)
-            budget -= sum(bound.damping_need(axes, acting) for acting in under_way)
-            by_damping = math.sqrt(budget / bound.damping_need(axes, torques)) if budget > 0.0 else 0.0
-        if axes.path:
-            budget = energy - self._moved_at_most(under_way, coming)
-            budget -= sum(bound.path_need(axes, acting) for acting in under_way)
-            by_speed = budget / (bound.path_need(axes, torques) + max(0.0, moved)) if budget > 0.0 else 0.0
-        return by_force, by_damping, by_speed
-
-    def raised(self, torques: Values, share: float, energy: float) -> Values:
-        """Returns torques scaled by a share, or more on axes that take energy in; see `PerAxisBound.raised`.
-
-        Right after `shares`.
-
-        Args:
-            torques: W, (axes,) [N*m or N].
-            share: Admitted by the hand-force certificate.
-            energy: That may be taken out [J].
-        """
-        if self._apart is None or not self._axes.by_hand:
-            return tuple([share * torque for torque in torques])
-        return self._apart.raised(torques, share, energy)
-
-    def _free_apart(self, apart: PerAxisBound, energy: float, coming: tuple[Values, ...]) -> float:
-        axes = self._axes
-        apart.take(self._displacement, self._blur, self._torques, self._commands.under_way, coming)
-        nothing, free = (0.0,) * len(axes.count), 0.0
-        moved = apart.moved(nothing)[0]
-        if axes.by_hand:
-            free = energy - apart.needed_by_hand()
-        if axes.path:
-            free = max(free, energy - moved - axes.path * sum(apart.needs(nothing, 1)[0]))
-        if axes.by_damping:
-            old = zip(apart.needs(nothing, 2)[0], axes.damping, strict=True)
-            free = max(free, energy + self.dissipated - moved - sum(f / (4.0 * b) for f, b in old))
-        return free if free > 0.0 else 0.0
-
-    def _shares_apart(
-        self, apart: PerAxisBound, torques: Values, energy: float, coming: tuple[Values, ...]
-    ) -> tuple[float, float, float]:
-        """Returns `shares` for axes that may act apart; none is above 1 by hand force."""
-        axes = self._axes
-        apart.take(self._displacement, self._blur, self._torques, self._commands.under_way, coming)
-        by_force = by_damping = by_speed = 0.0
-        moved, more = apart.moved(torques)
-        if axes.by_hand:
-            by_force = apart.share_by_hand(torques, energy)
-        if axes.by_damping:
-            old, new = apart.needs(torques, 2)
-            budget = energy + self.dissipated - moved - more
-            budget -= sum(f / (4.0 * b) for f, b in zip(old, axes.damping, strict=True))
-            need = sum(f / (4.0 * b) for f, b in zip(new, axes.damping, strict=True))
-            by_damping = _root_of(budget, need)
-        if axes.path:
-            old, new = apart.needs(torques, 1)
-            by_speed = _root_of(energy - moved - axes.path * sum(old), axes.path * sum(new) + more) ** 2
-        return by_force, by_damping, by_speed
+            budget = energy + account.dissipated - more - taken - needs
+            by_damping = sqrt(quotient(budget, damping_need(axes, torques)))
+        if axes.path > 0.0:
+            budget = energy - taken - paths
+            by_speed = quotient(budget, path_need(axes, torques) + more)
+    return by_force, by_damping, by_speed
 
 
-def _root_of(budget: float, need: float) -> float:
-    """Returns sqrt(budget / need); 1 where nothing more is needed than there is."""
-    if budget < 0.0:
+def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:
+    """Returns sum(T / 4 b_i times the sum of squares of an axis) [J]."""
+    total = 0.0
+    for i in range(len(squares)):
+        total += squares[i] / (4.0 * axes.damping[i])
+    return total
+
+
+def size_of(values: Buffer) -> float:
+    """Returns the sum of values."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total
+
+
+def free_if_apart(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, energy: float
+) -> float:
+    """Returns `free_energy` for axes that may act apart."""
+    axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
+    take_sent(axes, limits, apart, memory.displacement, memory.blur, memory.torques, under_way.torques, under_way.first)
+    moved = taken_at_most(limits, apart, memory.coming, apart.nothing)[0] if settings.moves else 0.0
+    if axes.by_hand:
+        free = energy - needed_by_hand(axes, limits, apart, memory.coming)
+    if axes.path > 0.0:
+        write_needs(limits, apart, apart.nothing, squared=False)
+        free = max(free, energy - moved - axes.path * size_of(apart.old))
+    if axes.by_damping:
+        write_needs(limits, apart, apart.nothing, squared=True)
+        free = max(free, energy + account.dissipated - moved - damping_need_of(axes, apart.old))
+    return free if free > 0.0 else 0.0
+
+
+def shares_if_apart(
+    settings: AccountSettings, account: GroupAccount, memory: AccountMemory, under_way: UnderWay, torques: Buffer,
+    energy: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Returns `shares` for axes that may act apart; none is above 1 by hand force."""
+    axes, limits, apart = settings.axes, settings.apart, memory.apart
+    take_sent(axes, limits, apart, memory.displacement, memory.blur, memory.torques, under_way.torques, under_way.first)
+    by_force = by_damping = by_speed = moved = more = 0.0
+    if settings.moves:
+        moved, more = taken_at_most(limits, apart, memory.coming, torques)
+    if axes.by_hand:
+        by_force = share_by_hand(axes, limits, apart, memory.coming, torques, energy)
+    if axes.by_damping:
+        write_needs(limits, apart, torques, squared=True)
+        budget = energy + account.dissipated - moved - more
+        budget -= damping_need_of(axes, apart.old)
+        by_damping = sqrt(quotient(budget, damping_need_of(axes, apart.new)))
+    if axes.path > 0.0:
+        write_needs(limits, apart, torques, squared=False)
+        budget = energy - moved - axes.path * size_of(apart.old)
+        by_speed = quotient(budget, axes.path * size_of(apart.new) + more)
+    return by_force, by_damping, by_speed
+
+
+def quotient(budget: float, need: float) -> float:
+    """Returns budget / need; infinite where nothing is needed, 0 where there is no budget."""
+    if not budget >= 0.0:
         return 0.0
-    return math.sqrt(budget / need) if need > 0.0 else 1.0
+    return budget / need if need > 0.0 else inf

@@ -32,26 +32,26 @@ motors that would go with it, W . u, so that D - u stands wherever D is multipli
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, displacement_response
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.port_hamiltonian.discrete_gradient import Vector
+from canhaptic.kernels import Buffer, Matrix
 
 
 class AxisLimits(NamedTuple):
     """What the certificates know of the motor axes; shapes (axes,)."""
 
-    before: Vector  # response of the displacement to the torque of the hold before [m/N]
-    during: Vector  # and of the hold itself [m/N]
-    lost: Vector  # largest share of an inward displacement that friction takes from the next hold
+    before: Buffer  # response of the displacement to the torque of the hold before [m/N]
+    during: Buffer  # and of the hold itself [m/N]
+    lost: Buffer  # largest share of an inward displacement that friction takes from the next hold
     hand: float  # F_h |1|_P: displacement by the hand for |W|_P = 1, both in the norm of before + during
     by_hand: bool  # whether the hand-force certificate is declared
-    damping: Vector  # certain damping over the sample time [N/m]; 0 where it is not known
+    damping: Buffer  # certain damping over the sample time [N/m]; 0 where it is not known
     by_damping: bool
     path: float  # v_max T [m or rad]; 0: the hand-speed certificate is not declared
-    count: Vector  # encoder counts [m or rad]
+    counts: Buffer  # encoder counts [m or rad]
+    coarse: bool  # whether any of them is above 0
 
 
 def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_speed: float | None) -> AxisLimits:
@@ -85,11 +85,12 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
         damping=damping,
         by_damping=all(value > 0.0 for value in damping),
         path=(hand_speed or 0.0) * sample_time,
-        count=[loop.encoder_count for loop in loops],
+        counts=[loop.encoder_count for loop in loops],
+        coarse=any(loop.encoder_count for loop in loops),
     )
 
 
-def _response_to(torques: Vector, acting: Vector, response: Vector) -> float:
+def _response_to(torques: Buffer, acting: Buffer, response: Buffer) -> float:
     """Returns the largest response of W . D [J] to torques acting, for any inertia not below the declared."""
     product = first = second = 0.0
     for i in range(len(response)):
@@ -101,7 +102,7 @@ def _response_to(torques: Vector, acting: Vector, response: Vector) -> float:
     return largest if largest > 0.0 else 0.0
 
 
-def _hand_term(axes: AxisLimits, torques: Vector) -> float:
+def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
     """Returns how much the hand raises W . D in one hold [J]."""
     if axes.hand == 0.0:
         return 0.0
@@ -111,29 +112,30 @@ def _hand_term(axes: AxisLimits, torques: Vector) -> float:
     return axes.hand * math.sqrt(total)
 
 
-def along_last(axes: AxisLimits, torques: Vector, displacement: Vector, blur: Vector) -> float:
+def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, blur: Buffer) -> float:
     """Returns the largest W . D_0 [J], after friction, of a displacement known to its encoder counts and blur."""
     total = 0.0
-    for i in range(len(axes.count)):
+    for i in range(len(axes.counts)):
         along = torques[i] * displacement[i]
-        total += along + abs(torques[i]) * (axes.count[i] + blur[i])
+        total += along + abs(torques[i]) * (axes.counts[i] + blur[i])
     return total
 
 
-def _raised_by_friction(axes: AxisLimits, torques: Vector, displacement: Vector) -> float:
+def _raised_by_friction(axes: AxisLimits, torques: Buffer, displacement: Buffer) -> float:
     """Returns how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
     total = 0.0
     for i in range(len(axes.lost)):
         if axes.lost[i] != 0.0:
-            along = torques[i] * displacement[i] + abs(torques[i]) * axes.count[i]
+            along = torques[i] * displacement[i] + abs(torques[i]) * axes.counts[i]
             if along < 0.0:
                 total -= axes.lost[i] * along
     return total
 
 
 def base_of(
-    axes: AxisLimits, torques: Vector, displacement: Vector, bound: float, last: Vector, under_way: list[Vector]
-) -> float:
+    axes: AxisLimits, torques: Buffer, displacement: Buffer, bound: float, last: Buffer, sent: Matrix, first: int,
+    under_way: int,
+) -> float:  # fmt: skip
     """Returns the base of l W . D [J] for torques that act after those under way.
 
     Friction acts on what D_0 has left in every hold, axis by axis: where one axis moves inward and another outward,
@@ -145,12 +147,15 @@ def base_of(
         displacement: Of the hold that ended, (axes,).
         bound: Largest W . D_0 [J].
         last: Torques held in that hold, (axes,).
-        under_way: Torques of the holds before that of W.
+        sent: Torques by hold, a ring (holds, axes).
+        first: Place of the hold that comes next; below 0 it wraps.
+        under_way: Number of holds before that of W.
     """
     hand, friction = _hand_term(axes, torques), _raised_by_friction(axes, torques, displacement)
     total = bound + friction
     total += _response_to(torques, last, axes.before) + hand
-    for acting in under_way:
+    for place in range(first, first + under_way):
+        acting = sent[place]
         total += _response_to(torques, acting, axes.during)
         if len(axes.lost) > 1:
             total += friction
@@ -160,7 +165,7 @@ def base_of(
     return total
 
 
-def taken_by_mover(torques: Sequence[float], moved: Sequence[float]) -> float:
+def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
     """Returns what a mover takes [J] in a hold, its motion given as one of the motors (axes,) [rad or m]."""
     total = 0.0
     for i in range(len(moved)):
@@ -168,7 +173,7 @@ def taken_by_mover(torques: Sequence[float], moved: Sequence[float]) -> float:
     return total
 
 
-def gain_of(axes: AxisLimits, torques: Vector) -> float:
+def gain_of(axes: AxisLimits, torques: Buffer) -> float:
     """Returns the gain of l W . D [J] by the torques themselves."""
     total = 0.0
     for i in range(len(axes.during)):
@@ -176,7 +181,7 @@ def gain_of(axes: AxisLimits, torques: Vector) -> float:
     return total
 
 
-def damping_need(axes: AxisLimits, torques: Vector) -> float:
+def damping_need(axes: AxisLimits, torques: Buffer) -> float:
     """Returns sum(F_i^2 T / 4 b_i) [J]."""
     total = 0.0
     for i in range(len(axes.damping)):
@@ -184,18 +189,9 @@ def damping_need(axes: AxisLimits, torques: Vector) -> float:
     return total
 
 
-def path_need(axes: AxisLimits, torques: Vector) -> float:
+def path_need(axes: AxisLimits, torques: Buffer) -> float:
     """Returns sum |F_i| v_max T [J]."""
     total = 0.0
     for torque in torques:
         total += abs(torque)
     return total * axes.path
-
-
-def share_within(budget: float, base: float, gain: float) -> float:
-    """Returns the largest l >= 0 with l base + l^2 gain <= budget; see `certificates.hand_force_bound`."""
-    square = base * base + 4.0 * gain * budget
-    root = math.sqrt(square) if square > 0.0 else 0.0
-    if base <= 0.0:
-        return (root - base) / (2.0 * gain) if gain > 0.0 else math.inf
-    return 2.0 * budget / (root + base) if budget > 0.0 else 0.0

@@ -1,126 +1,139 @@
 """The torques of a group from their computation to the end of the hold in which they acted, with what was in them."""
 
-from collections import deque
 from collections.abc import Sequence
-from math import inf, isfinite
+from math import sqrt
 from typing import NamedTuple
 
-from canhaptic.errors import ControlError
-
-Values = tuple[float, ...]
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 
-class GroupCommand(NamedTuple):
-    """Torques and the efforts inside them, per motor axis [N*m or N]; torque = -(spring + damper + modulated)."""
+class GroupCommands(NamedTuple):
+    """Commands of the holds that have not ended, rings of delay + 1 rows; see `in_flight.Commands`.
 
-    torques: Values
-    damper: Values  # of the network's dissipators at the ports
-    modulated: Values  # of eq. 19
-    ports: Values = ()  # effort at each port of the network, where it is asked what a mover gave by them
-    power: float = 0.0  # of the dampers at the velocities they came from, times the sample time (eq. 18) [J]
+    torque = -(spring + damper + modulated), per motor axis [N*m or N].
+    """
 
-
-class EndedHold(NamedTuple):
-    """One hold, or several where samples were lost."""
-
-    displacement: Values  # per motor axis [rad or m]
-    damper: Values  # inside the torques applied in it [N*m or N]
-    modulated: Values
-    ports: Values
-    power: float  # [J]
-    skipped: tuple[Values, ...]  # torques sent for the holds whose samples were lost
+    torques: Matrix
+    dampers: Matrix  # efforts of the network's dissipators
+    modulated: Matrix  # of eq. 19
+    ports: Matrix  # effort at each port of the network
+    power: Buffer  # of the dampers at the velocities they came from, times the sample time (eq. 18) [J]
 
 
-class GroupCommands:
-    """Positions and commands of the holds that have not been booked yet."""
+class GroupHolds(NamedTuple):
+    """The hold that ended, or several where samples were lost."""
 
-    def __init__(self, axes: int, delay: int, largest: Sequence[float | None], ports: int = 0) -> None:
-        """Makes an empty queue.
-
-        Args:
-            axes: Motor axes.
-            delay: Whole holds between computation and action.
-            largest: Largest torque of each axis that limiter and drive let act [N*m or N]; None: any.
-            ports: Of the network, where the commands name the efforts there.
-        """
-        self.axes, self.delay = axes, delay
-        self._largest = tuple([inf if limit is None else limit for limit in largest])
-        zeros = (0.0,) * axes
-        self.nothing = GroupCommand(zeros, zeros, zeros, (0.0,) * ports)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets the last positions; no torque in flight."""
-        self._positions: Values | None = None
-        self._queue: deque[GroupCommand] = deque([self.nothing] * (self.delay + 1))
-        self._skipped: tuple[Values, ...] = ()
-
-    def ended(self, positions: Values, torques_applied: Values) -> EndedHold | None:
-        """Returns the hold that ended; None at the first positions.
-
-        Raises:
-            ControlError: Wrong number of values, or one that is not finite. Everything is forgotten.
-        """
-        last = self._positions
-        total = 0.0
-        for value in positions + torques_applied:
-            total += value - value  # 0, or NaN where it is not finite
-        if total != 0.0 or not len(positions) == len(torques_applied) == self.axes:
-            self.reset()
-            raise ControlError(
-                f"group controller: got positions {positions} and applied torques {torques_applied}, expected "
-                f"{self.axes} finite numbers each; torque is zero and the controller is to be reset, check the encoders"
-            )
-        self._positions = positions
-        if last is None:
-            self._skipped = ()
-            return None
-        command = self._queue.popleft()
-        displacement = tuple([q - q0 for q, q0 in zip(positions, last, strict=True)])
-        if torques_applied != command.torques:
-            command = as_applied(command, torques_applied)
-        skipped, self._skipped = self._skipped, ()
-        return EndedHold(displacement, command.damper, command.modulated, command.ports, command.power, skipped)
-
-    def send(self, command: GroupCommand) -> None:
-        """Takes the command that was just computed.
-
-        Raises:
-            ControlError: A torque is not finite. Everything is forgotten.
-        """
-        if not isfinite(sum(command.torques)):
-            self.reset()
-            raise ControlError(
-                f"group controller: computed torques {command.torques}, expected finite numbers; torque is zero and "
-                "the controller is to be reset, check stiffness and damping against the size of the motion"
-            )
-        self._queue.append(command)
-
-    def lose_hold(self) -> Values:
-        """Takes note of a SYNC without all samples; returns the torques of the newest command, repeated."""
-        newest = self._queue[-1]
-        if self._positions is not None:
-            lost = self._queue.popleft().torques
-            self._skipped += (tuple([min(max(t, -most), most) for t, most in zip(lost, self._largest, strict=True)]),)
-            self._queue.append(newest)
-        return newest.torques
-
-    @property
-    def under_way(self) -> list[Values]:
-        """Torques that act before the next command, the one that acts now first; right only after `ended`."""
-        return [command.torques for command in self._queue] if self.delay else []
+    displacement: Buffer  # in all of them, (axes,) [rad or m]
+    position: Buffer  # at their end, (axes,) [rad or m]
+    applied: Buffer  # torques held in the last one, (axes,) [N*m or N]
+    lost: Matrix  # torques of the first delay + 1 commands whose samples were lost; those after it are the last again
+    interactions: Buffer  # energy that came in by each axis [J]
 
 
-def as_applied(command: GroupCommand, applied: Values) -> GroupCommand:
-    """Returns the efforts inside torques that were not applied as sent: in proportion, axis by axis."""
-    shares = [min(1.0, max(0.0, a / t)) if t else 0.0 for a, t in zip(applied, command.torques, strict=True)]
-    sent = sum(t * t for t in command.torques)
-    along = sum(a * t for a, t in zip(applied, command.torques, strict=True))
-    whole = min(1.0, max(0.0, along / sent)) if sent else 0.0
-    return GroupCommand(
-        applied,
-        tuple([s * d for s, d in zip(shares, command.damper, strict=True)]),
-        tuple([s * m for s, m in zip(shares, command.modulated, strict=True)]),
-        tuple([whole * p for p in command.ports]),
-        whole * whole * command.power,
+def no_group_commands(axes: int, ports: int, delay: int) -> GroupCommands:
+    """Returns the commands of a group at rest."""
+    rows = delay + 1
+    return GroupCommands(
+        zeros(rows, axes), zeros(rows, axes), zeros(rows, axes), zeros(rows, ports), list_of_zeros(rows)
     )
+
+
+def no_group_holds(axes: int, delay: int) -> GroupHolds:
+    """Returns the buffers of the holds that ended."""
+    one = list_of_zeros
+    return GroupHolds(one(axes), one(axes), one(axes), zeros(delay + 1, axes), one(axes))
+
+
+def end_holds(
+    commands: GroupCommands, ended: GroupHolds, largest: Buffer, oldest: int, missed: int, positions: Buffer,
+    applied: Buffer,
+) -> int:  # fmt: skip
+    """Takes the holds that ended; returns the place of the command that acted in the last of them.
+
+    The efforts at that place are afterwards those inside the torques applied: a torque that was cut had as much less
+    of each of them.
+
+    Args:
+        commands: Of the group.
+        ended: Receives displacement, torques and energy of each axis.
+        largest: Torque of each axis that limiter and drive let act [N*m or N].
+        oldest: Place of the command whose hold ended first.
+        missed: Samples that were lost.
+        positions: At the end [rad or m].
+        applied: Torques in the last hold [N*m or N].
+    """
+    for lost in range(missed):
+        newest = oldest - 1
+        for i in range(len(applied)):
+            if lost < len(ended.lost):
+                ended.lost[lost][i] = min(max(commands.torques[oldest][i], -largest[i]), largest[i])
+            commands.torques[oldest][i] = commands.torques[newest][i]
+            commands.dampers[oldest][i] = commands.dampers[newest][i]
+            commands.modulated[oldest][i] = commands.modulated[newest][i]
+        for j in range(len(commands.ports[oldest])):
+            commands.ports[oldest][j] = commands.ports[newest][j]
+        commands.power[oldest] = commands.power[newest]
+        oldest = next_place(commands, oldest)
+    torques, as_sent = commands.torques[oldest], True
+    for i in range(len(applied)):
+        torque = applied[i]
+        displacement = positions[i] - ended.position[i]
+        ended.displacement[i], ended.position[i], ended.applied[i] = displacement, positions[i], torque
+        ended.interactions[i] = -torque * displacement
+        if torque != torques[i]:
+            as_sent = False
+    if not as_sent:
+        take_applied(commands, oldest, applied)
+    return oldest
+
+
+def next_place(commands: GroupCommands, place: int) -> int:
+    """Returns the place after another in the rings."""
+    return place + 1 if place + 1 < len(commands.power) else 0
+
+
+def take_applied(commands: GroupCommands, place: int, applied: Buffer) -> None:
+    """Makes the efforts of a command those inside torques that were not applied as sent: in proportion, by axis."""
+    torques, sent, along = commands.torques[place], 0.0, 0.0
+    for i in range(len(applied)):
+        torque = torques[i]
+        sent += torque * torque
+        along += applied[i] * torque
+        share = share_of(applied[i], torque)
+        commands.dampers[place][i] *= share
+        commands.modulated[place][i] *= share
+        torques[i] = applied[i]
+    whole = share_of(along, sent)
+    for j in range(len(commands.ports[place])):
+        commands.ports[place][j] *= whole
+    commands.power[place] *= whole * whole
+
+
+def share_of(part: float, whole: float) -> float:
+    """Returns part / whole, between 0 and 1; 0 of nothing."""
+    return min(1.0, max(0.0, part / whole)) if whole != 0.0 else 0.0
+
+
+def torque_held(ended: GroupHolds, hold: int, missed: int, axis: int) -> float:
+    """Returns the torque sent for one of the holds that ended, the first of them being 0 [N*m or N]."""
+    if hold >= missed:
+        return ended.applied[axis]
+    return ended.lost[min(hold, len(ended.lost) - 1)][axis]
+
+
+def send_nothing(commands: GroupCommands, place: int) -> int:
+    """Puts no torque at a place; returns the place of the next oldest command."""
+    for i in range(len(commands.torques[place])):
+        commands.torques[place][i] = commands.dampers[place][i] = commands.modulated[place][i] = 0.0
+    for j in range(len(commands.ports[place])):
+        commands.ports[place][j] = 0.0
+    commands.power[place] = 0.0
+    return next_place(commands, place)
+
+
+def norm(values: Sequence[float]) -> float:
+    """Returns the Euclidean norm."""
+    total = 0.0
+    for value in values:
+        total += value * value
+    return sqrt(total)

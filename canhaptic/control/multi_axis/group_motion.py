@@ -1,260 +1,327 @@
 """From motor axes to the ports of a network and back: where the group is, and what its network would render there."""
 
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from canhaptic.control.mechanisms.kinematics import Kinematics, Limit
+from canhaptic.control.mechanisms.kinematics import Kinematics, Limit, Mechanism
+from canhaptic.control.mechanisms.workspace import mechanism_of
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.port_hamiltonian.sampled_network import SampledNetwork
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered
-from canhaptic.control.velocity import AdaptiveWindow
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables
+from canhaptic.control.port_hamiltonian.sampled_network import (
+    NetworkMemory,
+    NetworkState,
+    advance_network,
+    begin_network,
+    dampers,
+    internal_motion,
+    network_memory,
+    share_inside,
+    springs,
+)
+from canhaptic.control.port_hamiltonian.shapes.geometry import Geometry, Mover, moved_by
+from canhaptic.control.port_hamiltonian.user_energy import Functions
+from canhaptic.control.velocity import VelocityWindow, restart, update
 from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
+_NONE, _WORKSPACE, _UNSOLVED = Limit.NONE.value, Limit.WORKSPACE.value, Limit.UNSOLVED.value
 _LONGEST_WINDOW: Final = 0.02
 """Of the velocity from a coarse encoder [s]."""
 
-_Values = Sequence[float]
+
+class World(NamedTuple):
+    """What a group renders, and through what."""
+
+    mechanism: Mechanism
+    geometry: Geometry
+    mover: Mover
+    tables: NetworkTables
+    functions: Functions
+
+
+class MotionSettings(NamedTuple):
+    """What is fixed for a run."""
+
+    sample_time: float  # [s]
+    counts: Buffer  # of the encoders, (axes,); 0: ideal [m or rad]
+    smooth: bool  # whether any encoder is coarse
+    moves: bool  # whether a mover may give or take energy
+
+
+@dataclass(slots=True)
+class Motion:
+    """Where a group is."""
+
+    located: bool = False  # whether the mechanism is inside its limits
+    began: bool = True  # whether the last positions were the first inside the limits
+    limit: int = _WORKSPACE  # why nothing is rendered
+    engaged: bool = False  # whether anything can be felt
+    energy: float = 0.0  # stored in the network at its state [J]; 0 while a limit holds
+    internal: float = 0.0  # dissipated inside it in the last step, beyond what was taken at the ports [J]
+    entered: float = 1.0  # share of the last motion that was inside a contact just entered, else 1
+    sample: int = 0
+    holds: int = 1  # of the last motion
+    elapsed: float = 0.0  # its time [s]
+    moved: float = 0.0  # by the mover in it, along every port [m or rad]
+    network: NetworkState = field(default_factory=NetworkState)
+
+
+class MotionMemory(NamedTuple):
+    """Buffers of a group that is followed."""
+
+    place: Buffer  # in task space [m or rad], (dimensions,)
+    jacobian: Matrix  # (dimensions, axes)
+    rows: Matrix  # of the ports over task space, (ports, dimensions)
+    at_motors: Matrix  # of the ports over the motor axes, (ports, axes)
+    coordinates: Buffer  # of the ports [m or rad], (ports,)
+    displacement: Buffer  # of the ports in the last motion [m or rad], (ports,)
+    port_motion: Buffer  # in one hold, (ports,)
+    spring_at_ports: Buffer  # (ports,)
+    lead_at_ports: Buffer
+    damper_at_ports: Buffer
+    velocity: Buffer  # of the motor axes, (axes,) [m/s or rad/s]
+    windows: list[VelocityWindow]  # of the velocity, (axes,)
+    samples: Matrix  # of the windows, (axes, longest + 1) [m or rad]
+    network: NetworkMemory
 
 
 class RequestedEfforts(NamedTuple):
-    """Efforts that oppose the motion, at the motors [N*m or N]."""
+    """Efforts that oppose the motion, at the motors, shapes (axes,) [N*m or N]."""
 
-    spring: list[float]
-    lead: list[float]
-    damper: list[float]
-    velocity: list[float]  # of the motor axes, inside the contact [rad/s or m/s]
-    internal_speed: float  # at which the storages at the ports move by themselves [m/s or rad/s]
+    spring: Buffer
+    lead: Buffer
+    damper: Buffer
+    velocity: Buffer  # of the motor axes, inside the contact [rad/s or m/s]
 
 
-class GroupMotion:
-    """Follows a group of axes.
+def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> World:
+    """Fits environment, mechanism and loops together.
 
-    Attributes:
-        ports: Of the network.
-        limit: Why nothing is rendered; `Limit`.
-        engaged: Whether anything can be felt.
-        energy: Stored in the network at its state [J]; 0 while a limit holds.
-        internal: Dissipated inside it in the last step, beyond what the dampers in the torques took [J].
-        entered: Share of the last motion that was inside a contact just entered, else 1.
-        network: Followed sample by sample.
-        displacement: Of the ports in the last motion [m or rad].
-        elapsed: Time of the last motion [s].
-        began: Whether the last positions were the first inside the limits of the mechanism.
-        moves: Whether a mover may give or take energy.
+    Raises:
+        ParameterError: They do not fit.
     """
+    _check_loops(kinematics, loops)
+    network, geometry, mover = environment.build(kinematics.dimensions)
+    if geometry.ports != network.ports or geometry.dimensions != kinematics.dimensions:
+        raise ParameterError(
+            f"group: the network has {network.ports} ports in any space, its geometry {geometry.ports} in "
+            f"{geometry.dimensions} dimensions, the mechanism moves in {kinematics.dimensions}; expected them equal"
+        )
+    tables = network.tables._replace(structure=[list(row) for row in network.tables.structure])
+    return World(mechanism_of(kinematics), geometry, mover, tables, network.functions)
 
-    def __init__(
-        self,
-        environment: NetworkEnvironment,
-        kinematics: Kinematics,
-        loops: tuple[LoopProperties, ...],
-        compiled: bool = False,
-    ) -> None:
-        """Fits environment, mechanism and loops together.
 
-        Raises:
-            ParameterError: They do not fit.
-        """
-        _check_loops(kinematics, loops)
-        rendered: Rendered = environment.build(kinematics.dimensions)
-        network, geometry = rendered
-        if geometry.ports != network.ports or geometry.dimensions != kinematics.dimensions:
-            raise ParameterError(
-                f"group: the network has {network.ports} ports in any space, its geometry {geometry.ports} in "
-                f"{geometry.dimensions} dimensions, the mechanism moves in {kinematics.dimensions}; expected them equal"
-            )
-        self._kinematics, self._geometry = kinematics, geometry
-        self._sample_time, self._delay = loops[0].sample_time, loops[0].delay
-        self.network = SampledNetwork(network, self._sample_time, compiled)
-        self.ports, self._axes = network.ports, kinematics.axes
-        self.moves = geometry.mover(0.0) is not None
-        self._windows = [
-            AdaptiveWindow(self._sample_time, loop.encoder_count, max(2, round(_LONGEST_WINDOW / self._sample_time)))
-            if loop.encoder_count
-            else None
-            for loop in loops
-        ]
-        self._smooth = any(window is not None for window in self._windows)
-        self._still = (0.0,) * network.ports
-        self.reset()
+def motion_settings(world: World, loops: tuple[LoopProperties, ...]) -> MotionSettings:
+    """Returns what is fixed for a run."""
+    counts = [loop.encoder_count for loop in loops]
+    return MotionSettings(loops[0].sample_time, counts, any(counts), world.mover.half != 0.0)
 
-    def reset(self) -> None:
-        """Nowhere yet."""
-        self.limit, self.engaged, self.energy, self.internal, self.entered = Limit.WORKSPACE.value, False, 0.0, 0.0, 1.0
-        self._holds, self._sample = 1, 0
-        self._velocity = [0.0] * self._axes
-        self._moved = self._still
-        self._at_motors = [[0.0] * self._axes for _ in range(self.ports)]
-        self._coordinates: tuple[float, ...] | None = None
-        self.displacement: tuple[float, ...] = self._still
-        self.elapsed, self.began = self._sample_time, True
 
-    @property
-    def first_state(self) -> float:
-        """First state of the network."""
-        return self.network.state[0]
+def motion_memory(world: World, settings: MotionSettings) -> MotionMemory:
+    """Returns the buffers of a group that is followed."""
+    geometry, axes = world.geometry, len(settings.counts)
+    ports, dimensions = geometry.ports, geometry.dimensions
+    longest = max(2, round(_LONGEST_WINDOW / settings.sample_time)) if settings.smooth else 0
+    one = list_of_zeros
+    return MotionMemory(
+        one(dimensions), zeros(dimensions, axes), zeros(ports, dimensions), zeros(ports, axes), one(ports), one(ports),
+        one(ports), one(ports), one(ports), one(ports), one(axes), [VelocityWindow() for _ in settings.counts],
+        zeros(axes, longest + 1), network_memory(world.tables),
+    )  # fmt: skip
 
-    def begin(self, positions: _Values) -> None:
-        """Takes the first positions."""
-        self.reset()
-        for window, position in zip(self._windows, positions, strict=True):
-            if window is not None:
-                window.restart(position)
-        self._locate(positions)
-        if self._coordinates is not None:
-            self.network.begin(self._coordinates)
-            self._settle()
 
-    def skip(self) -> None:
-        """Lets a sample pass that was lost."""
-        self._sample += 1
+def begin_motion(
+    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, positions: Buffer
+) -> None:
+    """Takes the first positions, of a state at rest."""
+    motion.elapsed = settings.sample_time
+    for i in range(len(positions)):
+        if settings.counts[i] > 0.0:
+            restart(memory.windows[i], memory.samples[i], positions[i])
+    locate(world, settings, motion, memory, positions)
+    if motion.located:
+        begin_network(world.tables, world.functions, motion.network, memory.network, memory.coordinates)
+        settle_motion(motion)
 
-    def follow(self, positions: _Values, displacement: _Values, holds: int) -> None:
-        """Takes positions and the motion since the last ones, and lets the network follow them."""
-        self.move(positions, displacement, holds)
-        self.internal, self.entered = 0.0, 1.0
-        if self._coordinates is None:
-            self.engaged, self.energy = False, 0.0
-            return
-        network = self.network
-        if self.began:
-            network.begin(self._coordinates)
-        else:
-            was_engaged = network.engaged
-            if not network.advance(self._coordinates, self.displacement, self.elapsed):
-                self.limit = Limit.UNSOLVED.value
-            self.internal = network.internal
-            if not was_engaged:
-                self.entered = network.entered_share()
-        self._settle()
 
-    def move(self, positions: _Values, displacement: _Values, holds: int) -> None:
-        """Takes positions and the motion since the last ones, over one hold or several; the network stays.
+def follow(
+    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, positions: Buffer,
+    displacement: Buffer, holds: int,
+) -> None:  # fmt: skip
+    """Takes positions and the motion since the last ones, and lets the network follow them."""
+    move(world, settings, motion, memory, positions, displacement, holds)
+    motion.internal, motion.entered = 0.0, 1.0
+    if not motion.located:
+        motion.engaged, motion.energy = False, 0.0
+        return
+    network, followed = motion.network, memory.network
+    if motion.began:
+        begin_network(world.tables, world.functions, network, followed, memory.coordinates)
+    else:
+        was_engaged = network.engaged
+        if not advance_network(
+            world.tables, world.functions, network, followed, memory.coordinates, memory.displacement, motion.elapsed
+        ):
+            motion.limit = _UNSOLVED
+        motion.internal = network.internal
+        if not was_engaged:
+            motion.entered = share_inside(world.tables, followed.room, followed.state)
+    settle_motion(motion)
 
-        Args:
-            positions: Of the motor axes [rad or m].
-            displacement: Of the motor axes since the last ones [rad or m].
-            holds: Sample times since then.
-        """
-        before, began = self._coordinates, self._sample - (holds - 1)
-        self._sample += 1
-        self._holds, self.elapsed = holds, holds * self._sample_time
-        self._measure_velocity(positions, displacement, holds)
-        self._moved = self._mover_motion(began, self._sample)
-        self._locate(positions)
-        after = self._coordinates
-        self.began = before is None
-        self.displacement = self._still
-        if before is not None and after is not None:
-            self.displacement = tuple([b - a for a, b in zip(before, after, strict=True)])
 
-    def _settle(self) -> None:
-        self.energy = self.network.energy
-        self.engaged = self.network.engaged and self.limit == Limit.NONE.value
+def move(
+    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, positions: Buffer,
+    displacement: Buffer, holds: int,
+) -> None:  # fmt: skip
+    """Takes positions and the motion since the last ones, over one hold or several; the network stays.
 
-    def _locate(self, positions: _Values) -> None:
-        """Takes pose and coordinates, the mover's motion taken off."""
-        pose = self._kinematics.pose(positions)
-        self.limit = pose.limit
-        if pose.limit:
-            self._coordinates = None
-            return
-        values, rows = self._geometry.measure(pose.position)
-        if self.moves:
-            offset = self._geometry.mover(self._sample * self._sample_time) or self._still
-            values = tuple([c - w for c, w in zip(values, offset, strict=True)])
-        self._coordinates = values
-        self._rows = rows
-        self._at_motors = [
-            [sum([a * jac[axis] for a, jac in zip(row, pose.jacobian, strict=True)]) for axis in range(self._axes)]
-            for row in rows
-        ]
+    Args:
+        world: What is rendered.
+        settings: Of the run.
+        motion: Changed.
+        memory: Changed.
+        positions: Of the motor axes [rad or m].
+        displacement: Of the motor axes since the last ones [rad or m].
+        holds: Sample times since then.
+    """
+    motion.sample += holds
+    motion.holds, motion.elapsed = holds, holds * settings.sample_time
+    measure_velocity(settings, memory, positions, displacement, holds)
+    motion.moved = mover_motion(world, settings, motion.sample - holds, motion.sample)
+    was_located = motion.located
+    for j in range(len(memory.displacement)):
+        memory.displacement[j] = -memory.coordinates[j]
+    locate(world, settings, motion, memory, positions)
+    motion.began = not was_located
+    is_step = was_located and motion.located
+    for j in range(len(memory.displacement)):
+        memory.displacement[j] = memory.coordinates[j] + memory.displacement[j] if is_step else 0.0
 
-    def _measure_velocity(self, positions: _Values, displacement: _Values, holds: int) -> None:
-        elapsed = holds * self._sample_time
-        velocity = [d / elapsed for d in displacement]
-        for axis, window in enumerate(self._windows):
-            if window is None:
-                continue
+
+def settle_motion(motion: Motion) -> None:
+    """Takes energy and engagement of the network."""
+    motion.energy = motion.network.energy
+    motion.engaged = motion.network.engaged and motion.limit == _NONE
+
+
+def locate(world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, positions: Buffer) -> None:
+    """Takes pose and coordinates, the mover's motion taken off."""
+    motion.limit = world.mechanism.locate(positions, memory.place, memory.jacobian)
+    motion.located = motion.limit == _NONE
+    if not motion.located:
+        return
+    values, jacobian = memory.coordinates, memory.jacobian
+    world.geometry.measure(memory.place, values, memory.rows)
+    if settings.moves:
+        offset = moved_by(world.mover, motion.sample * settings.sample_time)
+        for j in range(len(values)):
+            values[j] -= offset
+    for j in range(len(values)):
+        row, into = memory.rows[j], memory.at_motors[j]
+        for axis in range(len(into)):
+            total = 0.0
+            for k in range(len(row)):
+                total += row[k] * jacobian[k][axis]
+            into[axis] = total
+
+
+def measure_velocity(
+    settings: MotionSettings, memory: MotionMemory, positions: Buffer, displacement: Buffer, holds: int
+) -> None:
+    """Takes the velocity of the motor axes."""
+    elapsed = holds * settings.sample_time
+    for i in range(len(positions)):
+        velocity, count = displacement[i] / elapsed, settings.counts[i]
+        if count > 0.0:
+            window = memory.windows[i]
             if holds == 1:
-                velocity[axis] = window.update(positions[axis])
+                update(window, memory.samples[i], count, settings.sample_time, positions[i])
+                velocity = window.velocity
             else:
-                window.restart(positions[axis])
-                window.velocity = velocity[axis]
-        self._velocity = velocity
+                restart(window, memory.samples[i], positions[i])
+                window.velocity = velocity
+        memory.velocity[i] = velocity
 
-    def _mover_motion(self, first: int, last: int) -> tuple[float, ...]:
-        if not self.moves:
-            return self._still
-        before = self._geometry.mover(first * self._sample_time) or self._still
-        after = self._geometry.mover(last * self._sample_time) or self._still
-        return tuple([b - a for a, b in zip(before, after, strict=True)])
 
-    @property
-    def coordinates(self) -> tuple[float, ...] | None:
-        """Of the ports [m or rad]; None outside the limits of the mechanism."""
-        return self._coordinates
+def mover_motion(world: World, settings: MotionSettings, first: int, last: int) -> float:
+    """Returns the mover's motion from one sample to another [m or rad]."""
+    if not settings.moves:
+        return 0.0
+    before = moved_by(world.mover, first * settings.sample_time)
+    return moved_by(world.mover, last * settings.sample_time) - before
 
-    def supplied(self, efforts: _Values) -> float:
-        """Returns what the mover gave in the hold that ended [J], the ports having had given efforts."""
-        total = 0.0
-        if self.moves:
-            for effort, moved in zip(efforts, self._moved, strict=True):
-                total -= effort * moved
-        return total
 
-    def carried(self, after: int, holds: int) -> tuple[tuple[float, ...], ...]:
-        """Returns the mover's motion in some holds, as one of the motors at this pose; empty where nothing moves.
+def write_carried(
+    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, after: int, into: Buffer
+) -> None:
+    """Writes the mover's motion in one hold as the least motion of the motors that moves the ports so, at this pose.
 
-        Args:
-            after: Samples from the last one to the first of the holds; negative for holds that ended.
-            holds: How many; (holds, axes) [rad or m].
-        """
-        if not self.moves:
-            return ()
-        first = self._sample + after
-        return tuple([self._as_motors(self._mover_motion(first + k, first + k + 1)) for k in range(holds)])
+    Args:
+        world: What is rendered.
+        settings: Of the run.
+        motion: Of the group.
+        memory: Of the group.
+        after: Samples from the last one to the start of the hold; negative for holds that ended.
+        into: Written, (axes,) [rad or m].
+    """
+    first = motion.sample + after
+    distance = mover_motion(world, settings, first, first + 1)
+    for axis in range(len(into)):
+        into[axis] = 0.0
+    for j in range(len(memory.at_motors)):
+        row, square = memory.at_motors[j], 0.0
+        for axis in range(len(row)):
+            square += row[axis] * row[axis]
+        if square > 0.0:
+            for axis in range(len(row)):
+                into[axis] += row[axis] * distance / square
 
-    def _as_motors(self, moved: tuple[float, ...]) -> tuple[float, ...]:
-        """Returns the least motion of the motors that moves the ports as the mover does."""
-        found = [0.0] * self._axes
-        for distance, row in zip(moved, self._at_motors, strict=True):
-            square = sum([a * a for a in row])
-            if square > 0.0:
-                for axis, a in enumerate(row):
-                    found[axis] += a * distance / square
-        return tuple(found)
 
-    def efforts(self, lead: float) -> RequestedEfforts:
-        """Returns what the network would have the motors do, with its springs `lead` holds ahead."""
-        network, ports = self.network, self._port_motion()
-        damper = network.dampers(ports, self._sample_time)
-        spring, leading = network.springs(lead, self._holds, ports)
-        velocity = [self.entered * v for v in self._velocity]
-        return RequestedEfforts(
-            self.to_motors(spring), self.to_motors(leading), self.to_motors(damper), velocity,
-            network.internal_motion() / (self._holds * self._sample_time),
-        )  # fmt: skip
+def write_efforts(
+    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, lead: float, wish: RequestedEfforts
+) -> float:
+    """Writes what the network would have the motors do, with its springs `lead` holds ahead.
 
-    def _port_motion(self) -> list[float]:
-        """Returns the motion of the ports in one hold, from the smoothed velocity where an encoder is coarse."""
-        holds = self._holds
-        if not self._smooth:
-            return list(self.displacement) if holds == 1 else [d / holds for d in self.displacement]
-        return [
-            sum([a * v for a, v in zip(row, self._velocity, strict=True)]) * self._sample_time - moved / holds
-            for row, moved in zip(self._at_motors, self._moved, strict=True)
-        ]
+    Returns:
+        Speed at which the storages at the ports move by themselves [m/s or rad/s].
+    """
+    tables, network, holds = world.tables, memory.network, motion.holds
+    ports = memory.port_motion
+    write_port_motion(settings, motion, memory, ports)
+    dampers(tables, network, ports, settings.sample_time, network.state, memory.damper_at_ports)
+    springs(tables, world.functions, network, lead, holds, ports, memory.spring_at_ports, memory.lead_at_ports)
+    to_motors(memory, memory.spring_at_ports, wish.spring)
+    to_motors(memory, memory.lead_at_ports, wish.lead)
+    to_motors(memory, memory.damper_at_ports, wish.damper)
+    for i in range(len(wish.velocity)):
+        wish.velocity[i] = motion.entered * memory.velocity[i]
+    return internal_motion(tables, network.room) / (holds * settings.sample_time)
 
-    def to_motors(self, efforts: list[float]) -> list[float]:
-        """Returns the efforts at the motors [N*m or N] of efforts at the ports."""
-        found = [0.0] * self._axes
-        for effort, row in zip(efforts, self._at_motors, strict=True):
-            if effort != 0.0:
-                for axis, a in enumerate(row):
-                    found[axis] += a * effort
-        return found
+
+def write_port_motion(settings: MotionSettings, motion: Motion, memory: MotionMemory, into: Buffer) -> None:
+    """Writes the motion of the ports in one hold, from the smoothed velocity where an encoder is coarse."""
+    holds = motion.holds
+    for j in range(len(into)):
+        if settings.smooth:
+            row, total = memory.at_motors[j], 0.0
+            for axis in range(len(row)):
+                total += row[axis] * memory.velocity[axis]
+            into[j] = total * settings.sample_time - motion.moved / holds
+        else:
+            into[j] = memory.displacement[j] / holds
+
+
+def to_motors(memory: MotionMemory, efforts: Buffer, into: Buffer) -> None:
+    """Writes the efforts at the motors [N*m or N] of efforts at the ports."""
+    for axis in range(len(into)):
+        into[axis] = 0.0
+    for j in range(len(efforts)):
+        effort = efforts[j]
+        if effort != 0.0:
+            row = memory.at_motors[j]
+            for axis in range(len(into)):
+                into[axis] += row[axis] * effort
 
 
 def _check_loops(kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> None:

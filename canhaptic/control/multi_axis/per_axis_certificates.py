@@ -19,186 +19,295 @@ A mover's motion, known in advance, is taken off D_ij (`bound`). The hand counts
 the torque of the group that pulls one axis along its own torque is part of the declared force.
 """
 
-import math
-from collections.abc import Sequence
-from typing import Final
+from math import sqrt
+from typing import Final, NamedTuple
 
-from canhaptic.control.multi_axis.group_certificates import AxisLimits, share_within
-from canhaptic.control.multi_axis.group_commands import Values
+from canhaptic.control.certificates.scalar_bounds import hand_force_bound
+from canhaptic.control.multi_axis.group_certificates import AxisLimits
+from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
 
 _PASSES: Final = 24
 """Of the search for a share; what needs more renders nothing."""
 _ROUNDING: Final = 1e-12
 
-_Parabola = tuple[float, float, float]
-"""A + B l + C l^2 [J]."""
+
+class PerAxisLimits(NamedTuple):
+    """What is fixed for a run."""
+
+    delay: int  # whole holds between computation and action
+    losses: int  # consecutive cycles in which an axis may be without a new torque
+    holds: int  # in which the next torque may act, counted from now
+    first: float  # share of a whole response that a torque has in its first hold
+    responses: Buffer  # T^2 / m of each axis
+    roots: Buffer  # of these
 
 
-class PerAxisBound:
-    """What the torques under way may still give out, and how much of new ones may be added."""
+class PerAxisMemory(NamedTuple):
+    """The torques that may still act and what each axis may give out with them; [J] but for torques and starts."""
 
-    def __init__(self, axes: AxisLimits, delay: int, losses: int) -> None:
-        """Keeps what is known.
-
-        Args:
-            axes: What the certificates know of the motor axes.
-            delay: Whole holds between computation and action.
-            losses: Consecutive cycles in which an axis may be without a new torque.
-        """
-        self._axes, self._delay, self._losses = axes, delay, losses
-        whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
-        self._responses, self._roots = whole, [math.sqrt(r) for r in whole]
-        self._first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
-        self._holds = delay + 1 + losses
-
-    def take(
-        self, displacement: Values, blur: Values, torques: Values, under_way: Sequence[Values],
-        coming: tuple[Values, ...] = (),
-    ) -> None:  # fmt: skip
-        """Takes the hold that ended and the torques that may still act.
-
-        Args:
-            displacement: In the hold that ended, (axes,) [rad or m].
-            blur: How much further each axis may have moved in it (axes,).
-            torques: Held in it, (axes,) [N*m or N].
-            under_way: Sent, and to act before the next command.
-            coming: Motion of a mover in the holds to come, (axes,) each; empty where nothing moves [rad or m].
-        """
-        self._coming = coming
-        axes, losses, sent = self._axes, self._losses, (torques, *under_way)
-        self._committed = [
-            sent[max(0, hold - losses) : min(hold, self._delay) + 1] for hold in range(1, self._holds + 1)
-        ]
-        self._largest = [max([abs(values[i]) for values in sent]) for i in range(len(torques))]
-        self._starts = []
-        for i, moved in enumerate(displacement):
-            slack = axes.count[i] + blur[i]
-            along = slack + moved, slack - moved
-            self._starts.append([(start, axes.lost[i] * max(0.0, -start)) for start in along])
-
-    def _cells(self, torques: Sequence[float], fixed: Sequence[float] = ()) -> list[list[_Parabola]]:
-        """Returns what each axis may give out in each hold: the largest of some parabolas, and of 0.
-
-        Args:
-            torques: W, (axes,), of which the share l is to be found.
-            fixed: Torques sent whatever l is, on axes without W; none where left out.
-        """
-        largest = [max(f, abs(t)) for f, t in zip(self._largest, fixed, strict=True)] if fixed else self._largest
-        norm = math.sqrt(sum([r * f * f for r, f in zip(self._responses, largest, strict=True)])) + self._axes.hand
-        more = math.sqrt(
-            sum([r * max(0.0, t * t - f * f) for r, t, f in zip(self._responses, torques, largest, strict=True)])
-        )
-        cells = []
-        for index, committed in enumerate(self._committed):
-            hold, mine = index + 1, index - self._delay
-            grown = more * (mine + self._first) if mine >= 0 else 0.0
-            for i, root in enumerate(self._roots):
-                pieces = []
-                for sign, (start, lost) in zip((1.0, -1.0), self._starts[i], strict=True):
-                    base = start + hold * (lost + root * norm)
-                    if self._coming:
-                        base -= sign * self._coming[index][i]
-                    slope = root * grown
-                    old = max([sign * values[i] for values in committed], default=0.0)
-                    new = sign * torques[i]
-                    if mine >= 0 and fixed:
-                        old = max(old, sign * fixed[i])
-                    if old > 0.0:
-                        pieces.append((old * base, old * slope, 0.0))
-                    if mine >= 0 and new > 0.0:
-                        pieces.append((0.0, new * base, new * slope))
-                cells.append(pieces)
-        return cells
-
-    def needed_by_hand(self) -> float:
-        """Returns the most energy [J] that the torques under way may give out to a hand within its declared force."""
-        nothing = (0.0,) * len(self._roots)
-        return sum([max([0.0, *[piece[0] for piece in pieces]]) for pieces in self._cells(nothing)])
-
-    def share_by_hand(self, torques: Values, budget: float) -> float:
-        """Returns the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
-
-        Args:
-            torques: W, (axes,) [N*m or N].
-            budget: [J].
-        """
-        return _largest_share(self._cells(torques), budget)
-
-    def raised(self, torques: Values, share: float, budget: float) -> Values:
-        """Returns torques of which axes that move against theirs get more than the share of all.
-
-        Such an axis takes energy in whatever the others do; without it no group would begin from an empty account, as
-        the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of a group turns by it while the account
-        is short. What costs nothing at all is sent in debt as well.
-
-        Args:
-            torques: W, (axes,) [N*m or N].
-            share: That all axes may have.
-            budget: [J].
-        """
-        found = [share * torque for torque in torques]
-        starts = [
-            self._starts[i][0 if torque > 0.0 else 1][0] * abs(torque) for i, torque in enumerate(torques)
-        ]  # fmt: skip
-        budget = max(budget, self.needed_by_hand())
-        for axis in sorted(range(len(torques)), key=starts.__getitem__):
-            if starts[axis] < 0.0:
-                alone = [torque if i == axis else 0.0 for i, torque in enumerate(torques)]
-                others = [0.0 if i == axis else torque for i, torque in enumerate(found)]
-                found[axis] = max(share, _largest_share(self._cells(alone, others), budget)) * torques[axis]
-        return tuple(found)
-
-    def needs(self, torques: Values, power: int) -> tuple[list[float], list[float]]:
-        """Returns sums over all holds of |f_i|^power by the torques under way, and what l^power of new ones adds.
-
-        Args:
-            torques: W, (axes,); zeros for those under way alone.
-            power: 1 or 2.
-        """
-        count = len(torques)
-        old, new = [0.0] * count, [0.0] * count
-        for index, committed in enumerate(self._committed):
-            for i, torque in enumerate(torques):
-                held = max([abs(values[i]) for values in committed], default=0.0) ** power
-                old[i] += held
-                if index >= self._delay:
-                    new[i] += max(0.0, abs(torque) ** power - held)
-        return old, new
-
-    def moved(self, torques: Values) -> tuple[float, float]:
-        """Returns what a mover takes at most [J] of the torques under way, and how much more of new ones.
-
-        Args:
-            torques: W, (axes,); zeros for those under way alone.
-        """
-        old = new = 0.0
-        for index, (committed, motion) in enumerate(zip(self._committed, self._coming, strict=False)):
-            for i, moved in enumerate(motion):
-                held = max([0.0, *[-values[i] * moved for values in committed]])
-                old += held
-                if index >= self._delay:
-                    new += max(0.0, -torques[i] * moved - held)
-        return old, new
+    sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
+    largest: Buffer  # size of any of them on each axis, (axes,)
+    starts: Matrix  # displacement of the hold that ended along + and -, encoder and blur included, (axes, 2) [m or rad]
+    lost: Matrix  # what friction takes of it in a hold, (axes, 2)
+    along: Matrix  # largest torque along + that may act in each hold, (holds, axes) [N*m or N]
+    against: Matrix  # the same along -
+    ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (holds * axes,)
+    constant: Buffer  # A of the parabolas A + B l + C l^2, (4 * holds * axes,)
+    linear: Buffer  # B
+    square: Buffer  # C
+    old: Buffer  # sums over the holds by the torques under way, (axes,)
+    new: Buffer  # and what new ones add
+    nothing: Buffer  # zeros, (axes,)
+    alone: Buffer  # a torque of one axis, (axes,)
+    others: Buffer  # of all others
 
 
-def _largest_share(cells: list[list[_Parabola]], budget: float) -> float:
+def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
+    """Returns what is fixed for a run."""
+    whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
+    first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
+    return PerAxisLimits(delay, losses, delay + 1 + losses, first, whole, [sqrt(r) for r in whole])
+
+
+def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
+    """Returns empty buffers."""
+    axes, one = len(limits.roots), list_of_zeros
+    cells = limits.holds * axes if limits.losses else 0
+    return PerAxisMemory(
+        zeros(limits.delay + 1, axes), one(axes), zeros(axes, 2), zeros(axes, 2), zeros(limits.holds, axes),
+        zeros(limits.holds, axes), [0] * cells, *[one(4 * cells) for _ in range(3)], *[one(axes) for _ in range(5)],
+    )  # fmt: skip
+
+
+def take_sent(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, displacement: Buffer, blur: Buffer,
+    torques: Buffer, under_way: Matrix, first: int,
+) -> None:  # fmt: skip
+    """Takes the hold that ended and the torques that may still act.
+
+    Args:
+        axes: What the certificates know of the motor axes.
+        limits: Of the group.
+        memory: Written.
+        displacement: In the hold that ended, (axes,) [rad or m].
+        blur: How much further each axis may have moved in it (axes,).
+        torques: Held in it, (axes,) [N*m or N].
+        under_way: Sent, a ring (delay + 1, axes).
+        first: Place of the torques that act next; below 0 it wraps.
+    """
+    for i in range(len(torques)):
+        memory.sent[0][i], memory.largest[i] = torques[i], abs(torques[i])
+        slack, moved = axes.counts[i] + blur[i], displacement[i]
+        memory.starts[i][0], memory.starts[i][1] = slack + moved, slack - moved
+        for side in range(2):
+            start = memory.starts[i][side]
+            memory.lost[i][side] = axes.lost[i] * max(0.0, -start)
+    for hold in range(limits.delay):
+        row = under_way[first + hold]
+        for i in range(len(torques)):
+            memory.sent[hold + 1][i] = row[i]
+            memory.largest[i] = max(memory.largest[i], abs(row[i]))
+    for index in range(limits.holds):
+        for i in range(len(torques)):
+            up, down, found = 0.0, 0.0, False
+            for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+                torque = memory.sent[place][i]
+                if not found or torque > up:
+                    up = torque
+                if not found or -torque > down:
+                    down = -torque
+                found = True
+            memory.along[index][i], memory.against[index][i] = up, down
+
+
+def first_of(limits: PerAxisLimits, hold: int) -> int:
+    """Returns the row of the oldest torques that may act in a hold, the next one being 1."""
+    return max(0, hold - limits.losses)
+
+
+def end_of(limits: PerAxisLimits, hold: int) -> int:
+    """Returns the row after that of the newest torques under way that may act in a hold."""
+    return min(hold, limits.delay) + 1
+
+
+def write_cells(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, fixed: Buffer
+) -> None:
+    """Writes what each axis may give out in each hold: the largest of some parabolas, and of 0.
+
+    Args:
+        axes: What the certificates know of the motor axes.
+        limits: Of the group.
+        memory: Written.
+        coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
+        torques: W, (axes,), of which the share l is to be found.
+        fixed: Torques sent whatever l is, on axes without W, (axes,).
+    """
+    total = added = 0.0
+    for i in range(len(torques)):
+        response, largest, torque = limits.responses[i], memory.largest[i], abs(torques[i])
+        sent = max(largest, abs(fixed[i]))
+        total += response * sent * sent
+        added += response * max(0.0, torque * torque - sent * sent)
+    norm, more = sqrt(total) + axes.hand, sqrt(added)
+    cell = place = 0
+    for index in range(limits.holds):
+        mine = index - limits.delay
+        grown = more * (mine + limits.first) if mine >= 0 else 0.0
+        for i in range(len(torques)):
+            root, sign = limits.roots[i], 1.0
+            for side in range(2):
+                base = memory.starts[i][side] + (index + 1) * (memory.lost[i][side] + root * norm)
+                base -= sign * coming[index][i]
+                slope, new = root * grown, sign * torques[i]
+                old = memory.along[index][i] if side == 0 else memory.against[index][i]
+                if mine >= 0:
+                    old = max(old, sign * fixed[i])
+                if old > 0.0:
+                    memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
+                    place += 1
+                if mine >= 0 and new > 0.0:
+                    memory.constant[place], memory.linear[place], memory.square[place] = 0.0, new * base, new * slope
+                    place += 1
+                sign = -1.0
+            memory.ends[cell] = place
+            cell += 1
+
+
+def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix) -> float:
+    """Returns the most energy [J] that the torques under way may give out to a hand within its declared force."""
+    write_cells(axes, limits, memory, coming, memory.nothing, memory.nothing)
+    total, place = 0.0, 0
+    for cell in range(len(memory.ends)):
+        most = 0.0
+        while place < memory.ends[cell]:
+            most = max(most, memory.constant[place])
+            place += 1
+        total += most
+    return total
+
+
+def largest_share(memory: PerAxisMemory, budget: float) -> float:
     """Returns the largest l <= 1 at which the cells, each the largest of its parabolas and 0, sum to the budget [J]."""
     share = 1.0
     for _ in range(_PASSES):
         fixed = linear = square = 0.0
-        for pieces in cells:
-            most = 0.0
-            active = 0.0, 0.0, 0.0
-            for piece in pieces:
-                value = piece[0] + share * (piece[1] + share * piece[2])
+        place = 0
+        for cell in range(len(memory.ends)):
+            most, active = 0.0, -1
+            while place < memory.ends[cell]:
+                value = memory.constant[place] + share * (memory.linear[place] + share * memory.square[place])
                 if value > most:
-                    most, active = value, piece
-            fixed, linear, square = fixed + active[0], linear + active[1], square + active[2]
+                    most, active = value, place
+                place += 1
+            if active >= 0:
+                fixed += memory.constant[active]
+                linear += memory.linear[active]
+                square += memory.square[active]
         size = abs(fixed) + share * (abs(linear) + share * square)
         if fixed + share * (linear + share * square) <= budget + _ROUNDING * size:
             return share
-        smaller = share_within(budget - fixed, linear, square)
+        smaller = hand_force_bound(budget - fixed, linear, square)
         if not smaller < share:
             return 0.0
         share = smaller
     return 0.0
+
+
+def share_by_hand(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, budget: float
+) -> float:
+    """Returns the largest share l <= 1 of new torques within a budget [J]; 0 where none is.
+
+    Args:
+        axes: What the certificates know of the motor axes.
+        limits: Of the group.
+        memory: After `take_sent`.
+        coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
+        torques: W, (axes,) [N*m or N].
+        budget: [J].
+    """
+    write_cells(axes, limits, memory, coming, torques, memory.nothing)
+    return largest_share(memory, budget)
+
+
+def raise_inward(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, share: float,
+    budget: float, found: Buffer,
+) -> None:  # fmt: skip
+    """Writes torques of which axes that move against theirs get more than the share of all.
+
+    Such an axis takes energy in whatever the others do; without it no group would begin from an empty account, as
+    the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of a group turns by it while the account
+    is short. What costs nothing at all is sent in debt as well.
+
+    Args:
+        axes: What the certificates know of the motor axes.
+        limits: Of the group.
+        memory: After `take_sent`.
+        coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
+        torques: W, (axes,) [N*m or N].
+        share: That all axes may have.
+        budget: [J].
+        found: Written, (axes,).
+    """
+    count = len(torques)
+    for i in range(count):
+        found[i] = share * torques[i]
+        memory.new[i] = memory.starts[i][0 if torques[i] > 0.0 else 1] * abs(torques[i])
+    budget = max(budget, needed_by_hand(axes, limits, memory, coming))
+    for _ in range(count):  # the axis that brings in most first
+        axis = 0
+        for i in range(1, count):
+            if memory.new[i] < memory.new[axis]:
+                axis = i
+        if not memory.new[axis] < 0.0:
+            return
+        memory.new[axis] = 0.0
+        for i in range(count):
+            memory.alone[i] = torques[i] if i == axis else 0.0
+            memory.others[i] = 0.0 if i == axis else found[i]
+        write_cells(axes, limits, memory, coming, memory.alone, memory.others)
+        found[axis] = max(share, largest_share(memory, budget)) * torques[axis]
+
+
+def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, squared: bool) -> None:
+    """Writes sums over all holds of |f_i| or f_i^2 by the torques under way, and what l or l^2 of new ones adds.
+
+    Args:
+        limits: Of the group.
+        memory: Its `old` and `new` are written.
+        torques: W, (axes,); zeros for those under way alone.
+        squared: Whether the squares are summed.
+    """
+    for i in range(len(torques)):
+        old = new = 0.0
+        torque = abs(torques[i])
+        for index in range(limits.holds):
+            held = max(memory.along[index][i], memory.against[index][i])
+            held, asked = (held * held, torque * torque) if squared else (held, torque)
+            old += held
+            if index >= limits.delay:
+                new += max(0.0, asked - held)
+        memory.old[i], memory.new[i] = old, new
+
+
+def taken_at_most(limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer) -> tuple[float, float]:
+    """Returns what a mover takes at most [J] of the torques under way, and how much more of new ones.
+
+    Args:
+        limits: Of the group.
+        memory: After `take_sent`.
+        coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
+        torques: W, (axes,); zeros for those under way alone.
+    """
+    old = new = 0.0
+    for index in range(limits.holds):
+        for i in range(len(torques)):
+            moved, held = coming[index][i], 0.0
+            for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+                held = max(held, -memory.sent[place][i] * moved)
+            old += held
+            if index >= limits.delay:
+                new += max(0.0, -torques[i] * moved - held)
+    return old, new

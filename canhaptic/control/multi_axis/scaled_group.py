@@ -8,23 +8,41 @@ start by eq. 14, exact and sticky root, eq. 18 where there is none, exit. The st
 and no torque is limited: `guarded` is more accurate, and certified.
 """
 
-import math
-from collections.abc import Sequence
-from typing import ClassVar
+from math import sqrt
+from typing import ClassVar, NamedTuple
 
-from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.multi_axis.group_commands import EndedHold, GroupCommand, GroupCommands, Values
-from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
-from canhaptic.control.multi_axis.requested_efforts import GroupMotion
-from canhaptic.control.multi_axis.scaled_state import ScaledState
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.control.multi_axis.group_commands import (
+    GroupHolds,
+    end_holds,
+    next_place,
+    norm,
+    send_nothing,
+    torque_held,
+)
+from canhaptic.control.multi_axis.group_kernel import (
+    GroupHold,
+    GroupKernel,
+    GroupLoop,
+    group_loop,
+    group_memory,
+)
+from canhaptic.control.multi_axis.group_motion import World, begin_motion, move
+from canhaptic.control.multi_axis.scaled_state import (
+    ScaledGroupMemory,
+    ScaledGroupState,
+    begin_state,
+    exchange,
+    paid_memory,
+    write_state_efforts,
+)
+from canhaptic.control.multi_axis.stepped_group import SteppedGroup
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import HoldAccount
-from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
-from canhaptic.errors import ControlError
+from canhaptic.control.recovery import Alpha, modulated_damping
+from canhaptic.kernels import Buffer, list_of_zeros, new
 from canhaptic.units import Parameters
 
-_NO_CAP = 1e12
+_NO_PROMISE = Certificate.NONE.value
 
 
 class ScaledGroupParameters(Parameters):
@@ -33,116 +51,128 @@ class ScaledGroupParameters(Parameters):
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
     compiled: bool = False
-    """Whether the network's equation runs compiled by numba (the extra `fast`); pays with masses, some seconds once."""
+    """Whether the whole step runs compiled by numba (the extra `fast`); half a minute the first time, kept on disk."""
 
 
-class ScaledGroup:
-    """A network whose state is the one that was paid for; see `GroupController`."""
+class ScaledGroupSettings(NamedTuple):
+    """What is fixed for a run."""
+
+    loop: GroupLoop
+    alpha: float  # [s/m^2 or s/rad^2]
+
+
+def settings_of(
+    world: World, parameters: ScaledGroupParameters, loops: tuple[LoopProperties, ...]
+) -> ScaledGroupSettings:
+    """Returns what is fixed for a run."""
+    return ScaledGroupSettings(group_loop(world, loops), parameters.alpha)
+
+
+def memory_of(world: World, settings: ScaledGroupSettings) -> ScaledGroupMemory:
+    """Returns the buffers of a group at rest."""
+    axes, one = len(settings.loop.caps), list_of_zeros
+    ports = world.geometry.ports
+    return ScaledGroupMemory(
+        group_memory(world, settings.loop, ports), paid_memory(world.tables), one(axes), one(axes), one(axes)
+    )
+
+
+def step(
+    world: World,
+    settings: ScaledGroupSettings,
+    state: ScaledGroupState,
+    memory: ScaledGroupMemory,
+    missed: int,
+    positions: Buffer,
+    torques_applied: Buffer,
+) -> GroupHold:
+    """Accounts for the hold that ended; see `GroupKernel`."""
+    group, motion, ended, loop = state.group, state.group.motion, memory.group.ended, settings.loop
+    if not group.started:
+        group.started = True
+        for i in range(len(positions)):
+            ended.position[i] = positions[i]
+        begin_motion(world, loop.motion, motion, memory.group.motion, positions)
+        begin_state(world, state, memory)
+        return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
+    commands = memory.group.commands
+    group.oldest = end_holds(commands, ended, loop.largest, group.oldest, missed, positions, torques_applied)
+    place, unsure = group.oldest, unsure_of(memory, ended, missed)
+    move(world, loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
+    h_i = h_pas = damped = supplied = 0.0
+    for i in range(len(positions)):
+        h_i += ended.interactions[i]
+        h_pas += commands.modulated[place][i] * ended.displacement[i]
+        damped += commands.dampers[place][i] * ended.displacement[i]
+    for j in range(len(commands.ports[place])):
+        supplied -= commands.ports[place][j] * motion.moved
+    h_i = h_i + supplied - unsure
+    power = commands.power[place] * (missed + 1)
+    account = exchange(world, state, memory, loop.delay, h_i - h_pas, damped, power)
+    branch, h_r, gen, deficit, leak = account
+    surplus = state.h_dis + gen + deficit - h_pas
+    paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0
+    state.h_dis = surplus - paid
+    rendered = send(world, settings, state, memory)
+    balance = new(EnergyBalance, (
+        norm(commands.torques[place]), h_i, h_pas, h_i - h_pas, h_r, state.paid.h_s, state.h_dis, gen, deficit,
+        leak, paid, branch, rendered, _NO_PROMISE, memory.group.motion.network.state[0],
+    ))  # fmt: skip
+    return new(GroupHold, (balance, supplied, unsure, motion.limit, place))
+
+
+def unsure_of(memory: ScaledGroupMemory, ended: GroupHolds, missed: int) -> float:
+    """Returns the worst error of the energy over holds of which only the whole displacement is known [J]."""
+    total = 0.0
+    for i in range(len(ended.displacement)):
+        moved, torque, apart = ended.displacement[i], ended.applied[i], 0.0
+        if missed:
+            excursion = abs(moved) + missed * abs(memory.previous[i])
+            for hold in range(missed):
+                apart += abs(torque_held(ended, hold, missed, i) - torque)
+            total += apart * excursion
+        memory.previous[i] = moved
+    return total
+
+
+def send(world: World, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
+    """Sends the torques of the state, its dampers and the modulated damper; returns the damping rendered."""
+    group, commands, caps = state.group, memory.group.commands, settings.loop.caps
+    place, displacement, elapsed = group.oldest, memory.group.ended.displacement, group.motion.elapsed
+    if not state.paid.engaged:
+        group.oldest = send_nothing(commands, place)
+        return 0.0
+    spring, damper = memory.spring, memory.damper
+    power = write_state_efforts(world, state, memory)
+    size = room = square = moved = along = extra = 0.0
+    for i in range(len(caps)):
+        velocity = state.paid.pace * displacement[i] / elapsed
+        size += damper[i] * damper[i] / caps[i]
+        room += caps[i] * velocity * velocity
+        square += velocity * velocity
+        moved += displacement[i] * displacement[i]
+    share = 1.0
+    if size > room and not world.tables.moving:
+        share = sqrt(room / size)
+    for i in range(len(caps)):
+        damper[i] *= share
+        along += damper[i] * (state.paid.pace * displacement[i] / elapsed)
+    rendered, moved = along / square if square != 0.0 else 0.0, sqrt(moved)
+    if settings.alpha > 0.0 and state.h_dis > 0.0 and moved != 0.0:
+        extra = modulated_damping(settings.alpha, state.h_dis, rendered, settings.loop.least_cap, moved, elapsed)
+    for i in range(len(caps)):
+        modulated = extra * displacement[i] / elapsed
+        commands.torques[place][i] = -spring[i] - damper[i] - modulated
+        commands.dampers[place][i], commands.modulated[place][i] = damper[i], modulated
+    for j in range(len(memory.paid.whole)):
+        commands.ports[place][j] = memory.paid.whole[j]
+    commands.power[place] = share * power
+    group.oldest = next_place(commands, place)
+    return rendered + extra
+
+
+class ScaledGroup(SteppedGroup):
+    """A network whose state is the one that was paid for."""
 
     parameters_type: ClassVar[type[Parameters]] = ScaledGroupParameters
-
-    def __init__(
-        self,
-        environment: NetworkEnvironment,
-        kinematics: Kinematics,
-        parameters: ScaledGroupParameters,
-        loops: tuple[LoopProperties, ...],
-    ) -> None:
-        self._motion = motion = GroupMotion(environment, kinematics, loops, parameters.compiled)
-        self._state = ScaledState(motion, loops[0].delay)
-        self.axes = axes = kinematics.axes
-        self._sample_time, self._alpha = loops[0].sample_time, parameters.alpha
-        self._caps = [min(_NO_CAP, damping_cap(loops[0].delay, lo.moving_mass, self._sample_time)) for lo in loops]
-        self._commands = GroupCommands(axes, loops[0].delay, [loop.torque_limit for loop in loops], motion.ports)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets everything; see `GroupController`."""
-        self._commands.reset()
-        self._motion.reset()
-        self._state.reset()
-        self._h_dis = 0.0
-        self._previous: Values = (0.0,) * self.axes
-
-    def hold(self) -> GroupBalance:
-        """Repeats the last commands for want of a sample; see `GroupController`."""
-        torques = self._commands.lose_hold()
-        self._motion.skip()
-        balance = AT_REST._replace(
-            torque=math.hypot(*torques), h_s=self._state.h_s, h_dis=self._h_dis, branch=Branch.HELD.value,
-            state=self._motion.first_state,
-        )  # fmt: skip
-        return GroupBalance(torques, balance, (0.0,) * self.axes)
-
-    def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
-        """Books the hold that ended; see `GroupController`."""
-        applied = tuple(torques_applied)
-        try:
-            hold = self._commands.ended(tuple(positions), applied)
-        except ControlError:
-            self.reset()
-            raise
-        motion = self._motion
-        if hold is None:
-            motion.begin(positions)
-            self._state.begin()
-            self._h_dis = 0.0
-            return group_at_rest(self.axes)
-        holds = 1 + len(hold.skipped)
-        unsure = self._unsure(hold, applied)
-        interactions = tuple([-t * d for t, d in zip(applied, hold.displacement, strict=True)])
-        motion.move(positions, hold.displacement, holds)
-        supplied = motion.supplied(hold.ports)
-        h_i = math.fsum(interactions) + supplied - unsure
-        h_pas = sum([m * d for m, d in zip(hold.modulated, hold.displacement, strict=True)])
-        damped = sum([f * d for f, d in zip(hold.damper, hold.displacement, strict=True)])
-        account = self._state.exchange(h_i - h_pas, damped, hold.power * holds)
-        surplus = self._h_dis + account.gen + account.deficit - h_pas
-        paid = min(account.leak, surplus) if account.leak > 0.0 and surplus > 0.0 else 0.0
-        self._h_dis = surplus - paid
-        command, rendered = self._command(hold.displacement, holds)
-        self._commands.send(command)
-        balance = self._balance(command, h_i, h_pas, account, paid, rendered)
-        return GroupBalance(command.torques, balance, interactions, supplied, unsure, motion.limit)
-
-    def _balance(
-        self, command: GroupCommand, h_i: float, h_pas: float, account: HoldAccount, paid: float, rendered: float
-    ) -> EnergyBalance:
-        return EnergyBalance(
-            math.hypot(*command.torques), h_i, h_pas, h_i - h_pas, account.h_r, self._state.h_s, self._h_dis,
-            account.gen, account.deficit, account.leak, paid, account.branch, rendered, Certificate.NONE.value,
-            self._motion.first_state,
-        )  # fmt: skip
-
-    def _unsure(self, hold: EndedHold, applied: Values) -> float:
-        """Returns the worst error of the energy over holds of which only the whole displacement is known [J]."""
-        total = 0.0
-        for i, (moved, before, torque) in enumerate(zip(hold.displacement, self._previous, applied, strict=True)):
-            if hold.skipped:
-                excursion = abs(moved) + len(hold.skipped) * abs(before)
-                total += sum([abs(sent[i] - torque) for sent in hold.skipped]) * excursion
-        self._previous = hold.displacement
-        return total
-
-    def _command(self, displacement: Values, holds: int) -> tuple[GroupCommand, float]:
-        """Returns the torques of the state, its dampers and the modulated damper, and the damping rendered."""
-        motion = self._motion
-        if not self._state.engaged:
-            return self._commands.nothing, 0.0
-        springs, dampers, ports, power = self._state.efforts(holds)
-        elapsed = motion.elapsed
-        velocity = [self._state.pace * d / elapsed for d in displacement]
-        size = sum([d * d / cap for d, cap in zip(dampers, self._caps, strict=True)])
-        room = sum([cap * v * v for v, cap in zip(velocity, self._caps, strict=True)])
-        if size > room and not motion.network.tables.moving:
-            share = math.sqrt(room / size)
-            dampers, power = [share * d for d in dampers], share * power
-        square = sum([v * v for v in velocity])
-        rendered = sum([d * v for d, v in zip(dampers, velocity, strict=True)]) / square if square else 0.0
-        modulated = [0.0] * self.axes
-        moved = math.hypot(*displacement)
-        if self._alpha and self._h_dis > 0.0 and moved:
-            extra = modulated_damping(self._alpha, self._h_dis, rendered, min(self._caps), moved, elapsed)
-            modulated, rendered = [extra * d / elapsed for d in displacement], rendered + extra
-        torques = tuple([-s - d - m for s, d, m in zip(springs, dampers, modulated, strict=True)])
-        return GroupCommand(torques, tuple(dampers), tuple(modulated), tuple(ports), power), rendered
+    kernel: ClassVar[GroupKernel] = GroupKernel(settings_of, ScaledGroupState, memory_of, step)

@@ -39,7 +39,7 @@ from canhaptic.control.certificates.torque_bound import (
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Axis, AxisMemory, axis_memory, begin
-from canhaptic.control.passivity.in_flight import as_far_as_limit, efforts_inside, repeat, send
+from canhaptic.control.passivity.in_flight import as_far_as_limit, efforts_inside, repeat, send, towards_zero
 from canhaptic.control.passivity.settlement import settle
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
@@ -391,9 +391,7 @@ def render(
     certificate = (
         _UNBOUNDED if covered else _BY_DAMPING if damping >= size else _BY_FORCE if force >= size else _BY_SPEED
     )
-    if settings.quantum > 0.0:
-        torque = int(torque / settings.quantum) * settings.quantum  # towards 0
-    return torque, damper, modulated, rendered, certificate
+    return towards_zero(torque, settings.quantum), damper, modulated, rendered, certificate
 
 
 def efforts(

@@ -6,9 +6,12 @@ efforts that were inside the torque applied in that very hold. Booked with the n
 the paper's algorithm has a pole at -1.618 for a delay of one sample.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from canhaptic.kernels import Buffer, MakeBuffer
+
+_WHOLE: Final = 2.0**53
+"""From which on every floating-point number is whole."""
 
 
 class Commands(NamedTuple):
@@ -46,6 +49,14 @@ def repeat(commands: Commands, oldest: int) -> int:
 def as_far_as_limit(torque: float, torque_limit: float) -> float:
     """Returns a torque that was sent as far as limiter and drive let it act [N or N*m]."""
     return min(max(torque, -torque_limit), torque_limit)
+
+
+def towards_zero(torque: float, quantum: float) -> float:
+    """Returns a torque rounded towards 0 to the grid of a drive [N or N*m]; 0 is an ideal one."""
+    if quantum == 0.0:
+        return torque
+    steps = torque / quantum
+    return int(steps) * quantum if abs(steps) < _WHOLE else torque  # beyond it every number is whole; NaN stays
 
 
 def efforts_inside(commands: Commands, oldest: int, torque_applied: float) -> tuple[float, float]:

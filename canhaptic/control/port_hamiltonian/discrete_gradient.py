@@ -1,31 +1,25 @@
 """A network as plain numbers, its stored energy, and the discrete gradient of that energy (Gonzalez 1996).
 
-The functions here and in `step`, `bound` and `render` index and loop, and nothing else: they run on lists, and the
-extra `fast` compiles the same source for arrays (`compiled`). For a storage of one state the discrete gradient is the
-divided difference (H(x + s) - H(x)) / s, for a quadratic form Q (x + s / 2); each is exact, H(x + s) - H(x) = e . s,
-and so is their sum.
+For a storage of one state the discrete gradient is the divided difference (H(x + s) - H(x)) / s, for a quadratic form
+Q (x + s / 2); each is exact, H(x + s) - H(x) = e . s, and so is their sum.
 
 A scalar storage has the extension d = x beyond `upper`, x below `lower` and 0 between them - measured from those
 edges - and stores k d^2 / 2 + k3 d^4 / 4. With lower = upper = 0 it is always engaged; a wall is engaged on one side.
 With k < 0 it is a double well and stores k3 (d^2 + k / k3)^2 / 4, the same but for a constant: 0 in the wells.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
-Vector: TypeAlias = Any
-"""list[float], or an array of shape (n,)."""
-Matrix: TypeAlias = Any
-"""list[list[float]], or an array of shape (n, m)."""
+from canhaptic.kernels import Buffer, Indices, Matrix
 
 
 class NetworkTables(NamedTuple):
     """A network as data: n states, r ports, d dissipators."""
 
-    stiffness: Vector  # k, (n,)
-    hardening: Vector  # k3, (n,)
-    lower: Vector  # (n,)
-    upper: Vector  # (n,)
+    stiffness: Buffer  # k, (n,)
+    hardening: Buffer  # k3, (n,)
+    lower: Buffer  # (n,)
+    upper: Buffer  # (n,)
     coupled: bool  # whether `quadratic` is not zero
     quadratic: Matrix  # Q of x'Qx / 2, (n, n)
     moving: bool  # whether the state moves by itself: structure or dissipators on states
@@ -33,23 +27,27 @@ class NetworkTables(NamedTuple):
     gain: Matrix  # g, (n, r)
     on_states: Matrix  # row of each dissipator over the efforts of the states, (d, n)
     on_ports: Matrix  # row of each dissipator over the port flows, (d, r)
-    viscous: Vector  # (d,)
-    squared: Vector  # (d,)
-    coulomb: Vector  # (d,)
-    corner: Vector  # flow at which Coulomb friction reaches 0.71 of its value, (d,)
-    beside: Sequence[int]  # storage beside which a dissipator acts, only where that is engaged; -1: always, (d,)
+    viscous: Buffer  # (d,)
+    squared: Buffer  # (d,)
+    coulomb: Buffer  # (d,)
+    corner: Buffer  # flow at which Coulomb friction reaches 0.71 of its value, (d,)
+    beside: Indices  # storage beside which a dissipator acts, only where that is engaged; -1: always, (d,)
+    origin: Matrix  # rows of x(0) over the ports' first coordinates, (n, r)
+    edged: Indices  # states whose storage can be left
+    always: bool  # whether some storage or dissipator is felt everywhere
+    by_functions: bool  # whether energies or the structure are also given as functions
 
 
 def extension(tables: NetworkTables, index: int, value: float) -> float:
     """Returns how far a state is beyond the edges of its storage; 0 where it is not engaged."""
     upper = tables.upper[index]
     if value > upper:
-        return value - upper  # type: ignore[no-any-return]
+        return value - upper
     lower = tables.lower[index]
     return value - lower if value < lower else 0.0
 
 
-def stored_energy(tables: NetworkTables, state: Vector) -> float:
+def stored_energy(tables: NetworkTables, state: Buffer) -> float:
     """Returns H(x) without user energies [J]."""
     total = 0.0
     stiffness, hardening = tables.stiffness, tables.hardening
@@ -72,7 +70,7 @@ def stored_energy(tables: NetworkTables, state: Vector) -> float:
     return total
 
 
-def gradient(tables: NetworkTables, state: Vector, efforts: Vector) -> None:
+def gradient(tables: NetworkTables, state: Buffer, efforts: Buffer) -> None:
     """Writes dH/dx at a state."""
     stiffness, hardening = tables.stiffness, tables.hardening
     for i in range(len(stiffness)):
@@ -85,7 +83,7 @@ def gradient(tables: NetworkTables, state: Vector, efforts: Vector) -> None:
                 efforts[i] += row[j] * state[j]
 
 
-def discrete_gradient(tables: NetworkTables, state: Vector, step: Vector, efforts: Vector, slopes: Vector) -> None:
+def discrete_gradient(tables: NetworkTables, state: Buffer, step: Buffer, efforts: Buffer, slopes: Buffer) -> None:
     """Writes the discrete gradient between x and x + s, and its derivative by s for the scalar storages.
 
     Args:

@@ -4,51 +4,43 @@ s = T (J e - sum(a_j phi_j(f_j))) + g dc,    e = e_dg(x, x + s),    f_j = a_j . 
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from canhaptic.control.port_hamiltonian.discrete_gradient import (
-    Matrix,
-    NetworkTables,
-    Vector,
-    discrete_gradient,
-    extension,
-)
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, discrete_gradient, extension
+from canhaptic.control.port_hamiltonian.user_energy import Functions
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 
 class Workspace(NamedTuple):
     """Where a step writes; shapes (n,), (d,) and (n, n)."""
 
-    step: Vector  # s; the guess before, the solution after
-    efforts: Vector  # e
-    slopes: Vector
-    flows: Vector  # f_j
-    losses: Vector  # phi_j(f_j)
-    factors: Vector  # d phi_j / d f_j
-    engaged: Vector  # share of the motion in which dissipator j was engaged, 0..1
-    driven: Vector  # g dc
-    residual: Vector
-    direction: Vector  # of Newton's step
-    scale: Vector  # of the residual, fixed before the first evaluation of a sample
-    weights: Vector  # change of the efforts along the direction, for the power of a step
-    before: Vector  # the step where a search along a direction began
+    step: Buffer  # s; the guess before, the solution after
+    efforts: Buffer  # e
+    slopes: Buffer
+    flows: Buffer  # f_j
+    losses: Buffer  # phi_j(f_j)
+    factors: Buffer  # d phi_j / d f_j
+    engaged: Buffer  # share of the motion in which dissipator j was engaged, 0..1
+    driven: Buffer  # g dc
+    residual: Buffer
+    direction: Buffer  # of Newton's step
+    scale: Buffer  # of the residual, fixed before the first evaluation of a sample
+    weights: Buffer  # change of the efforts along the direction, for the power of a step
+    before: Buffer  # the step where a search along a direction began
     jacobian: Matrix
     mobility: Matrix  # T (J - R) as it acts on e
 
 
 def new_workspace(states: int, dissipators: int) -> Workspace:
     """Returns empty lists of the sizes that a network needs."""
-
-    def zeros(count: int) -> list[float]:
-        return [0.0] * count
-
-    n, d = states, dissipators
+    n, d, one = states, dissipators, list_of_zeros
     return Workspace(
-        zeros(n), zeros(n), zeros(n), zeros(d), zeros(d), zeros(d), zeros(d), zeros(n), zeros(n), zeros(n), zeros(n),
-        zeros(n), zeros(n), [zeros(n) for _ in range(n)], [zeros(n) for _ in range(n)],
+        one(n), one(n), one(n), one(d), one(d), one(d), one(d), one(n), one(n), one(n), one(n), one(n), one(n),
+        zeros(n, n), zeros(n, n),
     )  # fmt: skip
 
 
-def drive(tables: NetworkTables, state: Vector, displacement: Vector, room: Workspace) -> None:
+def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Workspace) -> None:
     """Writes g dc, and how much of the motion every dissipator beside a storage took part in."""
     driven, step = room.driven, room.step
     for i in range(len(driven)):
@@ -73,7 +65,7 @@ def engaged_share(tables: NetworkTables, index: int, value: float, change: float
     return (after - extension(tables, index, value)) / change if change != 0.0 else 1.0
 
 
-def dissipate(tables: NetworkTables, displacement: Vector, sample_time: float, room: Workspace) -> None:
+def dissipate(tables: NetworkTables, displacement: Buffer, sample_time: float, room: Workspace) -> None:
     """Writes flow, effort and slope of every dissipator at the efforts of the step."""
     efforts = room.efforts
     for j in range(len(room.flows)):
@@ -100,7 +92,12 @@ def dissipate(tables: NetworkTables, displacement: Vector, sample_time: float, r
 
 
 def evaluate(
-    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
+    tables: NetworkTables,
+    state: Buffer,
+    displacement: Buffer,
+    sample_time: float,
+    room: Workspace,
+    functions: Functions,
 ) -> float:
     """Writes the residual of the equation at `room.step`; returns its largest entry over the size of its terms.
 
@@ -108,8 +105,8 @@ def evaluate(
     """
     n = len(room.step)
     discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
-    if user is not None:
-        user.add_discrete_gradient(state, room.step, room.efforts)
+    if tables.by_functions:
+        functions.add_discrete_gradient(state, room.step, room.efforts)
     dissipate(tables, displacement, sample_time, room)
     worst = 0.0
     for i in range(n):
@@ -135,7 +132,7 @@ def evaluate(
     return worst
 
 
-def linearise(tables: NetworkTables, sample_time: float, room: Workspace, user: Any) -> None:
+def linearise(tables: NetworkTables, sample_time: float, room: Workspace, functions: Functions) -> None:
     """Writes the Jacobian of the equation, I + T (R' - J) de/ds."""
     n = len(room.step)
     mobility, jacobian = room.mobility, room.jacobian
@@ -151,13 +148,13 @@ def linearise(tables: NetworkTables, sample_time: float, room: Workspace, user: 
             into[k] = row[k] * room.slopes[k]
     if tables.coupled:
         _add_product(mobility, tables.quadratic, jacobian)
-    if user is not None:
-        user.add_slopes(mobility, jacobian)
+    if tables.by_functions:
+        functions.add_slopes(mobility, jacobian)
     for i in range(n):
         jacobian[i][i] += 1.0
 
 
-def _add_square(matrix: Matrix, row: Vector, factor: float) -> None:
+def _add_square(matrix: Matrix, row: Buffer, factor: float) -> None:
     """Adds factor a a'."""
     for i in range(len(row)):
         if row[i] != 0.0:

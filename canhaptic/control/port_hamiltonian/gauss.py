@@ -1,9 +1,9 @@
 """Linear equations in place, in plain loops: the few states of a network, factored at every step of Newton's method."""
 
-from canhaptic.control.port_hamiltonian.discrete_gradient import Matrix, Vector
+from canhaptic.kernels import Buffer, Matrix
 
 
-def solve_linear(matrix: Matrix, right: Vector) -> bool:
+def solve_linear(matrix: Matrix, right: Buffer) -> bool:
     """Solves in place by elimination with row pivots; returns False where the matrix is singular."""
     n = len(right)
     for column in range(n):
@@ -33,7 +33,7 @@ def _pivot_of(matrix: Matrix, column: int) -> int:
     return pivot
 
 
-def _eliminate(matrix: Matrix, right: Vector, column: int) -> None:
+def _eliminate(matrix: Matrix, right: Buffer, column: int) -> None:
     """Takes a column out of all rows below its diagonal."""
     n, above = len(right), matrix[column]
     for index in range(column + 1, n):

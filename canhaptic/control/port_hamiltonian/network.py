@@ -28,7 +28,7 @@ from canhaptic.control.port_hamiltonian.storages import (
     edges,
     states_of,
 )
-from canhaptic.control.port_hamiltonian.user_energy import UserEnergies
+from canhaptic.control.port_hamiltonian.user_energy import Functions, NoFunctions, UserFunctions
 from canhaptic.errors import ParameterError
 
 _Rows = Sequence[Sequence[float]]
@@ -43,9 +43,7 @@ class Network:
         tables: The network as data; a structure that depends on the state is filled in at every sample.
         states: How many.
         ports: How many.
-        user: Energies given as functions; None for none.
-        structure_at: J(x) as a function of the state; None where it is constant.
-        origin: Rows of x(0) over the ports' first coordinates.
+        functions: Energies and structure given as functions.
     """
 
     def __init__(
@@ -80,13 +78,21 @@ class Network:
             raise ParameterError(
                 "network: gain has no columns, expected one for each port; without ports no hand can touch it"
             )
-        self.structure_at = structure if callable(structure) else None
+        self.functions: Functions = NoFunctions()
+        given = UserFunctions(storages, structure if callable(structure) else None)
+        if given.exist:
+            self.functions = given
+        self._varies = given.structure_at is not None
         dampers = [d for each in dissipators for d in (each.elements() if isinstance(each, DampingMatrix) else [each])]
-        self.tables = self._tabled(list(storages), dampers, self._constant(structure), gain)
-        self.user = UserEnergies.of(storages)
         if origin is not None:
             check_rows("origin", origin, n, self.ports)
-        self.origin = [list(row) for row in (self._natural_origin() if origin is None else origin)]
+        tables = self._tabled(list(storages), dampers, self._constant(structure), gain)
+        self.tables = tables._replace(
+            origin=[list(row) for row in (self._natural_origin(tables) if origin is None else origin)],
+            edged=[i for i in range(n) if tables.lower[i] != tables.upper[i]],
+            always=any(isinstance(storage, UserEnergy) for storage in storages) or _never_left(tables),
+            by_functions=given.exist,
+        )
 
     def _constant(self, structure: _Rows | Callable[[Sequence[float]], _Rows] | None) -> _Rows:
         """Returns J, or that of a function at the state 0, after checking that it is skew."""
@@ -100,14 +106,11 @@ class Network:
         _check_skew(constant, n)
         return constant
 
-    def _natural_origin(self) -> _Rows:
-        tables = self.tables
+    def _natural_origin(self, tables: NetworkTables) -> _Rows:
         still = [0.0] * self.ports
         return [
             still
-            if self.structure_at is not None
-            or any(tables.structure[i])
-            or any(row[i] != 0.0 for row in tables.on_states)
+            if self._varies or any(tables.structure[i]) or any(row[i] != 0.0 for row in tables.on_states)
             else tables.gain[i]
             for i in range(self.states)
         ]
@@ -130,16 +133,16 @@ class Network:
                 for i, row in enumerate(storage.matrix):
                     quadratic[at + i][at : at + len(row)] = row
             at += states_of(storage)
-        structure = [[float(v) for v in row] for row in structure]
-        rows = [self._rows_of(damper, structure, gain) for damper in dampers]
+        skew = [[float(v) for v in row] for row in structure]
+        rows = [self._rows_of(damper, skew, gain) for damper in dampers]
         return NetworkTables(
             stiffness, hardening, lower, upper,
             coupled=any(v != 0.0 for row in quadratic for v in row),
             quadratic=quadratic,
-            moving=self.structure_at is not None
-            or any(v != 0.0 for row in structure for v in row)
+            moving=self._varies
+            or any(v != 0.0 for row in skew for v in row)
             or any(v != 0.0 for on_states, _ in rows for v in on_states),
-            structure=structure,
+            structure=skew,
             gain=[[float(v) for v in row] for row in gain],
             on_states=[on_states for on_states, _ in rows],
             on_ports=[on_ports for _, on_ports in rows],
@@ -148,6 +151,7 @@ class Network:
             coulomb=[damper.coulomb for damper in dampers],
             corner=[damper.corner for damper in dampers],
             beside=[-1 if damper.beside is None else damper.beside for damper in dampers],
+            origin=[], edged=[], always=False, by_functions=False,
         )  # fmt: skip
 
     def _rows_of(self, damper: Damper, structure: _Rows, gain: _Rows) -> tuple[list[float], list[float]]:
@@ -156,7 +160,7 @@ class Network:
         if where is not None:
             if not 0 <= where < self.states:
                 raise ParameterError(f"dissipator: got beside {where}, expected a state from 0 to {self.states - 1}")
-            if self.structure_at is not None:
+            if self._varies:
                 raise ParameterError(
                     "dissipator: got beside with a structure that depends on the state, expected states and ports; "
                     "the flow of the storage is not known beforehand"
@@ -172,6 +176,18 @@ class Network:
                     )
                 row[index] = float(value)
         return on_states, on_ports
+
+
+def _never_left(tables: NetworkTables) -> bool:
+    """Returns True where some storage or dissipator of the tables can be felt at every position."""
+    if tables.coupled:
+        return True
+    for k, low, high, row in zip(tables.stiffness, tables.lower, tables.upper, tables.gain, strict=True):
+        if k != 0.0 and low == high and any(row):
+            return True
+    return any(
+        beside < 0 and any(row) for beside, row in zip(tables.beside, tables.on_ports, strict=True)
+    )  # fmt: skip
 
 
 def check_rows(name: str, rows: _Rows, count: int, length: int) -> None:

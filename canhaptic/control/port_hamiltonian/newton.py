@@ -15,11 +15,13 @@ until it is level.
 """
 
 import math
-from typing import Any, Final
+from typing import Final
 
-from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, Vector, discrete_gradient
+from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, discrete_gradient
 from canhaptic.control.port_hamiltonian.equation import Workspace, dissipate, drive, evaluate, linearise
 from canhaptic.control.port_hamiltonian.gauss import solve_linear
+from canhaptic.control.port_hamiltonian.user_energy import Functions
+from canhaptic.kernels import Buffer
 
 _EVALUATIONS: Final = 60
 """Most evaluations of the equation in one sample."""
@@ -45,7 +47,12 @@ _INSIDE: Final = 0.1
 
 
 def advance(
-    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
+    tables: NetworkTables,
+    state: Buffer,
+    displacement: Buffer,
+    sample_time: float,
+    room: Workspace,
+    functions: Functions,
 ) -> int:
     """Finds the state change of one sample; returns the evaluations it took, negative where it did not converge.
 
@@ -55,37 +62,42 @@ def advance(
         displacement: Motion of the ports during it, (r,).
         sample_time: T, or several of them where samples were lost [s].
         room: `step` holds a guess, and the solution afterwards.
-        user: Energies given as functions; None for none.
+        functions: Energies and structure given as functions.
     """
     drive(tables, state, displacement, room)
     if not tables.moving:
         discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
-        if user is not None:
-            user.add_discrete_gradient(state, room.step, room.efforts)
+        if tables.by_functions:
+            functions.add_discrete_gradient(state, room.step, room.efforts)
         dissipate(tables, displacement, sample_time, room)
         return 1
     for i in range(len(room.scale)):
         room.scale[i] = math.sqrt(abs(tables.stiffness[i])) + _LEAST_SCALE
-    evaluations = _by_residual(tables, state, displacement, sample_time, room, user)
+    evaluations = _by_residual(tables, state, displacement, sample_time, room, functions)
     if evaluations < 0:
-        evaluations = by_power(tables, state, displacement, sample_time, room, user, -evaluations)
+        evaluations = by_power(tables, state, displacement, sample_time, room, functions, -evaluations)
     return evaluations
 
 
 def _by_residual(
-    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
+    tables: NetworkTables,
+    state: Buffer,
+    displacement: Buffer,
+    sample_time: float,
+    room: Workspace,
+    functions: Functions,
 ) -> int:
     """Takes Newton steps, each as far as the residual falls; returns the evaluations, negative where that ends."""
-    worst = evaluate(tables, state, displacement, sample_time, room, user)
+    worst = evaluate(tables, state, displacement, sample_time, room, functions)
     evaluations = 1
     while worst > _CLOSE:
         before, merit = worst, _merit_of(room)
-        linearise(tables, sample_time, room, user)
+        linearise(tables, sample_time, room, functions)
         if not solve_linear(room.jacobian, room.residual):
             return -evaluations
         for i in range(len(room.step)):
             room.direction[i] = room.residual[i]
-        worst, tried = _descend(tables, state, displacement, sample_time, room, user, merit)
+        worst, tried = _descend(tables, state, displacement, sample_time, room, functions, merit)
         evaluations += tried
         if worst <= _FLOOR and worst > 0.25 * before:
             break  # Newton's method gains nothing more: rounding
@@ -105,11 +117,11 @@ def _merit_of(room: Workspace) -> float:
 
 def _descend(
     tables: NetworkTables,
-    state: Vector,
-    displacement: Vector,
+    state: Buffer,
+    displacement: Buffer,
     sample_time: float,
     room: Workspace,
-    user: Any,
+    functions: Functions,
     before: float,
 ) -> tuple[float, int]:
     """Goes along the Newton step as far as the residual falls; returns (residual, evaluations)."""
@@ -119,7 +131,7 @@ def _descend(
         for i in range(len(room.step)):
             room.step[i] -= (share - taken) * room.direction[i]
         taken = share
-        worst = evaluate(tables, state, displacement, sample_time, room, user)
+        worst = evaluate(tables, state, displacement, sample_time, room, functions)
         if worst <= _ROUNDING or _merit_of(room) < before:
             return worst, tried
         share *= 0.5
@@ -128,40 +140,40 @@ def _descend(
 
 def by_power(
     tables: NetworkTables,
-    state: Vector,
-    displacement: Vector,
+    state: Buffer,
+    displacement: Buffer,
     sample_time: float,
     room: Workspace,
-    user: Any,
+    functions: Functions,
     spent: int,
 ) -> int:
     """Goes on where the residual falls no more; returns all evaluations, negative where they were not enough.
 
     The first step is a whole one: after it the equations without forces hold, and the power is that of the forces.
     """
-    worst = evaluate(tables, state, displacement, sample_time, room, user)
+    worst = evaluate(tables, state, displacement, sample_time, room, functions)
     evaluations, whole = spent + 1, True
     while worst > _CLOSE:
         if evaluations >= _EVALUATIONS:
             return -evaluations
         before, near = worst, worst <= _FLOOR
-        power = _aim(tables, sample_time, room, user)
+        power = _aim(tables, sample_time, room, functions)
         if not (power > 0.0 or near):  # upwards, along a slope below 0: as if it were level
             for i in range(len(room.slopes)):
                 room.slopes[i] = max(room.slopes[i], 0.0)
-            power = _aim(tables, sample_time, room, user)
+            power = _aim(tables, sample_time, room, functions)
         left = 1 if whole or near or not power > 0.0 else _EVALUATIONS - evaluations
-        worst, tried = _go_down(tables, state, displacement, sample_time, room, user, power, left)
+        worst, tried = _go_down(tables, state, displacement, sample_time, room, functions, power, left)
         evaluations, whole = evaluations + tried, False
         if worst <= _FLOOR and worst > 0.25 * before:
             break
     return evaluations
 
 
-def _aim(tables: NetworkTables, sample_time: float, room: Workspace, user: Any) -> float:
+def _aim(tables: NetworkTables, sample_time: float, room: Workspace, functions: Functions) -> float:
     """Writes Newton's direction and the change of the efforts along it; returns the power, 0 where it has none."""
     n = len(room.step)
-    linearise(tables, sample_time, room, user)
+    linearise(tables, sample_time, room, functions)
     for i in range(n):
         room.direction[i] = room.residual[i]
     if not solve_linear(room.jacobian, room.direction):
@@ -172,8 +184,8 @@ def _aim(tables: NetworkTables, sample_time: float, room: Workspace, user: Any) 
             for k in range(n):
                 weight += 0.5 * tables.quadratic[i][k] * room.direction[k]
         room.weights[i] = weight
-    if user is not None:
-        user.add_change(room.direction, room.weights)
+    if tables.by_functions:
+        functions.add_change(room.direction, room.weights)
     return _power_of(room)
 
 
@@ -186,8 +198,8 @@ def _power_of(room: Workspace) -> float:
 
 
 def _go_down(
-    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any,
-    power: float, left: int,
+    tables: NetworkTables, state: Buffer, displacement: Buffer, sample_time: float, room: Workspace,
+    functions: Functions, power: float, left: int,
 ) -> tuple[float, int]:  # fmt: skip
     """Goes along the direction towards level ground; returns (residual, evaluations).
 
@@ -197,7 +209,7 @@ def _go_down(
         displacement: Of the ports, (r,).
         sample_time: T [s].
         room: `direction` and `weights` say where to.
-        user: Energies given as functions; None for none.
+        functions: Energies and structure given as functions.
         power: Where the way begins; > 0.
         left: Evaluations; with one the whole step is taken.
     """
@@ -208,7 +220,7 @@ def _go_down(
     for tried in range(1, left + 1):
         for i in range(len(room.step)):
             room.step[i] = room.before[i] - share * room.direction[i]
-        worst = evaluate(tables, state, displacement, sample_time, room, user)
+        worst = evaluate(tables, state, displacement, sample_time, room, functions)
         here = _power_of(room) if worst < math.inf else -math.inf
         if worst <= _FLOOR or abs(here) <= _LEVEL * power or (high == 0.0 and 0.0 < here <= _STEEP * power):
             return worst, tried
@@ -225,12 +237,17 @@ def _go_down(
 
 
 def rest_on_ports(
-    tables: NetworkTables, state: Vector, displacement: Vector, sample_time: float, room: Workspace, user: Any
+    tables: NetworkTables,
+    state: Buffer,
+    displacement: Buffer,
+    sample_time: float,
+    room: Workspace,
+    functions: Functions,
 ) -> None:
     """Takes s = g dc where no solution was found: nothing moves by itself in this sample, and nothing is created."""
     for i in range(len(room.step)):
         room.step[i] = room.driven[i]
     discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
-    if user is not None:
-        user.add_discrete_gradient(state, room.step, room.efforts)
+    if tables.by_functions:
+        functions.add_discrete_gradient(state, room.step, room.efforts)
     dissipate(tables, displacement, sample_time, room)

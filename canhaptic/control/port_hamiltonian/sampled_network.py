@@ -1,250 +1,252 @@
 """A network followed sample by sample with the measured motion of its ports: the model-consistent state."""
 
-from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from math import sqrt
+from typing import NamedTuple
 
-from canhaptic.control.port_hamiltonian import equation
-from canhaptic.control.port_hamiltonian import newton as step
 from canhaptic.control.port_hamiltonian.discrete_gradient import NetworkTables, extension, gradient, stored_energy
-from canhaptic.control.port_hamiltonian.network import Network
-from canhaptic.errors import ParameterError
-from canhaptic.extras import install_hint
+from canhaptic.control.port_hamiltonian.equation import (
+    Workspace,
+    dissipate,
+    drive,
+    engaged_share,
+    new_workspace,
+)
+from canhaptic.control.port_hamiltonian.newton import advance, rest_on_ports
+from canhaptic.control.port_hamiltonian.user_energy import Functions
+from canhaptic.kernels import Buffer, list_of_zeros
 
 
-def _never_left(network: Network) -> bool:
-    """Returns True where some storage or dissipator can be felt at every position."""
-    tables = network.tables
-    if network.user is not None or tables.coupled:
-        return True
-    for k, low, high, row in zip(tables.stiffness, tables.lower, tables.upper, tables.gain, strict=True):
-        if k != 0.0 and low == high and any(row):
-            return True
-    return any(
-        beside < 0 and any(row) for beside, row in zip(tables.beside, tables.on_ports, strict=True)
-    )  # fmt: skip
+@dataclass(slots=True)
+class NetworkState:
+    """What the last step left."""
+
+    energy: float = 0.0  # H(x) [J]
+    internal: float = 0.0  # dissipated on the states in the last step, without what was taken at the ports [J]
+    engaged: bool = False  # whether any storage that can be left is engaged, or there is one that cannot
+    evaluations: int = 0  # of the equation in the last step; negative where it did not converge
 
 
-def _compiled_equation(tables: NetworkTables, room: equation.Workspace, network: Network) -> Any:
-    """Returns the equation of a network, compiled.
+class NetworkMemory(NamedTuple):
+    """Buffers of a network that is followed."""
 
-    Raises:
-        ParameterError: numba is not installed, or the network has energies given as functions.
+    state: Buffer  # x, (states,)
+    begun: Buffer  # x at the first sample
+    first: Buffer  # coordinates of the ports there [m or rad]
+    ahead: Buffer  # efforts of the state ahead, (states,)
+    moved: Buffer  # that state
+    room: Workspace
+
+
+def network_memory(tables: NetworkTables) -> NetworkMemory:
+    """Returns the buffers of a network, at rest."""
+    n = len(tables.stiffness)
+    ports = list_of_zeros(len(tables.gain[0]))
+    room = new_workspace(n, len(tables.viscous))
+    return NetworkMemory(list_of_zeros(n), list_of_zeros(n), ports, list_of_zeros(n), list_of_zeros(n), room)
+
+
+def begin_network(
+    tables: NetworkTables, functions: Functions, network: NetworkState, memory: NetworkMemory, coordinates: Buffer
+) -> None:
+    """Starts at given coordinates of the ports: walls where they are, masses at rest."""
+    for j in range(len(coordinates)):
+        memory.first[j] = coordinates[j]
+    for i in range(len(memory.state)):
+        row, total = tables.origin[i], 0.0
+        for j in range(len(coordinates)):
+            total += row[j] * coordinates[j]
+        memory.state[i] = memory.begun[i] = total
+        memory.room.step[i] = 0.0
+    settle_network(tables, functions, network, memory)
+    network.internal, network.evaluations = 0.0, 0
+
+
+def advance_network(
+    tables: NetworkTables,
+    functions: Functions,
+    network: NetworkState,
+    memory: NetworkMemory,
+    coordinates: Buffer,
+    displacement: Buffer,
+    elapsed: float,
+) -> bool:
+    """Follows one motion of the ports; returns False where no solution was found: the state then moved by it alone.
+
+    Args:
+        tables: The network.
+        functions: Energies and structure given as functions.
+        network: Changed.
+        memory: Changed.
+        coordinates: Of the ports at its end [m or rad].
+        displacement: Of the ports, relative to what is moved by itself [m or rad].
+        elapsed: One sample time, or several [s].
     """
-    if network.user is not None:
-        raise ParameterError("compiled: got energies given as functions, expected storages of the table; leave it out")
-    try:
-        from canhaptic.control.port_hamiltonian.njit_equation import CompiledEquation
-    except ImportError as error:
-        raise ParameterError(f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out") from error
-    return CompiledEquation(tables, room)
+    solved = propose(tables, functions, network, memory, displacement, elapsed)
+    if tables.moving:
+        for i in range(len(memory.state)):
+            memory.state[i] += memory.room.step[i]
+    else:
+        place_state(tables, memory, coordinates, memory.state)
+    settle_network(tables, functions, network, memory)
+    return solved
 
 
-class SampledNetwork:
-    """State and efforts of a network.
-
-    Attributes:
-        state: x, (states,).
-        energy: H(x) [J].
-        internal: Energy dissipated on the states in the last step, without what its dissipators took at the ports [J].
-        engaged: Whether any storage that can be left is engaged, or there is one that cannot.
-        tables: Of the network, with its structure at the state.
-        room: What the last step found.
-        user: Energies given as functions.
-        always: Whether some storage or dissipator is felt everywhere.
-        edged: States whose storage can be left.
-        evaluations: Of the equation in the last step; negative where it did not converge.
-    """
-
-    def __init__(self, network: Network, sample_time: float, compiled: bool = False) -> None:
-        """Makes a follower at rest.
-
-        Args:
-            network: What is followed; not shared state.
-            sample_time: T [s].
-            compiled: Whether its equation runs compiled by numba.
-
-        Raises:
-            ParameterError: Compiled without numba, or with energies given as functions.
-        """
-        tables, n = network.tables, network.states
-        self._network, self._sample_time = network, sample_time
-        self.tables = tables._replace(structure=[list(row) for row in tables.structure])
-        self.user = network.user
-        self.always = _never_left(network)
-        self.edged = [i for i in range(n) if tables.lower[i] != tables.upper[i]]
-        self.room = equation.new_workspace(n, len(tables.viscous))
-        self._equation = _compiled_equation(self.tables, self.room, network) if compiled else None
-        self._next, self._ahead = [0.0] * n, [0.0] * n
-        self.begin((0.0,) * network.ports)
-
-    def begin(self, coordinates: Sequence[float]) -> None:
-        """Starts at given coordinates of the ports: walls where they are, masses at rest."""
-        self._first = tuple(coordinates)
-        self.state = [sum(a * c for a, c in zip(row, coordinates, strict=True)) for row in self._network.origin]
-        self._begun = list(self.state)
-        self.settle()
-        self.internal = 0.0
-        self.evaluations = 0
-        for i in range(len(self.state)):
-            self.room.step[i] = 0.0
-
-    def advance(self, coordinates: Sequence[float], displacement: Sequence[float], elapsed: float) -> bool:
-        """Follows one motion of the ports; returns False where no solution was found: the state then moved by it alone.
-
-        Args:
-            coordinates: Of the ports at its end [m or rad].
-            displacement: Of the ports, relative to what is moved by itself [m or rad].
-            elapsed: One sample time, or several [s].
-        """
-        solved = self.propose(displacement, elapsed)
-        if self.tables.moving:
-            for i, change in enumerate(self.room.step):
-                self.state[i] += change
-        else:
-            self.state[:] = self.at(coordinates)
-        self.settle()
-        return solved
-
-    def propose(self, displacement: Sequence[float], elapsed: float) -> bool:
-        """Finds the state change of one motion of the ports without taking it; see `advance`."""
-        room, tables = self.room, self.tables
-        self.internal = 0.0
-        if not tables.moving:  # s = g dc: nothing to solve, and nothing dissipated beyond the ports
-            equation.drive(tables, self.state, displacement, room)
-            self.evaluations = 1
-            return True
-        changed = self._network.structure_at is not None
-        if changed:
-            self._fill_structure()
-        if self._equation is None:
-            self.evaluations = step.advance(tables, self.state, displacement, elapsed, room, self.user)
-        else:
-            self.evaluations = self._equation.advance(self.state, displacement, elapsed, changed)
-        if self.evaluations < 0:
-            step.rest_on_ports(tables, self.state, displacement, elapsed, room, self.user)
-            return False
-        inner = 0.0
-        for loss, flow, row in zip(room.losses, room.flows, tables.on_ports, strict=True):
-            at_ports = 0.0
-            for b, d in zip(row, displacement, strict=True):
-                at_ports += b * d
-            inner += loss * (flow * elapsed - at_ports)
-        self.internal = inner
+def propose(
+    tables: NetworkTables,
+    functions: Functions,
+    network: NetworkState,
+    memory: NetworkMemory,
+    displacement: Buffer,
+    elapsed: float,
+) -> bool:
+    """Finds the state change of one motion of the ports without taking it; see `advance_network`."""
+    room = memory.room
+    network.internal, network.evaluations = 0.0, 1
+    if not tables.moving:  # s = g dc: nothing to solve, and nothing dissipated beyond the ports
+        drive(tables, memory.state, displacement, room)
         return True
+    if tables.by_functions:
+        functions.fill_structure(memory.state, tables.structure)
+    network.evaluations = advance(tables, memory.state, displacement, elapsed, room, functions)
+    if network.evaluations < 0:
+        rest_on_ports(tables, memory.state, displacement, elapsed, room, functions)
+        return False
+    inner = 0.0
+    for j in range(len(room.losses)):
+        row, at_ports = tables.on_ports[j], 0.0
+        for i in range(len(row)):
+            at_ports += row[i] * displacement[i]
+        inner += room.losses[j] * (room.flows[j] * elapsed - at_ports)
+    network.internal = inner
+    return True
 
-    def at(self, coordinates: Sequence[float]) -> list[float]:
-        """Returns the state that only the ports have moved, free of rounding: where they are."""
-        found = []
-        for begun, row in zip(self._begun, self.tables.gain, strict=True):
-            total = begun
-            for a, c, c0 in zip(row, coordinates, self._first, strict=True):
-                total += a * (c - c0)
-            found.append(total)
-        return found
 
-    def _fill_structure(self) -> None:
-        """Takes the skew part of J at the state, so that no function can create energy."""
-        found = self._network.structure_at(self.state)  # type: ignore[misc]
-        structure = self.tables.structure
-        for i in range(len(structure)):
-            for j in range(i + 1):
-                value = 0.5 * (float(found[i][j]) - float(found[j][i]))
-                structure[i][j], structure[j][i] = value, -value
+def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffer, into: Buffer) -> None:
+    """Writes the state that only the ports have moved, free of rounding: where they are."""
+    for i in range(len(into)):
+        row, total = tables.gain[i], memory.begun[i]
+        for j in range(len(coordinates)):
+            total += row[j] * (coordinates[j] - memory.first[j])
+        into[i] = total
 
-    def settle(self) -> None:
-        """Takes energy and engagement of the state."""
-        self.energy = stored_energy(self.tables, self.state)
-        if self.user is not None:
-            self.energy += self.user.energy(self.state)
-        self.engaged = self.always
-        if not self.always:
-            for i in self.edged:
-                if extension(self.tables, i, self.state[i]) != 0.0:
-                    self.engaged = True
-                    break
 
-    def springs(self, lead: float, holds: int, displacement: Sequence[float]) -> tuple[list[float], list[float]]:
-        """Returns the efforts of the storages at the ports now, and what `lead` more holds like the last would add.
+def settle_network(tables: NetworkTables, functions: Functions, network: NetworkState, memory: NetworkMemory) -> None:
+    """Takes energy and engagement of the state."""
+    energy, engaged = stored_energy(tables, memory.state), tables.always
+    if tables.by_functions:
+        energy += functions.energy(memory.state)
+    if not engaged:
+        for i in tables.edged:
+            if extension(tables, i, memory.state[i]) != 0.0:
+                engaged = True
+                break
+    network.energy, network.engaged = energy, engaged
 
-        A wall that is not engaged is not led into.
 
-        Args:
-            lead: [holds].
-            holds: That the last step spanned.
-            displacement: Of the ports in one hold [m or rad]; a smoothed one may differ from the last step's.
-        """
-        tables, room = self.tables, self.room
-        now, ahead, moved = room.efforts, self._ahead, self._next
-        for i, row in enumerate(tables.gain):
-            driven = 0.0
-            for a, d in zip(row, displacement, strict=True):
-                driven += a * d
-            moved[i] = self.state[i] + lead * ((room.step[i] - room.driven[i]) / holds + driven)
-        gradient(tables, self.state, now)
-        gradient(tables, moved, ahead)
-        if self.user is not None:
-            self.user.add_gradient(self.state, now)
-            self.user.add_gradient(moved, ahead)
-        for i in self.edged:
-            if now[i] == 0.0 or now[i] * ahead[i] < 0.0:
-                ahead[i] = 0.0
-        ports = range(self._network.ports)
-        spring, added = [0.0] * len(ports), [0.0] * len(ports)
-        for i, row in enumerate(tables.gain):
-            for j in ports:
+def springs(
+    tables: NetworkTables,
+    functions: Functions,
+    memory: NetworkMemory,
+    lead: float,
+    holds: int,
+    displacement: Buffer,
+    spring: Buffer,
+    added: Buffer,
+) -> None:
+    """Writes the efforts of the storages at the ports now, and what `lead` more holds like the last would add.
+
+    A wall that is not engaged is not led into.
+
+    Args:
+        tables: The network.
+        functions: Energies and structure given as functions.
+        memory: Of the network.
+        lead: [holds].
+        holds: That the last step spanned.
+        displacement: Of the ports in one hold [m or rad]; a smoothed one may differ from the last step's.
+        spring: Receives the efforts, (ports,).
+        added: Receives what is added, (ports,).
+    """
+    room, state = memory.room, memory.state
+    now, ahead, moved, gain = room.efforts, memory.ahead, memory.moved, tables.gain
+    for i in range(len(state)):
+        row, driven = gain[i], 0.0
+        for j in range(len(displacement)):
+            driven += row[j] * displacement[j]
+        moved[i] = state[i] + lead * ((room.step[i] - room.driven[i]) / holds + driven)
+    gradient(tables, state, now)
+    gradient(tables, moved, ahead)
+    if tables.by_functions:
+        functions.add_gradient(state, now)
+        functions.add_gradient(moved, ahead)
+    for i in tables.edged:
+        if now[i] == 0.0 or now[i] * ahead[i] < 0.0:
+            ahead[i] = 0.0
+    for j in range(len(spring)):
+        spring[j] = added[j] = 0.0
+    for i in range(len(state)):
+        row = gain[i]
+        for j in range(len(spring)):
+            if row[j] != 0.0:
+                spring[j] += row[j] * now[i]
+                added[j] += row[j] * (ahead[i] - now[i])
+
+
+def dampers(
+    tables: NetworkTables, memory: NetworkMemory, displacement: Buffer, elapsed: float, state: Buffer, efforts: Buffer
+) -> None:
+    """Writes the efforts of the dissipators at the ports for a motion of them; call it before `springs`.
+
+    Args:
+        tables: The network.
+        memory: Of the network.
+        displacement: Of the ports [m or rad].
+        elapsed: Time of it [s].
+        state: Says which storages are engaged, (states,).
+        efforts: Written, (ports,).
+    """
+    room = memory.room
+    for i in range(len(efforts)):
+        efforts[i] = 0.0
+    if len(room.losses) == 0:
+        return
+    dissipate(tables, displacement, elapsed, room)
+    for j in range(len(room.losses)):
+        storage = tables.beside[j]
+        if (
+            storage >= 0
+            and tables.lower[storage] != tables.upper[storage]
+            and extension(tables, storage, state[storage]) == 0.0
+        ):
+            continue
+        row = tables.on_ports[j]
+        for i in range(len(efforts)):
+            if row[i] != 0.0:
+                efforts[i] += row[i] * room.losses[j]
+
+
+def internal_motion(tables: NetworkTables, room: Workspace) -> float:
+    """Returns how far the storages at the ports moved by themselves in the last step, as a norm [m or rad]."""
+    total = 0.0
+    if tables.moving:
+        for i in range(len(room.step)):
+            row, is_at_port = tables.gain[i], False
+            for j in range(len(row)):
                 if row[j] != 0.0:
-                    spring[j] += row[j] * now[i]
-                    added[j] += row[j] * (ahead[i] - now[i])
-        return spring, added
+                    is_at_port = True
+            if is_at_port:
+                apart = room.step[i] - room.driven[i]
+                total += apart * apart
+    return sqrt(total)
 
-    def dampers(
-        self, displacement: Sequence[float], elapsed: float, touched: Sequence[float] | None = None
-    ) -> list[float]:
-        """Returns the efforts of the dissipators at the ports for a motion of them; call it before `springs`.
 
-        Args:
-            displacement: Of the ports [m or rad].
-            elapsed: Time of it [s].
-            touched: State that says which storages are engaged, and then for the whole motion; None: as it is.
-        """
-        tables, room = self.tables, self.room
-        efforts = [0.0] * self._network.ports
-        if not room.losses:
-            return efforts
-        if touched is not None:
-            for j in range(len(room.engaged)):
-                room.engaged[j] = 1.0
-        equation.dissipate(tables, displacement, elapsed, room)
-        state = self.state if touched is None else touched
-        for j, row in enumerate(tables.on_ports):
-            storage = tables.beside[j]
-            if storage in self.edged and extension(tables, storage, state[storage]) == 0.0:
-                continue
-            for i, b in enumerate(row):
-                if b != 0.0:
-                    efforts[i] += b * room.losses[j]
-        return efforts
-
-    def internal_motion(self) -> float:
-        """Returns how far the storages at the ports moved by themselves in the last step, as a norm [m or rad]."""
-        if not self.tables.moving:
-            return 0.0
-        total = 0.0
-        for s, driven, row in zip(self.room.step, self.room.driven, self.tables.gain, strict=True):
-            if any(row):
-                total += (s - driven) ** 2
-        return float(total**0.5)
-
-    def entered_share(self) -> float:
-        """Returns the largest share of the last step, already taken, for which any storage was engaged."""
-        return self.share_inside(self.state)
-
-    def share_inside(self, after: Sequence[float]) -> float:
-        """Returns the largest share of the last step, ending at a state, for which any storage was engaged."""
-        largest = 0.0
-        for i in self.edged:
-            changed = self.room.step[i]
-            share = equation.engaged_share(self.tables, i, after[i] - changed, changed)
-            if share > largest:
-                largest = share
-        return largest if largest > 0.0 else 1.0
+def share_inside(tables: NetworkTables, room: Workspace, after: Buffer) -> float:
+    """Returns the largest share of the last step, ending at a state, for which any storage was engaged."""
+    largest = 0.0
+    for i in tables.edged:
+        changed = room.step[i]
+        share = engaged_share(tables, i, after[i] - changed, changed)
+        if share > largest:
+            largest = share
+    return largest if largest > 0.0 else 1.0

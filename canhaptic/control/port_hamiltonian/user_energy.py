@@ -1,14 +1,43 @@
-"""Energies that a user gives as functions: their Gonzalez discrete gradient, and what Newton's method needs of them."""
+"""Energies and structures that a user gives as functions: their discrete gradient, and what Newton's method asks."""
 
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from canhaptic.control.port_hamiltonian.storages import UserEnergy, states_of
 from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer, Matrix
+
+StructureFunction: TypeAlias = Callable[[Sequence[float]], Sequence[Sequence[float]]]
+"""J(x), skew, of the state."""
 
 _DIFFERENCE: Final = 1e-6
+
+
+class NoFunctions(NamedTuple):
+    """Takes the place of `UserFunctions` where a network is its tables alone, which numba compiles."""
+
+    unused: int = 0  # numba passes no empty tuple
+
+    def energy(self, state: Buffer) -> float:
+        """Returns 0."""
+        return 0.0
+
+    def add_gradient(self, state: Buffer, efforts: Buffer) -> None:
+        """Adds nothing."""
+
+    def add_discrete_gradient(self, state: Buffer, step: Buffer, efforts: Buffer) -> None:
+        """Adds nothing."""
+
+    def add_slopes(self, mobility: Matrix, jacobian: Matrix) -> None:
+        """Adds nothing."""
+
+    def add_change(self, direction: Buffer, changes: Buffer) -> None:
+        """Adds nothing."""
+
+    def fill_structure(self, state: Buffer, structure: Matrix) -> None:
+        """Leaves it."""
 
 
 class _Placed(NamedTuple):
@@ -16,39 +45,54 @@ class _Placed(NamedTuple):
     storage: UserEnergy
 
 
-class UserEnergies:
-    """The user's storages of one network, each at its place in the state."""
+class UserFunctions:
+    """The user's storages of one network, each at its place in the state, and its structure; in Python only.
 
-    def __init__(self, placed: Sequence[_Placed]) -> None:
-        self._placed = tuple(placed)
-        self._at: list[tuple[_Placed, list[float]]] = []
+    Attributes:
+        structure_at: J(x) as a function of the state; None where it is constant.
+    """
 
-    @classmethod
-    def of(cls, storages: Sequence[Any]) -> "UserEnergies | None":
-        """Returns those among the storages of a network, checked; None where there are none.
+    def __init__(self, storages: Sequence[Any], structure_at: StructureFunction | None) -> None:
+        """Takes the user's storages among those of a network.
 
         Raises:
             ParameterError: A gradient is not that of its energy, or an energy is below 0.
         """
-        placed, first = [], 0
+        self.structure_at, first = structure_at, 0
+        self._placed: list[_Placed] = []
+        self._at: list[tuple[_Placed, list[float]]] = []
         for storage in storages:
             if isinstance(storage, UserEnergy):
                 check_gradient(storage)
-                placed.append(_Placed(first, storage))
+                self._placed.append(_Placed(first, storage))
             first += states_of(storage)
-        return cls(placed) if placed else None
 
-    def energy(self, state: Sequence[float]) -> float:
+    @property
+    def exist(self) -> bool:
+        """Whether there are any."""
+        return bool(self._placed) or self.structure_at is not None
+
+    def fill_structure(self, state: Buffer, structure: Matrix) -> None:
+        """Writes the skew part of J at the state, so that no function can create energy."""
+        if self.structure_at is None:
+            return
+        found = self.structure_at(state)
+        for i in range(len(structure)):
+            for j in range(i + 1):
+                value = 0.5 * (float(found[i][j]) - float(found[j][i]))
+                structure[i][j], structure[j][i] = value, -value
+
+    def energy(self, state: Buffer) -> float:
         """Returns the energy stored [J]."""
         return sum(float(s.energy(list(state[at : at + s.size]))) for at, s in self._placed)
 
-    def add_gradient(self, state: Sequence[float], efforts: list[float]) -> None:
+    def add_gradient(self, state: Buffer, efforts: Buffer) -> None:
         """Adds dH/dx."""
         for at, storage in self._placed:
             for i, value in enumerate(storage.gradient(list(state[at : at + storage.size]))):
                 efforts[at + i] += float(value)
 
-    def add_discrete_gradient(self, state: Sequence[float], step: Sequence[float], efforts: list[float]) -> None:
+    def add_discrete_gradient(self, state: Buffer, step: Buffer, efforts: Buffer) -> None:
         """Adds g + (H(x + s) - H(x) - g . s) s / |s|^2 with g = dH/dx at x + s / 2 (Gonzalez 1996)."""
         self._at = []
         for placed in self._placed:
@@ -65,7 +109,7 @@ class UserEnergies:
             for i, value in enumerate(found):
                 efforts[at + i] += value
 
-    def add_slopes(self, mobility: Sequence[Sequence[float]], jacobian: list[list[float]]) -> None:
+    def add_slopes(self, mobility: Matrix, jacobian: Matrix) -> None:
         """Adds mobility times half the Hessian at the middle, by differences of the gradient."""
         for (at, storage), middle in self._at:
             size, base = storage.size, storage.gradient(middle)
@@ -76,7 +120,7 @@ class UserEnergies:
                 for row, slopes in zip(mobility, jacobian, strict=True):
                     slopes[at + j] += 0.5 * sum(row[at + i] * column[i] for i in range(size))
 
-    def add_change(self, direction: Sequence[float], changes: list[float]) -> None:
+    def add_change(self, direction: Buffer, changes: Buffer) -> None:
         """Adds half the Hessian at the middle times a direction, by one difference of the gradient."""
         for (at, storage), middle in self._at:
             way = list(direction[at : at + storage.size])
@@ -86,6 +130,10 @@ class UserEnergies:
                 moved = storage.gradient([v + share * d for v, d in zip(middle, way, strict=True)])
                 for i, (a, b) in enumerate(zip(storage.gradient(middle), moved, strict=True)):
                     changes[at + i] += 0.5 * float(b - a) / share
+
+
+Functions: TypeAlias = NoFunctions | UserFunctions
+"""What the kernels of a network ask where `NetworkTables.by_functions`."""
 
 
 def check_gradient(storage: UserEnergy) -> None:

@@ -7,8 +7,22 @@ import numpy as np
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
+from canhaptic.control.multi_axis.per_axis_certificates import (
+    needed_by_hand,
+    per_axis_limits,
+    per_axis_memory,
+    raise_inward,
+    share_by_hand,
+    take_sent,
+)
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, QuadraticForm, Spring
+from canhaptic.control.port_hamiltonian.sampled_network import (
+    NetworkState,
+    advance_network,
+    network_memory,
+    settle_network,
+)
 from canhaptic.control.port_hamiltonian.shapes.virtual_mass import VirtualMass
 
 MASS, FRICTION = 0.25, 0.1
@@ -26,6 +40,46 @@ def group(environment, axes=2, *, algorithm="guarded", sample_time=1e-3, delay=0
     return build_group_controller(
         environment, mechanism, algorithm, parameters, loops(axes, sample_time, delay, **(known or {}))
     )
+
+
+class AxesApart:
+    """The certificates of axes that may act apart, with their buffers; none that a mover moves where none is given."""
+
+    def __init__(self, axes, delay, losses):
+        self.axes, self.limits = axes, per_axis_limits(axes, delay, losses)
+        self.memory = per_axis_memory(self.limits)
+
+    def take(self, displacement, blur, torques, under_way, coming=()):
+        still = [[0.0] * len(torques)] * self.limits.holds
+        self.coming = coming or still
+        take_sent(self.axes, self.limits, self.memory, displacement, blur, torques, under_way, 0)
+
+    def share_by_hand(self, torques, budget):
+        return share_by_hand(self.axes, self.limits, self.memory, self.coming, torques, budget)
+
+    def needed_by_hand(self):
+        return needed_by_hand(self.axes, self.limits, self.memory, self.coming)
+
+    def raised(self, torques, share, budget):
+        found = [0.0] * len(torques)
+        raise_inward(self.axes, self.limits, self.memory, self.coming, torques, share, budget, found)
+        return tuple(found)
+
+
+class FollowedNetwork:
+    """A network with what it remembers, followed at no coordinates but its own."""
+
+    def __init__(self, network):
+        self.network, self.found = network, NetworkState()
+        self.memory = network_memory(network.tables)
+        self.settle()
+
+    def settle(self):
+        settle_network(self.network.tables, self.network.functions, self.found, self.memory)
+
+    def advance(self, coordinates, displacement, elapsed):
+        tables, functions = self.network.tables, self.network.functions
+        return advance_network(tables, functions, self.found, self.memory, coordinates, displacement, elapsed)
 
 
 def random_network(rng):

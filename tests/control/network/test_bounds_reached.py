@@ -5,19 +5,20 @@ import random
 
 import pytest
 
-from canhaptic.control.certificates.lost_samples import Gap, worst, worst_damped
-from canhaptic.control.multi_axis.group_account import GroupAccount
+from canhaptic.control.certificates.lost_samples import Gap, doubt_of
+from canhaptic.control.multi_axis.group_account import AccountMemory, doubt_of_axis, doubt_of_mover
 from canhaptic.control.multi_axis.group_certificates import axes_of
-from canhaptic.control.multi_axis.group_commands import GroupCommands
-from canhaptic.control.multi_axis.per_axis_certificates import PerAxisBound
+from canhaptic.control.multi_axis.group_commands import GroupHolds
+from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, per_axis_memory
 from canhaptic.control.passivity.controller import LoopProperties
+from tests.control.network.networks import AxesApart
 
 T, MASS, PULL = 2e-3, 0.3, 1.5
 
 
 def apart_of(axes, delay, losses, pull, friction=0.0):
     loop = LoopProperties(sample_time=T, delay=delay, moving_mass=MASS, device_damping_bound=friction or None)
-    return PerAxisBound(axes_of((loop,) * axes, pull, None), delay, losses)
+    return AxesApart(axes_of((loop,) * axes, pull, None), delay, losses)
 
 
 class Mass:
@@ -104,6 +105,16 @@ def gap_of(random_of, holds, pull, friction, largest):
     return Gap(holds, sum(moved[1:]), moved[0], 0.0, 0.0, step, 1.0 - math.exp(-friction * T / MASS)), torques, moved
 
 
+def held(torques):
+    """Returns the buffers of one axis in which these torques were held, the first before the holds."""
+    lost = [[f] for f in torques[1:-1]]
+    apart = per_axis_memory(
+        per_axis_limits(axes_of((LoopProperties(sample_time=T, moving_mass=MASS),), 0.0, None), 0, 0)
+    )
+    memory = AccountMemory([0.0], [torques[0]], [0.0], [], [0.0], apart)
+    return memory, GroupHolds([0.0], [0.0], [torques[-1]], lost, [])
+
+
 @pytest.mark.parametrize(
     ("friction", "pull", "largest"),
     [(0.0, 0.0, 3.0), (0.0, PULL, 3.0), (3.0, 0.0, 3.0), (3.0, PULL, 3.0), (60.0, 0.0, 1e-3)],
@@ -115,7 +126,7 @@ def test_what_lost_samples_leave_in_doubt_covers_every_motion(friction, pull, la
         holds = random_of.choice((2, 2, 3, 5))
         gap, torques, moved = gap_of(random_of, holds, pull, friction, largest)
         too_much = sum((f - torques[-1]) * d for f, d in zip(torques[1:], moved[1:], strict=True))
-        bound = worst(gap, torques[-1], [[f] for f in torques[1:-1]])
+        bound = sum(doubt_of(gap, hold, f, torques[-1]) for hold, f in enumerate(torques[1:-1], 1))
         assert too_much <= bound + 1e-15
         size = sum(abs(f - torques[-1]) for f in torques[1:-1]) * gap.step
         if bound > 0.3 * size:
@@ -125,6 +136,7 @@ def test_what_lost_samples_leave_in_doubt_covers_every_motion(friction, pull, la
 
 def test_what_lost_samples_leave_in_doubt_for_every_hand_is_what_the_devices_dissipate_less():
     random_of, closest, damping = random.Random(9), -math.inf, 700.0
+    loop = LoopProperties(sample_time=T, device_damping=damping * T)
     for _ in range(3000):
         holds = random_of.choice((2, 3))
         torques = [random_of.uniform(-3.0, 3.0) for _ in range(holds)]
@@ -135,7 +147,8 @@ def test_what_lost_samples_leave_in_doubt_for_every_hand_is_what_the_devices_dis
             moved = [sum(moved) / holds + half * (m - mean) for m in more]
         gap = Gap(holds, sum(moved), 0.0, 0.0, 0.0, 0.0, 0.0)
         short = sum(m * d - damping * d * d for m, d in zip(more, moved, strict=True)) + damping * gap.moved**2 / holds
-        bound = worst_damped(gap, torques[-1], [[f] for f in torques[:-1]], damping)
+        memory, ended = held([torques[0], *torques])
+        bound = doubt_of_axis(axes_of((loop,), None, None), memory, ended, gap, holds - 1, 0)
         assert short <= bound + 1e-12
         closest = max(closest, short / bound if bound > 1e-4 else 0.0)
     assert closest > 0.9
@@ -143,16 +156,13 @@ def test_what_lost_samples_leave_in_doubt_for_every_hand_is_what_the_devices_dis
 
 def test_a_mover_in_holds_of_lost_samples_is_booked_at_its_worst():
     random_of, closest = random.Random(3), -math.inf
-    loop = LoopProperties(sample_time=T, delay=1, moving_mass=MASS)
     for _ in range(500):
-        account = GroupAccount(axes_of((loop,), 0.0, None), GroupCommands(1, 1, [None], 1), 0.0, 1)
-        mass, torques = Mass(0.0), [random_of.uniform(0.0, 3.0) for _ in range(2)]
-        held = (torques[0], torques[0], torques[1])  # the second is an older one, or the same again
-        moved = [mass.hold(torque) for torque in held]
-        carried = [(random_of.uniform(-0.01, 0.01),) for _ in range(2)]
-        account.ended_hold((moved[0],), (held[0],))
-        doubt = account.ended_gap((moved[1] + moved[2],), ((held[1],), (held[2],)), tuple(carried))
-        too_much = (held[1] - held[2]) * (moved[1] - carried[0][0])
+        torques = [random_of.uniform(0.0, 3.0) for _ in range(2)]
+        acted = (torques[0], torques[0], torques[1])  # the second is an older one, or the same again
+        memory, ended = held(acted)
+        memory.passing[0] = random_of.uniform(-0.01, 0.01)
+        too_much = (acted[2] - acted[1]) * memory.passing[0]
+        doubt = doubt_of_mover(memory, ended, 0)
         assert too_much <= doubt + 1e-12
         closest = max(closest, too_much / doubt if doubt > 1e-3 else 0.0)
     assert closest > 0.98

@@ -20,7 +20,6 @@ from canhaptic.control.port_hamiltonian.network import (
     Spring,
     UserEnergy,
 )
-from canhaptic.control.port_hamiltonian.sampled_network import SampledNetwork
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHandles
@@ -31,7 +30,7 @@ from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.control.port_hamiltonian.shapes.tube import Tube
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.registry import load
-from tests.control.network.networks import EXAMPLE, Table, group, loops, rendered
+from tests.control.network.networks import EXAMPLE, FollowedNetwork, Table, group, loops, rendered
 
 SPRING = Spring(stiffness=100.0)
 MASS = Mass(mass=1.0)
@@ -115,13 +114,13 @@ def test_a_structure_function_is_checked_and_its_skew_part_alone_is_used():
         Network([SPRING, MASS], gain=[[1], [0]], structure=lambda _x: [[0.0, -1.0], [1.0, -1.0]])
     Network([SPRING, MASS], gain=[[1], [0]], structure=honest)
     network = Network([SPRING, MASS], gain=[[1], [0]], structure=sometimes)
-    followed = SampledNetwork(network, 1e-3)
-    followed.state[0] = 200.0
+    followed = FollowedNetwork(network)
+    followed.memory.state[0] = 200.0
     followed.settle()
-    before = followed.energy
+    before = followed.found.energy
     for _ in range(100):
-        followed.advance((0.0,), (0.0,), 1e-3)
-    assert abs(followed.energy - before) <= 1e-9 * before
+        followed.advance([0.0], [0.0], 1e-3)
+    assert abs(followed.found.energy - before) <= 1e-9 * before
 
 
 def test_every_named_network_can_be_loaded_and_is_a_parameter_model():

@@ -8,12 +8,12 @@ import pytest
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.multi_axis.group_commands import GroupCommand
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.multi_axis.scaled_group import ScaledGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
+from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 
 ENERGIES = ("h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit", "leak", "paid")
@@ -92,17 +92,17 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
 
     def align(_q):
         storage, axis, commands = one._state.storage, one._state.axis, one._memory.commands
-        scaled = group._state  # type: ignore[attr-defined]
-        scaled._network.state[0] = storage.state
-        scaled._network.settle()
-        scaled.h_s, scaled.pace = storage.h_s, storage.velocity
-        group._h_dis = axis.h_dis  # type: ignore[attr-defined]
-        queue = group._commands._queue  # type: ignore[attr-defined]
+        world, _settings, state, memory = group._step.args  # type: ignore[attr-defined]
+        network = memory.group.motion.network
+        network.state[0] = storage.state
+        settle_network(world.tables, world.functions, state.group.motion.network, network)
+        state.paid.h_s, state.paid.pace, state.h_dis = storage.h_s, storage.velocity, axis.h_dis
+        sent = memory.group.commands
         for index in range(delay + 1):
-            place = axis.oldest + index - delay - 1
-            torque, damper, modulated = commands.torques[place], commands.dampers[place], commands.modulated[place]
-            power = damper * damper / damping * 1e-3
-            queue[index] = GroupCommand((torque,), (damper,), (modulated,), (0.0,), power)
+            place, own = axis.oldest + index - delay - 1, state.group.oldest + index - delay - 1
+            sent.torques[own][0], sent.dampers[own][0] = commands.torques[place], commands.dampers[place]
+            sent.modulated[own][0], sent.ports[own][0] = commands.modulated[place], 0.0
+            sent.power[own] = commands.dampers[place] * commands.dampers[place] / damping * 1e-3
 
     for q, held, alone in positions(one, 1600, delay, start=start, after=align):
         together = group.step([q], [held])

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from canhaptic.control.multi_axis.energy_along_scale import _FURTHEST, EnergyAlongScale
-from canhaptic.control.multi_axis.step_scaling import _EVALUATIONS as SCALE_EVALUATIONS
+from canhaptic.control.multi_axis.step_scaling import EVALUATIONS as SCALE_EVALUATIONS
+from canhaptic.control.multi_axis.step_scaling import FURTHEST, line_memory, solve_scale, taken
 from canhaptic.control.port_hamiltonian import newton as step
 from canhaptic.control.port_hamiltonian.discrete_gradient import stored_energy
 from canhaptic.control.port_hamiltonian.equation import new_workspace
@@ -30,7 +30,7 @@ def judge_model_step(network, state, motion, sample_time):
     """Solves one step; returns (evaluations, balance residual over the largest energy, port energy, losses, step)."""
     tables = network.tables
     room = new_workspace(network.states, len(tables.viscous))
-    evaluations = advance(tables, state, motion, sample_time, room, None)
+    evaluations = advance(tables, state, motion, sample_time, room, network.functions)
     before = stored_energy(tables, state)
     after = stored_energy(tables, [x + s for x, s in zip(state, room.step, strict=True)])
     effort = sum(row[0] * e for row, e in zip(tables.gain, room.efforts, strict=True))
@@ -62,17 +62,18 @@ def judge_scaled_step(rng, network, state, step, received, lost):
     """Solves the scalar balance of the same step, with an energy that the hold need not have given."""
     energy = received * rng.uniform(-1.0, 2.0) + rng.choice((-1, 1)) * 10.0 ** rng.uniform(-12, 0) * rng.random()
     loss = lost * rng.random()
-    line = EnergyAlongScale(network.tables, None, state, step)
-    scale = line.solve(energy, loss)
-    taken = line.taken(scale.share, loss).energy
+    line, tables, functions = line_memory(network.states), network.tables, network.functions
+    line.state[:], line.step[:] = state, step
+    scale = solve_scale(tables, functions, line, energy, loss, FURTHEST)
+    energy_taken, _ = taken(tables, functions, line, loss, scale.share)
     size = max(stored_energy(network.tables, state), abs(energy), abs(loss * scale.share))
     assert scale.evaluations <= SCALE_EVALUATIONS
-    assert abs(scale.share) <= _FURTHEST or energy <= 0.0
-    if scale.found and abs(scale.share) < _FURTHEST:
-        assert abs(taken - energy) <= 1e-12 * size
+    assert abs(scale.share) <= FURTHEST or energy <= 0.0
+    if scale.found and abs(scale.share) < FURTHEST:
+        assert abs(energy_taken - energy) <= 1e-12 * size
     elif energy > 0.0:  # more came in than the furthest step takes up: what is over leaks, nothing is created
-        assert abs(scale.share) == _FURTHEST
-        assert taken <= energy + 1e-12 * size
+        assert abs(scale.share) == FURTHEST
+        assert energy_taken <= energy + 1e-12 * size
 
 
 def test_two_thousand_random_networks_are_solved_and_close_their_energy():
@@ -120,11 +121,11 @@ def test_energies_given_as_functions_are_solved_as_those_of_the_table():
         for storage in (given, tabled):
             network = Network([storage, mass], gain=[[1.0], [0.0]], structure=ON_A_MASS)
             room = new_workspace(2, 0)
-            assert 0 < advance(network.tables, state, [1e-4], 1e-3, room, network.user) <= _EVALUATIONS
+            assert 0 < advance(network.tables, state, [1e-4], 1e-3, room, network.functions) <= _EVALUATIONS
             steps.append(list(room.step))
         assert steps[0] == pytest.approx(steps[1], rel=1e-6, abs=1e-9)
 
 
 def test_a_step_without_finite_numbers_is_not_called_solved():
     network = Network([Spring(stiffness=1.0, hardening=1e12), Mass(mass=1.0)], gain=[[1.0], [0.0]], structure=ON_A_MASS)
-    assert advance(network.tables, [1e200, 0.0], [1e-3], 1e-3, new_workspace(2, 0), None) < 0
+    assert advance(network.tables, [1e200, 0.0], [1e-3], 1e-3, new_workspace(2, 0), network.functions) < 0

@@ -3,7 +3,7 @@
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import DampingMatrix, Network, QuadraticForm
-from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, check_length, identity_rows
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.storages import symmetric_positive
 from canhaptic.units import Parameters
 
@@ -35,4 +35,4 @@ class AnisotropicSpring(Parameters):
             dampers = [DampingMatrix(matrix=self.damping, ports=tuple(range(dimensions)))]
         rows = identity_rows(dimensions)
         network = Network([QuadraticForm(matrix=self.stiffness)], dampers, gain=rows)
-        return Rendered(network, LinearGeometry(rows, self.centre))
+        return Rendered(network, linear_geometry(rows, self.centre))

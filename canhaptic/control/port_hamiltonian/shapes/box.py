@@ -1,19 +1,19 @@
 """A box with its faces along the axes of task space: a room to stay in, or a body to touch from outside."""
 
-from collections.abc import Sequence
-from typing import Literal
+from math import inf
+from typing import Literal, NamedTuple
 
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
 from canhaptic.control.port_hamiltonian.shapes.geometry import (
-    Coordinates,
-    LinearGeometry,
     Rendered,
     check_length,
     identity_rows,
+    linear_geometry,
 )
-from canhaptic.control.port_hamiltonian.shapes.surface import Distance, Surface
+from canhaptic.control.port_hamiltonian.shapes.surface import Surface
+from canhaptic.kernels import Buffer, Matrix
 
 
 class Box(Surface):
@@ -38,31 +38,35 @@ class Box(Surface):
         """Returns the box; see `NetworkEnvironment`."""
         check_length("box", "lower", len(self.lower), dimensions)
         if self.side == "outside":
-            return self.behind(_Body(self.lower, self.upper))
+            return self.behind(Body(list(self.lower), list(self.upper)))
         springs = [
             Spring(stiffness=self.stiffness, hardening=self.hardening, lower=low, upper=high)
             for low, high in zip(self.lower, self.upper, strict=True)
         ]
         dampers = [Damper(viscous=self.damping, beside=i) for i in range(dimensions)] if self.damping else []
         rows = identity_rows(dimensions)
-        return Rendered(Network(springs, dampers, gain=rows), LinearGeometry(rows, [0.0] * dimensions))
+        return Rendered(Network(springs, dampers, gain=rows), linear_geometry(rows, [0.0] * dimensions))
 
 
-class _Body(Distance):
+class Body(NamedTuple):
     """Distance from the nearest face; inside the body it is continuous, and the face changes on its ridges."""
 
-    def __init__(self, lower: Sequence[float], upper: Sequence[float]) -> None:
-        super().__init__(len(lower))
-        self._faces = tuple(zip(lower, upper, strict=True))
+    lower: Buffer
+    upper: Buffer
+    ports: int = 1
 
-    def measure(self, position: Sequence[float]) -> Coordinates:
-        """Returns the largest distance from any face's plane, and the normal of that face."""
-        largest, axis, sign = -float("inf"), 0, 1.0
-        for i, (value, (low, high)) in enumerate(zip(position, self._faces, strict=True)):
-            below, above = low - value, value - high
+    @property
+    def dimensions(self) -> int:
+        """Of task space."""
+        return len(self.lower)
+
+    def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
+        """Writes the largest distance from any face's plane, and the normal of that face."""
+        largest, axis, sign = -inf, 0, 1.0
+        for i in range(len(self.lower)):
+            below, above = self.lower[i] - position[i], position[i] - self.upper[i]
             distance, side = (below, -1.0) if below > above else (above, 1.0)
             if distance > largest:
                 largest, axis, sign = distance, i, side
-        row = [0.0] * self.dimensions
-        row[axis] = sign
-        return Coordinates((largest,), (tuple(row),))
+            rows[0][i] = 0.0
+        values[0], rows[0][axis] = largest, sign

@@ -3,7 +3,7 @@
 from typing import Annotated
 
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
-from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, linear_geometry
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters, quantity
 
@@ -39,4 +39,4 @@ class CoupledHandles(Parameters):
         gain = [[1.0 if i == j else 0.0 for j in range(half)] for i in range(half)]
         springs = [Spring(stiffness=self.stiffness, hardening=self.hardening) for _ in range(half)]
         dampers = [Damper(viscous=self.damping, beside=i) for i in range(half)] if self.damping else []
-        return Rendered(Network(springs, dampers, gain=gain), LinearGeometry(rows, offset))
+        return Rendered(Network(springs, dampers, gain=gain), linear_geometry(rows, offset))

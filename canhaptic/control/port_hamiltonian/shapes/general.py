@@ -4,7 +4,7 @@ from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.dissipators import Dissipator
 from canhaptic.control.port_hamiltonian.network import Network, check_rows
-from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, check_length, identity_rows
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.storages import Storage
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters
@@ -52,4 +52,4 @@ class General(Parameters):
         check_rows("ports", rows, network.ports, dimensions)
         offset = self.offset or (0.0,) * network.ports
         check_length("general", "offset", len(offset), network.ports)
-        return Rendered(network, LinearGeometry(rows, offset))
+        return Rendered(network, linear_geometry(rows, offset))

@@ -6,76 +6,104 @@ kept from the torques.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from math import cos
+from typing import Final, NamedTuple, Protocol
 
 from canhaptic.control.port_hamiltonian.network import Network
 from canhaptic.errors import ParameterError
-
-_Rows = tuple[tuple[float, ...], ...]
-
-
-class Coordinates(NamedTuple):
-    """The ports' coordinates at a position and their gradients."""
-
-    values: tuple[float, ...]  # (ports,)
-    rows: _Rows  # d values / d position, (ports, dimensions)
+from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 
 class Geometry(Protocol):
-    """Where the ports of a network are in task space. Immutable.
+    """Where the ports of a network are in task space. Immutable; a NamedTuple of numbers and buffers is compiled.
 
     Attributes:
         dimensions: Of task space.
         ports: Of the network.
     """
 
-    dimensions: int
-    ports: int
+    @property
+    def dimensions(self) -> int:
+        """Of task space."""
 
-    def measure(self, position: Sequence[float]) -> Coordinates:
-        """Returns the coordinates of the ports at a position [m or rad]."""
+    @property
+    def ports(self) -> int:
+        """Of the network."""
 
-    def mover(self, time: float) -> tuple[float, ...] | None:
-        """Returns what is taken off each coordinate by a prescribed motion at a time [s]; None where nothing moves.
+    def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
+        """Writes the coordinates of the ports at a position.
 
-        The motion starts at 0 s with zeros. Its energy enters the network at a port of its own.
+        Args:
+            position: In task space [m or rad], (dimensions,).
+            values: Receives the coordinates [m or rad], (ports,).
+            rows: Receives d values / d position, (ports, dimensions).
         """
+
+
+class Mover(NamedTuple):
+    """A prescribed motion w(t) = half (1 - cos(rate t)), taken off every coordinate; its energy has its own port."""
+
+    half: float = 0.0  # 0: nothing moves [m or rad]
+    rate: float = 0.0  # [rad/s]
+
+
+STILL: Final = Mover()
+
+
+def moved_by(mover: Mover, time: float) -> float:
+    """Returns w(t) [m or rad] at a time [s]."""
+    return mover.half * (1.0 - cos(mover.rate * time))
 
 
 class Rendered(NamedTuple):
-    """A network and where it is."""
+    """A network, where it is, and what moves it."""
 
     network: Network
     geometry: Geometry
+    mover: Mover = STILL
 
 
-class LinearGeometry:
+class LinearGeometry(NamedTuple):
     """Coordinates A p - offset."""
 
-    def __init__(self, rows: Sequence[Sequence[float]], offset: Sequence[float]) -> None:
-        """Makes the geometry.
+    matrix: Matrix  # A, one row for each port
+    offset: Buffer  # [m or rad]
 
-        Args:
-            rows: A, one row for each port.
-            offset: One entry for each port [m or rad].
-        """
-        self._rows = tuple(tuple(float(v) for v in row) for row in rows)
-        self._offset = tuple(float(v) for v in offset)
-        self.ports, self.dimensions = len(self._rows), len(self._rows[0])
+    @property
+    def ports(self) -> int:
+        """Of the network."""
+        return len(self.matrix)
 
-    def measure(self, position: Sequence[float]) -> Coordinates:
-        """Returns A p - offset and A."""
-        values = []
-        for row, offset in zip(self._rows, self._offset, strict=True):
-            total = -offset
-            for a, p in zip(row, position, strict=True):
-                total += a * p
-            values.append(total)
-        return Coordinates(tuple(values), self._rows)
+    @property
+    def dimensions(self) -> int:
+        """Of task space."""
+        return len(self.matrix[0])
 
-    def mover(self, time: float) -> tuple[float, ...] | None:
-        """Returns None: nothing moves."""
-        return None
+    def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
+        """Writes A p - offset and A."""
+        for i in range(len(values)):
+            row, into, total = self.matrix[i], rows[i], -self.offset[i]
+            for j in range(len(row)):
+                total += row[j] * position[j]
+                into[j] = row[j]
+            values[i] = total
+
+
+def linear_geometry(rows: Sequence[Sequence[float]], offset: Sequence[float]) -> LinearGeometry:
+    """Returns the coordinates A p - offset.
+
+    Args:
+        rows: A, one row for each port.
+        offset: One entry for each port [m or rad].
+    """
+    return LinearGeometry([[float(v) for v in row] for row in rows], [float(v) for v in offset])
+
+
+def coordinates_at(geometry: Geometry, position: Sequence[float]) -> Buffer:
+    """Returns the coordinates of the ports at a position [m or rad]."""
+    values = list_of_zeros(geometry.ports)
+    geometry.measure(list(position), values, zeros(geometry.ports, geometry.dimensions))
+    return values
 
 
 def identity_rows(size: int) -> list[list[float]]:

@@ -1,15 +1,15 @@
 """A guided path (virtual fixture): a spring and a damper towards a line through given points, free along it."""
 
-import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Annotated
+from math import inf, sqrt
+from typing import Annotated, NamedTuple
 
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
-from canhaptic.control.port_hamiltonian.shapes.geometry import Coordinates, Rendered, check_length
-from canhaptic.control.port_hamiltonian.shapes.surface import Distance
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length
+from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Parameters, quantity
 
 
@@ -42,29 +42,44 @@ class GuidedPath(Parameters):
         ends = (*self.points, self.points[0]) if self.closed else self.points
         spring = Spring(stiffness=self.stiffness, lower=None, upper=self.width)
         dampers = [Damper(viscous=self.damping, beside=0)] if self.damping else []
-        return Rendered(Network([spring], dampers, gain=[[1.0]]), _FromPath(ends, dimensions))
+        return Rendered(Network([spring], dampers, gain=[[1.0]]), path_through(ends))
 
 
-class _FromPath(Distance):
-    def __init__(self, points: Sequence[Sequence[float]], dimensions: int) -> None:
-        super().__init__(dimensions)
-        pieces = []
-        for a, b in pairwise(points):
-            along = tuple(y - x for x, y in zip(a, b, strict=True))
-            pieces.append((tuple(a), along, sum(v * v for v in along)))
-        self._pieces = tuple(pieces)
+class FromPath(NamedTuple):
+    """Distance from the nearest of some straight pieces."""
 
-    def measure(self, position: Sequence[float]) -> Coordinates:
-        """Returns the distance from the nearest place of the path and the direction away from it."""
-        least, nearest = math.inf, [0.0] * self.dimensions
-        for start, along, square in self._pieces:
-            offset = [p - s for p, s in zip(position, start, strict=True)]
-            share = sum([o * a for o, a in zip(offset, along, strict=True)]) / square
-            share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
-            away = [o - share * a for o, a in zip(offset, along, strict=True)]
-            distance = sum([v * v for v in away])
+    starts: Matrix  # (pieces, dimensions) [m or rad]
+    along: Matrix  # from start to end
+    squares: Buffer  # of the lengths
+    ports: int = 1
+
+    @property
+    def dimensions(self) -> int:
+        """Of task space."""
+        return len(self.starts[0])
+
+    def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
+        """Writes the distance from the nearest place of the path and the direction away from it."""
+        least, nearest, place = inf, 0, 0.0
+        for piece in range(len(self.squares)):
+            start, along, total = self.starts[piece], self.along[piece], 0.0
+            for i in range(len(position)):
+                total += (position[i] - start[i]) * along[i]
+            share = min(max(total / self.squares[piece], 0.0), 1.0)
+            distance = 0.0
+            for i in range(len(position)):
+                away = position[i] - start[i] - share * along[i]
+                distance += away * away
             if distance < least:
-                least, nearest = distance, away
-        length = math.sqrt(least)
-        row = tuple([v / length for v in nearest]) if length > 0.0 else (0.0,) * self.dimensions
-        return Coordinates((length,), (row,))
+                least, nearest, place = distance, piece, share
+        start, along, length, row = self.starts[nearest], self.along[nearest], sqrt(least), rows[0]
+        for i in range(len(position)):
+            row[i] = (position[i] - start[i] - place * along[i]) / length if length > 0.0 else 0.0
+        values[0] = length
+
+
+def path_through(points: Sequence[Sequence[float]]) -> FromPath:
+    """Returns the path from point to point."""
+    starts = [list(a) for a, _ in pairwise(points)]
+    along = [[y - x for x, y in zip(a, b, strict=True)] for a, b in pairwise(points)]
+    return FromPath(starts, along, [sum(v * v for v in piece) for piece in along])

@@ -3,7 +3,7 @@
 import math
 from typing import Annotated
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered
+from canhaptic.control.port_hamiltonian.shapes.geometry import Mover, Rendered, linear_geometry
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, unit_vector
 from canhaptic.units import quantity
 
@@ -27,14 +27,6 @@ class MovingWall(Surface):
     def build(self, dimensions: int) -> Rendered:
         """Returns the wall; see `NetworkEnvironment`."""
         normal = unit_vector("moving_wall", "normal", self.normal, dimensions)
-        return self.behind(_Moved(normal, self.offset, self.amplitude, self.frequency))
-
-
-class _Moved(LinearGeometry):
-    def __init__(self, normal: tuple[float, ...], offset: float, amplitude: float, frequency: float) -> None:
-        super().__init__([normal], [offset])
-        self._half, self._rate = 0.5 * amplitude, 2.0 * math.pi * frequency
-
-    def mover(self, time: float) -> tuple[float, ...]:
-        """Returns w(t)."""
-        return (self._half * (1.0 - math.cos(self._rate * time)),)
+        return self.behind(
+            linear_geometry([normal], [self.offset]), Mover(0.5 * self.amplitude, 2.0 * math.pi * self.frequency)
+        )

@@ -1,6 +1,6 @@
 """A flat wall in any direction."""
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, linear_geometry
 from canhaptic.control.port_hamiltonian.shapes.surface import Surface, unit_vector
 
 
@@ -15,4 +15,4 @@ class Plane(Surface):
     def build(self, dimensions: int) -> Rendered:
         """Returns the wall; see `NetworkEnvironment`."""
         normal = unit_vector("plane", "normal", self.normal, dimensions)
-        return self.behind(LinearGeometry([normal], [self.offset]))
+        return self.behind(linear_geometry([normal], [self.offset]))

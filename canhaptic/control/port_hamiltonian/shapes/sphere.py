@@ -1,10 +1,10 @@
 """A sphere (in a plane: a disc) to touch from outside, or a hollow one to stay in."""
 
-from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import Coordinates, Rendered, check_length
-from canhaptic.control.port_hamiltonian.shapes.surface import Distance, Surface, radial
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length
+from canhaptic.control.port_hamiltonian.shapes.surface import Surface, radial
+from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import quantity
 
 
@@ -21,15 +21,25 @@ class Sphere(Surface):
     def build(self, dimensions: int) -> Rendered:
         """Returns the sphere; see `NetworkEnvironment`."""
         check_length("sphere", "centre", len(self.centre), dimensions)
-        return self.behind(_Round(self.centre, self.radius, self.side == "outside"))
+        return self.behind(Round(list(self.centre), self.radius, 1.0 if self.side == "outside" else -1.0))
 
 
-class _Round(Distance):
-    def __init__(self, centre: Sequence[float], radius: float, outwards: bool) -> None:
-        super().__init__(len(centre))
-        self._centre, self._radius, self._outwards = tuple(centre), radius, outwards
+class Round(NamedTuple):
+    """Distance from a sphere, or a disc."""
 
-    def measure(self, position: Sequence[float]) -> Coordinates:
-        """Returns the distance from the surface and its normal."""
-        offset = [p - c for p, c in zip(position, self._centre, strict=True)]
-        return radial(offset, self._radius, self._outwards)
+    centre: Buffer  # [m or rad]
+    radius: float  # [m or rad]
+    sign: float  # 1: free space is outside; -1: inside
+    ports: int = 1
+
+    @property
+    def dimensions(self) -> int:
+        """Of task space."""
+        return len(self.centre)
+
+    def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
+        """Writes the distance from the surface and its normal."""
+        row = rows[0]
+        for i in range(len(row)):
+            row[i] = position[i] - self.centre[i]
+        values[0] = radial(row, self.radius, self.sign)

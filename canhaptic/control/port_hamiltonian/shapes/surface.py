@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
-from canhaptic.control.port_hamiltonian.shapes.geometry import Coordinates, Geometry, Rendered
+from canhaptic.control.port_hamiltonian.shapes.geometry import STILL, Geometry, Mover, Rendered
 from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
 
 
@@ -28,23 +29,9 @@ class Surface(Parameters):
             gain=[[1.0]],
         )
 
-    def behind(self, geometry: Geometry) -> Rendered:
+    def behind(self, geometry: Geometry, mover: Mover = STILL) -> Rendered:
         """Returns the material behind a surface given by its distance."""
-        return Rendered(self.network(), geometry)
-
-
-class Distance:
-    """A geometry of one port that does not move; the owner says how far away its surface is."""
-
-    ports = 1
-
-    def __init__(self, dimensions: int) -> None:
-        """Makes the geometry in a task space of given dimensions."""
-        self.dimensions = dimensions
-
-    def mover(self, time: float) -> tuple[float, ...] | None:
-        """Returns None: nothing moves."""
-        return None
+        return Rendered(self.network(), geometry, mover)
 
 
 def unit_vector(owner: str, name: str, vector: Sequence[float], dimensions: int) -> tuple[float, ...]:
@@ -61,16 +48,22 @@ def unit_vector(owner: str, name: str, vector: Sequence[float], dimensions: int)
     return tuple(v / length for v in vector)
 
 
-def radial(offset: Sequence[float], radius: float, outwards: bool) -> Coordinates:
-    """Returns distance and gradient of a round surface at `offset` from its centre or axis.
+def radial(row: Buffer, radius: float, sign: float) -> float:
+    """Returns the distance from a round surface [m], and makes its gradient of the offset from centre or axis.
 
     Args:
-        offset: From the centre, or from the nearest point of the axis [m].
+        row: Offset from the centre, or from the nearest point of the axis [m]; the gradient afterwards.
         radius: [m].
-        outwards: Whether free space is outside.
+        sign: 1 where free space is outside, else -1.
     """
-    length = math.hypot(*offset)
-    sign = 1.0 if outwards else -1.0
-    # At the very centre there is no direction: any will do, for a hand there is either free or as deep as can be.
-    row = tuple([sign * v / length for v in offset]) if length > 0.0 else (sign,) + (0.0,) * (len(offset) - 1)
-    return Coordinates((sign * (length - radius),), (row,))
+    square = 0.0
+    for offset in row:
+        square += offset * offset
+    length = math.sqrt(square)
+    if length > 0.0:
+        for i in range(len(row)):
+            row[i] = sign * row[i] / length
+    else:  # at the very centre there is no direction: any will do, for a hand there is either free or deepest
+        for i in range(len(row)):
+            row[i] = sign if i == 0 else 0.0
+    return sign * (length - radius)

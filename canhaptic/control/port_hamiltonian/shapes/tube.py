@@ -1,10 +1,10 @@
 """A straight tube to stay in, or a rod to touch from outside; along it the motion is free."""
 
-from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import Coordinates, Rendered, check_length
-from canhaptic.control.port_hamiltonian.shapes.surface import Distance, Surface, radial, unit_vector
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length
+from canhaptic.control.port_hamiltonian.shapes.surface import Surface, radial, unit_vector
+from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import quantity
 
 
@@ -25,18 +25,31 @@ class Tube(Surface):
         check_length("tube", "point", len(self.point), dimensions)
         check_length("tube", "direction, of at least 2 dimensions,", len(self.direction), max(2, dimensions))
         direction = unit_vector("tube", "direction", self.direction, dimensions)
-        return self.behind(_AroundLine(self.point, direction, self.radius, self.side == "outside"))
-
-
-class _AroundLine(Distance):
-    def __init__(self, point: Sequence[float], direction: tuple[float, ...], radius: float, outwards: bool) -> None:
-        super().__init__(len(point))
-        self._point, self._direction, self._radius, self._outwards = tuple(point), direction, radius, outwards
-
-    def measure(self, position: Sequence[float]) -> Coordinates:
-        """Returns the distance from the surface and its normal."""
-        offset = [p - c for p, c in zip(position, self._point, strict=True)]
-        along = sum([o * d for o, d in zip(offset, self._direction, strict=True)])
-        return radial(
-            [o - along * d for o, d in zip(offset, self._direction, strict=True)], self._radius, self._outwards
+        return self.behind(
+            AroundLine(list(self.point), list(direction), self.radius, 1.0 if self.side == "outside" else -1.0)
         )
+
+
+class AroundLine(NamedTuple):
+    """Distance from a round surface about a line."""
+
+    point: Buffer  # of the line [m or rad]
+    direction: Buffer  # of length 1
+    radius: float  # [m or rad]
+    sign: float  # 1: free space is outside; -1: inside
+    ports: int = 1
+
+    @property
+    def dimensions(self) -> int:
+        """Of task space."""
+        return len(self.point)
+
+    def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
+        """Writes the distance from the surface and its normal."""
+        row, along = rows[0], 0.0
+        for i in range(len(row)):
+            row[i] = position[i] - self.point[i]
+            along += row[i] * self.direction[i]
+        for i in range(len(row)):
+            row[i] -= along * self.direction[i]
+        values[0] = radial(row, self.radius, self.sign)

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import Damper, Mass, Network, Spring
-from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, check_length, identity_rows
+from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.storages import Storage
 from canhaptic.units import Parameters, quantity
 
@@ -29,7 +29,7 @@ class VirtualMass(Parameters):
 
     def build(self, dimensions: int) -> Rendered:
         """Returns the mass; see `NetworkEnvironment`."""
-        return Rendered(self._network(dimensions, []), LinearGeometry(identity_rows(dimensions), [0.0] * dimensions))
+        return Rendered(self._network(dimensions, []), linear_geometry(identity_rows(dimensions), [0.0] * dimensions))
 
     def _network(self, dimensions: int, anchors: list[Storage]) -> Network:
         n, size = dimensions, 2 * dimensions + len(anchors)
@@ -69,5 +69,5 @@ class MassOnSpring(VirtualMass):
         """Returns the mass on its spring; see `NetworkEnvironment`."""
         check_length("mass_on_spring", "anchor", len(self.anchor), dimensions)
         anchors: list[Storage] = [Spring(stiffness=self.anchor_stiffness) for _ in range(dimensions)]
-        geometry = LinearGeometry(identity_rows(dimensions), self.anchor)
+        geometry = linear_geometry(identity_rows(dimensions), self.anchor)
         return Rendered(self._network(dimensions, anchors), geometry)

@@ -1,0 +1,77 @@
+"""The step of a group compiled by numba, with lists and tuples on the outside; needs the extra `fast`."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupRun
+from canhaptic.control.multi_axis.group_motion import World
+from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer
+from canhaptic.kernels.compiler import compiled
+from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
+
+
+def step(
+    world: World, settings: Any, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
+) -> GroupHold:
+    """Stands for the kernel of an algorithm."""
+    raise NotImplementedError
+
+
+def step_records(
+    world: World, tables: Records, settings: Records, states: Records, memories: Records, missed: int,
+    positions: Buffer, torques_applied: Buffer,
+) -> GroupHold:  # fmt: skip
+    """Calls the kernel with what lies in records of shape (1,), which cost less to hand over than records."""
+    whole = World(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
+    return step(whole, settings[0], states[0], memories[0], missed, positions, torques_applied)
+
+
+def compiled_world(world: World) -> tuple[Any, Records]:
+    """Returns a world for compiled kernels, its tables apart.
+
+    Raises:
+        ParameterError: A part of it is given as functions in Python.
+    """
+    parts = (world.mechanism, world.geometry, world.functions)
+    names = [type(part).__name__ for part in parts if not hasattr(part, "_fields") or hasattr(part, "kinematics")]
+    if names:
+        raise ParameterError(
+            f"compiled: got {', '.join(names)}, which is Python code of its own, expected mechanisms, geometries and "
+            "storages that scenes can name; leave compiled out"
+        )
+    bare = World(arrays_of(world.mechanism), arrays_of(world.geometry), world.mover, 0, world.functions)  # type: ignore[arg-type]
+    return bare, record_of(world.tables)
+
+
+def begin_compiled(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
+    """Returns what begins a run; compiles first, which takes up to half a minute where it is not kept on disk.
+
+    Raises:
+        ParameterError: A part of the world is given as functions in Python.
+    """
+    bare, tables = compiled_world(world)
+    parts = type(world.mechanism), type(world.geometry), type(world.functions)
+    call = compiled(step_records, {step: kernel.step}, keep=True, parts=parts)
+    fixed, state = record_of(settings), records_of([kernel.state()])
+    memory = record_of(kernel.memory(world, settings))
+    rows = memory[0]["group"]["commands"]["torques"].shape[1]
+
+    def begin() -> GroupRun:
+        states, memories = state.copy(), memory.copy()
+        positions, applied = np.zeros(rows), np.zeros(rows)
+        sent, energy = memories["group"]["commands"]["torques"][0], memories["group"]["ended"]["interactions"][0]
+        torques, interactions = sent.tolist(), energy.tolist()
+
+        def run(missed: int, at: Sequence[float], held: Sequence[float]) -> GroupHold:
+            positions[:], applied[:] = at, held
+            hold: GroupHold = call(bare, tables, fixed, states, memories, missed, positions, applied)
+            torques[hold.place], interactions[:] = sent[hold.place].tolist(), energy.tolist()
+            return hold
+
+        return GroupRun(run, torques, interactions)
+
+    begin().step(0, [0.0] * rows, [0.0] * rows)
+    return begin

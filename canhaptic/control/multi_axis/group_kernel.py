@@ -1,0 +1,99 @@
+"""What the kernels of groups share, of any algorithm."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import inf
+from typing import Any, Final, NamedTuple
+
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.multi_axis.group_commands import (
+    GroupCommands,
+    GroupHolds,
+    no_group_commands,
+    no_group_holds,
+)
+from canhaptic.control.multi_axis.group_motion import (
+    Motion,
+    MotionMemory,
+    MotionSettings,
+    World,
+    motion_memory,
+    motion_settings,
+)
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.recovery import damping_cap
+from canhaptic.kernels import Buffer, Matrix
+
+_NO_CAP: Final = 1e12
+"""Of the damping when the moving mass is not known [N*s/m or N*m*s/rad]: finite, so that at rest it gives no force."""
+
+
+class GroupLoop(NamedTuple):
+    """What is fixed for a run, whatever the algorithm."""
+
+    delay: int  # whole holds between computation and action
+    caps: Buffer  # of the damping, (axes,) [N*s/m or N*m*s/rad]
+    least_cap: float
+    most_cap: float
+    largest: Buffer  # torques that limiters and drives let act, (axes,) [N*m or N]
+    motion: MotionSettings
+
+
+@dataclass(slots=True)
+class Group:
+    """What is remembered from SYNC to SYNC, whatever the algorithm."""
+
+    started: bool = False
+    oldest: int = 0  # place of the command whose hold ends next
+    motion: Motion = field(default_factory=Motion)
+
+
+class GroupMemory(NamedTuple):
+    """Buffers, whatever the algorithm."""
+
+    commands: GroupCommands
+    ended: GroupHolds
+    motion: MotionMemory
+
+
+class GroupHold(NamedTuple):
+    """What a step of a group did with the hold that ended; see `GroupBalance`."""
+
+    account: EnergyBalance
+    supplied: float
+    unsure: float
+    limit: int
+    place: int  # of the torques that it sent, in the rings of the commands
+
+
+class GroupKernel(NamedTuple):
+    """A passivity algorithm of a group as functions; see `canhaptic.kernels.Kernel`."""
+
+    settings: Callable[..., Any]  # (world, parameters, loops) -> what is fixed for a run; has `loop`
+    state: Callable[[], Any]  # () -> state at rest
+    memory: Callable[..., Any]  # (world, settings) -> buffers; has `group`
+    step: Callable[..., GroupHold]  # (world, settings, state, memory, samples lost before, positions, torques applied)
+
+
+def group_loop(world: World, loops: tuple[LoopProperties, ...]) -> GroupLoop:
+    """Returns what is fixed for a run."""
+    sample_time, delay = loops[0].sample_time, loops[0].delay
+    caps = [min(_NO_CAP, damping_cap(delay, loop.moving_mass, sample_time)) for loop in loops]
+    largest = [loop.torque_limit or inf for loop in loops]
+    return GroupLoop(delay, caps, min(caps), max(caps), largest, motion_settings(world, loops))
+
+
+def group_memory(world: World, loop: GroupLoop, ports: int) -> GroupMemory:
+    """Returns the buffers of a group at rest; `ports` of the commands are kept."""
+    axes = len(loop.caps)
+    return GroupMemory(
+        no_group_commands(axes, ports, loop.delay), no_group_holds(axes, loop.delay), motion_memory(world, loop.motion)
+    )
+
+
+class GroupRun(NamedTuple):
+    """A kernel from its first SYNC on."""
+
+    step: Callable[[int, Sequence[float], Sequence[float]], GroupHold]
+    torques: Matrix  # rows of the commands
+    interactions: Buffer

@@ -1,0 +1,266 @@
+"""The torques of a guarded group: efforts as far as the account covers them, sent as far as they are certified."""
+
+from math import sqrt
+from typing import Final, NamedTuple
+
+from canhaptic.control.balance import Certificate
+from canhaptic.control.certificates.torque_bound import keep
+from canhaptic.control.multi_axis.group_account import UnderWay, certain_energy, fade, quotient, shares
+from canhaptic.control.multi_axis.group_commands import GroupCommands, next_place, send_nothing, take_applied
+from canhaptic.control.multi_axis.group_motion import World, write_efforts
+from canhaptic.control.multi_axis.guarded_state import GuardedGroupMemory, GuardedGroupSettings, GuardedGroupState
+from canhaptic.control.multi_axis.per_axis_certificates import raise_inward
+from canhaptic.control.passivity.in_flight import towards_zero
+from canhaptic.control.recovery import modulated_damping
+from canhaptic.kernels import Buffer, new
+
+_UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
+_BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
+
+_LEAD_ROOM: Final = 1.75  # as in `passivity.guarded`, with the reasons
+_FADE: Final = 0.8
+_GRID_TRIES: Final = 3
+_GRID_BACK: Final = 0.99
+
+
+class Rendering(NamedTuple):
+    """What was sent of what was asked for."""
+
+    damping: float  # rendered along the motion [N*s/m or N*m*s/rad]
+    certificate: int
+
+
+def render(
+    world: World,
+    settings: GuardedGroupSettings,
+    state: GuardedGroupState,
+    memory: GuardedGroupMemory,
+    under_way: UnderWay,
+) -> Rendering:
+    """Sends the torques for the next free hold."""
+    group, commands, wish = state.group, memory.group.commands, memory.wish
+    place = group.oldest
+    if not group.motion.engaged:
+        group.oldest = send_nothing(commands, place)
+        fade(state.account, _FADE)
+        return new(Rendering, (0.0, _UNBOUNDED))
+    speed = write_efforts(world, settings.loop.motion, group.motion, memory.group.motion, settings.lead, wish)
+    energy = certain_energy(state.account, settings.credit)
+    share, lead_share, damper_share, covered = shares_of_wish(settings, state, memory, speed, energy)
+    rendered = write_dampers(settings, state, memory, damper_share)
+    damper, modulated, torques = memory.damper, memory.modulated, memory.torques
+    for i in range(len(torques)):
+        torques[i] = -(share * wish.spring[i] + lead_share * wish.lead[i] + damper[i] + modulated[i])
+    factor, certificate = certify(settings, state, memory, under_way, energy, covered)
+    sent, splits = memory.sent, settings.account.apart.losses > 0 and factor < 1.0
+    for i in range(len(torques)):
+        commands.torques[place][i] = torques[i] if splits else sent[i]
+        commands.dampers[place][i] = damper[i] if splits else factor * damper[i]
+        commands.modulated[place][i] = modulated[i] if splits else factor * modulated[i]
+    if splits:
+        split(settings, memory, commands, place, factor, energy)
+    group.oldest = next_place(commands, place)
+    return new(Rendering, (factor * rendered, certificate))
+
+
+def split(
+    settings: GuardedGroupSettings,
+    memory: GuardedGroupMemory,
+    commands: GroupCommands,
+    place: int,
+    factor: float,
+    energy: float,
+) -> None:
+    """Makes the command at a place one of which axes that take energy in have more than the certified share of all.
+
+    What the drives leave of it by their grid is a part of what was certified, axis by axis.
+    """
+    most, account, found = within_limits(settings, memory.torques), settings.account, memory.sent
+    for i in range(len(found)):
+        memory.scaled[i] = most * memory.torques[i]
+    if account.axes.by_hand:
+        raise_inward(
+            account.axes, account.apart, memory.account.apart, memory.account.coming, memory.scaled, factor / most,
+            energy, found,
+        )  # fmt: skip
+    else:
+        for i in range(len(found)):
+            found[i] = factor / most * memory.scaled[i]
+    for i in range(len(found)):
+        found[i] = towards_zero(found[i], settings.quanta[i])
+    take_applied(commands, place, found)
+
+
+def within_limits(settings: GuardedGroupSettings, torques: Buffer) -> float:
+    """Returns the largest share of torques, up to 1, that no limit cuts."""
+    most = 1.0
+    for i in range(len(torques)):
+        size, limit = abs(torques[i]), settings.loop.largest[i]
+        if size > limit:
+            most = min(most, limit / size)
+    return most
+
+
+def certify(
+    settings: GuardedGroupSettings,
+    state: GuardedGroupState,
+    memory: GuardedGroupMemory,
+    under_way: UnderWay,
+    energy: float,
+    covered: bool,
+) -> tuple[float, int]:
+    """Writes the torques to send; returns their share of those asked for, and the certificate."""
+    torques, sent = memory.torques, memory.sent
+    if not acts(torques):
+        for i in range(len(sent)):
+            sent[i] = torques[i]
+        return 1.0, _UNBOUNDED
+    by_force, by_damping, by_speed = shares(settings.account, state.account, memory.account, under_way, torques, energy)
+    factor, largest = within_limits(settings, torques), max(by_force, by_damping, by_speed)
+    if factor > largest:
+        factor, covered = largest, False
+    certificate = _UNBOUNDED
+    if not covered or factor < 1.0:
+        certificate = _BY_SPEED
+        if by_damping >= factor > 0.0:  # of no share at all, what `split` adds is by hand force
+            certificate = _BY_DAMPING
+        elif by_force >= factor:
+            certificate = _BY_FORCE
+    if settings.quantised:
+        return put_on_grid(settings, state, memory, under_way, energy, factor), certificate
+    for i in range(len(sent)):
+        sent[i] = factor * torques[i]
+    return factor, certificate
+
+
+def acts(torques: Buffer) -> bool:
+    """Returns whether any torque is not zero."""
+    for torque in torques:
+        if torque != 0.0:
+            return True
+    return False
+
+
+def put_on_grid(
+    settings: GuardedGroupSettings,
+    state: GuardedGroupState,
+    memory: GuardedGroupMemory,
+    under_way: UnderWay,
+    energy: float,
+    factor: float,
+) -> float:
+    """Writes torques rounded towards 0 to what the drives apply, and certified as such; returns their share.
+
+    Rounding one axis alone is safe; of several it turns the force a little, so that the certificate is asked again.
+    """
+    sent = memory.sent
+    for _ in range(_GRID_TRIES):
+        for i in range(len(sent)):
+            sent[i] = towards_zero(factor * memory.torques[i], settings.quanta[i])
+        if len(sent) == 1 or not acts(sent):
+            return factor
+        by_force, by_damping, by_speed = shares(
+            settings.account, state.account, memory.account, under_way, sent, energy
+        )
+        share = max(by_force, by_damping, by_speed)
+        if share >= 1.0:
+            return factor
+        factor *= _GRID_BACK * share
+    for i in range(len(sent)):
+        sent[i] = 0.0
+    return 0.0
+
+
+def write_dampers(
+    settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, share: float
+) -> float:
+    """Writes the efforts of the damper and of the modulated one (eq. 19); returns the damping rendered."""
+    wish, damper, modulated, h_dis = memory.wish, memory.damper, memory.modulated, state.account.h_dis
+    square = along = extra = 0.0
+    for i in range(len(damper)):
+        damper[i] = share * wish.damper[i]
+        square += wish.velocity[i] * wish.velocity[i]
+        along += damper[i] * wish.velocity[i]
+    rendered = along / square if square != 0.0 else 0.0
+    if settings.alpha > 0.0 and h_dis > 0.0 and square != 0.0:
+        sample_time = settings.loop.motion.sample_time
+        extra = modulated_damping(
+            settings.alpha, h_dis, rendered, settings.loop.least_cap, sqrt(square) * sample_time, sample_time
+        )
+    for i in range(len(modulated)):
+        modulated[i] = extra * wish.velocity[i]
+    return rendered + extra
+
+
+def shares_of_wish(
+    settings: GuardedGroupSettings,
+    state: GuardedGroupState,
+    memory: GuardedGroupMemory,
+    internal_speed: float,
+    energy: float,
+) -> tuple[float, float, float, bool]:
+    """Returns the shares of spring, lead and damper to render, and whether the account covers all of them."""
+    wish, caps = memory.wish, settings.loop.caps
+    size, lead_size = capped_norm(wish.spring, caps), capped_norm(wish.lead, caps)
+    damper_size = capped_norm(wish.damper, caps)
+    speed = 0.0
+    for i in range(len(caps)):
+        speed += caps[i] * wish.velocity[i] * wish.velocity[i]
+    speed = sqrt(speed)
+    if internal_speed != 0.0:
+        speed += sqrt(settings.loop.most_cap) * internal_speed
+    room, share, lead_share, damper_share = speed, 1.0, 1.0, 1.0
+    permitted = permitted_square(settings, state, memory, size, energy)
+    covered = permitted >= 1.0
+    if not covered:
+        share = sqrt(permitted)
+        inward = opposed = 0.0
+        for i in range(len(caps)):
+            inward += wish.spring[i] * wish.velocity[i]
+            opposed += wish.lead[i] * wish.spring[i] / caps[i]
+        if inward > 0.0:
+            catch_up = min(size - share * size, inward / size, room)
+            share += catch_up / size
+            room -= catch_up
+        if opposed < 0.0 and lead_size > share * size + damper_size:
+            lead_share = (share * size + damper_size) / lead_size
+    if damper_size > room:
+        damper_share, covered = room / damper_size, False
+    room += (_LEAD_ROOM - 1.0) * speed - damper_share * damper_size
+    if lead_share * lead_size > room:
+        lead_share = room / lead_size
+    return share, lead_share, damper_share, covered
+
+
+def permitted_square(
+    settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory, size: float, energy: float
+) -> float:
+    """Returns the square of the share of the springs that the account covers; may be above 1."""
+    wish, account = memory.wish, state.account
+    if size == 0.0:
+        return 1.0
+    permitted = quotient(2.0 * settings.calm * energy, size * size)
+    if settings.account.axes.by_damping:
+        total = needed = 0.0
+        for i in range(len(settings.damped)):
+            spring, stiffness = wish.spring[i], settings.damped[i]
+            whole = spring + wish.lead[i] + wish.damper[i]
+            total += 0.5 * (whole * whole) / stiffness
+            needed += 0.5 * spring * spring / stiffness
+        keep(account, energy, state.group.motion.energy + total)
+        permitted = max(permitted, quotient(energy + account.dissipated, needed))
+    if settings.path > 0.0 and energy > 0.0:
+        travelled = 0.0
+        for spring in wish.spring:
+            travelled += abs(spring)
+        ratio = quotient(energy, settings.path * travelled)
+        permitted = max(permitted, ratio * ratio)
+    return permitted
+
+
+def capped_norm(efforts: Buffer, caps: Buffer) -> float:
+    """Returns the norm of efforts in which every axis has its own damping cap."""
+    total = 0.0
+    for i in range(len(efforts)):
+        total += efforts[i] * efforts[i] / caps[i]
+    return sqrt(total)

@@ -1,0 +1,118 @@
+"""What `guarded` of a group is given, remembers and works on."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Final, NamedTuple
+
+from canhaptic.control.multi_axis.group_account import AccountMemory, AccountSettings, GroupAccount
+from canhaptic.control.multi_axis.group_certificates import axes_of
+from canhaptic.control.multi_axis.group_kernel import Group, GroupLoop, GroupMemory, group_loop, group_memory
+from canhaptic.control.multi_axis.group_motion import RequestedEfforts, World
+from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, per_axis_memory
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.recovery import Alpha
+from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer, list_of_zeros, zeros
+from canhaptic.units import Parameters, quantity
+
+_CALM: Final = 0.7  # as in `passivity.guarded`, with the reasons
+
+
+class GuardedGroupParameters(Parameters):
+    """What the certificates rest on. Mass and damping of the devices are properties of each axis's loop."""
+
+    hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
+    """Largest force with which the hand pulls each motor axis, Coriolis forces included (`bound`); None: not used."""
+    hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
+    """Largest speed of every motor axis. None: the certificate is not used."""
+    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
+    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
+    alpha: Alpha = 0.0
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
+    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
+    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
+    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    """Consecutive cycles in which any axis may be without a new torque, or hold a part of it (`apart`); each costs
+    stiffness. 0: all axes always apply together what was sent."""
+    compiled: bool = False
+    """Whether the whole step runs compiled by numba (the extra `fast`); half a minute the first time, kept on disk."""
+
+
+class GuardedGroupSettings(NamedTuple):
+    """What is fixed for a run."""
+
+    loop: GroupLoop
+    account: AccountSettings
+    credit: float  # energy that may be given out before any came in [J]
+    alpha: float  # [s/m^2 or s/rad^2]
+    lead: float  # prediction [holds]
+    calm: float  # stiffness of the energy-permitted spring over the damping cap, by the rate; 0: no hand force [1/s]
+    damped: Buffer  # the same by the damping of the devices, (axes,); 0 where it is not declared [N/m or N*m/rad]
+    path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
+    quanta: Buffer  # of the torque commands, (axes,); 0: ideal [N*m or N]
+    quantised: bool
+
+
+@dataclass(slots=True)
+class GuardedGroupState:
+    """What is remembered between two SYNCs."""
+
+    was_engaged: bool = False
+    group: Group = field(default_factory=Group)
+    account: GroupAccount = field(default_factory=GroupAccount)
+
+
+class GuardedGroupMemory(NamedTuple):
+    """Buffers of a group."""
+
+    group: GroupMemory
+    account: AccountMemory
+    wish: RequestedEfforts
+    damper: Buffer  # efforts to be sent, (axes,) [N*m or N]
+    modulated: Buffer
+    torques: Buffer  # asked for
+    sent: Buffer
+    scaled: Buffer
+
+
+def settings_of(
+    world: World, parameters: GuardedGroupParameters, loops: tuple[LoopProperties, ...]
+) -> GuardedGroupSettings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: Nothing is known that a torque could be certified by.
+    """
+    sample_time, delay = loops[0].sample_time, loops[0].delay
+    axes = axes_of(loops, parameters.hand_force, parameters.hand_speed)
+    if not (axes.by_hand or axes.by_damping or axes.path):
+        raise ParameterError(
+            "guarded group: got neither moving_mass of every axis with hand_force, nor device_damping of every "
+            "axis, nor hand_speed, expected one of them; without any no torque can be certified"
+        )
+    loop = group_loop(world, loops)
+    limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses)
+    quanta = [loop.torque_quantum for loop in loops]
+    return GuardedGroupSettings(
+        loop,
+        AccountSettings(axes, limits, loop.motion.moves),
+        credit=parameters.energy_allowance,
+        alpha=parameters.alpha,
+        lead=parameters.prediction_holds + delay,
+        calm=_CALM / (sample_time * (0.5 + delay)) if axes.by_hand else 0.0,
+        damped=[2.0 * b / (1 + delay) for b in axes.damping],
+        path=axes.path * (1 + delay),
+        quanta=quanta,
+        quantised=any(quanta),
+    )
+
+
+def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemory:
+    """Returns the buffers of a group at rest."""
+    axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
+    account = AccountMemory(
+        one(axes), one(axes), one(axes), zeros(limits.holds, axes), one(axes), per_axis_memory(limits)
+    )
+    return GuardedGroupMemory(
+        group_memory(world, settings.loop, 0), account, RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
+        one(axes), one(axes), one(axes), one(axes), one(axes),
+    )  # fmt: skip

@@ -1,0 +1,111 @@
+"""An algorithm of a group in the cycle: keeps what the kernel remembers, and refuses what is no finite number."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import isfinite
+from typing import Any, ClassVar
+
+from canhaptic.control.balance import AT_REST, Branch
+from canhaptic.control.mechanisms.kinematics import Kinematics
+from canhaptic.control.multi_axis.group_commands import norm
+from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
+from canhaptic.control.multi_axis.group_kernel import GroupKernel, GroupRun
+from canhaptic.control.multi_axis.group_motion import World, world_of
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.errors import ControlError, ParameterError
+from canhaptic.extras import install_hint
+from canhaptic.kernels import with_quick_fields
+from canhaptic.units import Parameters
+
+_HELD = Branch.HELD.value
+
+
+def interpreted_run(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
+    """Returns what begins a run in Python."""
+    fixed = with_quick_fields(world), with_quick_fields(settings)
+
+    def begin() -> GroupRun:
+        memory = with_quick_fields(kernel.memory(world, settings))
+        step = partial(kernel.step, *fixed, kernel.state(), memory)
+        return GroupRun(step, memory.group.commands.torques, memory.group.ended.interactions)
+
+    return begin
+
+
+def compiled_run(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
+    """Returns what begins a run compiled by numba.
+
+    Raises:
+        ParameterError: numba is not installed, or parts are given as functions.
+    """
+    try:
+        from canhaptic.control.multi_axis.compiled_group import begin_compiled
+    except ImportError as error:
+        raise ParameterError(f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out") from error
+    return begin_compiled(kernel, world, settings)
+
+
+class SteppedGroup:
+    """A kernel with the state of one group; see `GroupController`."""
+
+    parameters_type: ClassVar[type[Parameters]]
+    kernel: ClassVar[GroupKernel]
+
+    def __init__(
+        self,
+        environment: NetworkEnvironment,
+        kinematics: Kinematics,
+        parameters: Any,
+        loops: tuple[LoopProperties, ...],
+    ) -> None:
+        """Prepares a run; `parameters` is of `parameters_type`.
+
+        Raises:
+            ParameterError: Parts do not fit together, or the algorithm cannot do without something that is not known.
+        """
+        self.axes = kinematics.axes
+        world = world_of(environment, kinematics, loops)
+        settings = self.kernel.settings(world, parameters, loops)
+        begin = compiled_run if parameters.compiled else interpreted_run
+        self._begin: Callable[[], GroupRun] = begin(self.kernel, world, settings)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything; see `GroupController`."""
+        self._step, self._torques, self._interactions = self._begin()
+        self._missed = 0
+        self._last = group_at_rest(self.axes)
+        self._started = False
+
+    def hold(self) -> GroupBalance:
+        """Repeats the last commands for want of a sample; see `GroupController`."""
+        self._missed += self._started
+        torques, last = self._last.torques, self._last.account
+        account = AT_REST._replace(
+            torque=norm(torques), h_s=last.h_s, h_dis=last.h_dis, branch=_HELD, state=last.state
+        )  # fmt: skip
+        return GroupBalance(torques, account, (0.0,) * self.axes)
+
+    def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
+        """Books the hold that ended; see `GroupController`."""
+        total = 0.0
+        for value in (*positions, *torques_applied):
+            total += value - value  # 0, or NaN where it is not finite
+        if total != 0.0 or not len(positions) == len(torques_applied) == self.axes:
+            self.reset()
+            raise ControlError(
+                f"group controller: got positions {tuple(positions)} and applied torques {tuple(torques_applied)}, "
+                f"expected {self.axes} finite numbers each; torque is zero and the controller is to be reset, check "
+                "the encoders"
+            )
+        account, supplied, unsure, limit, place = self._step(self._missed, positions, torques_applied)
+        torques = tuple(self._torques[place])
+        if not isfinite(sum(torques)):
+            self.reset()
+            raise ControlError(
+                f"group controller: computed torques {torques}, expected finite numbers; torque is zero and "
+                "the controller is to be reset, check stiffness and damping against the size of the motion"
+            )
+        self._started, self._missed = True, 0
+        self._last = GroupBalance(torques, account, tuple(self._interactions), supplied, unsure, limit)
+        return self._last
