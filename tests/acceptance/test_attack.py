@@ -1,0 +1,56 @@
+"""A hand that climbs to where energy comes out of certified torques, on a plant that shares nothing with the package.
+
+`make bench Q=attack` does the same for thousands of loops.
+"""
+
+import pytest
+
+pytest.importorskip("numba")
+
+from tools.attack.climb import Attack
+from tools.attack.holes import HOLES, attack_on, keys_missing, random_attack
+from tools.attack.plant import TAKEN_IN, Rig, V, X, energy_of, hold
+
+OPEN = frozenset({"A"})
+"""Ways out that no declaration closes yet; each is needed here."""
+
+
+def least(attack: Attack, hands: int) -> float:
+    return min(attack.run(seed) for seed in range(hands))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("hole", HOLES, ids=lambda hole: f"{hole.name}: {hole.what}")
+def test_every_known_way_out_is_found_where_its_mend_is_not_declared(hole):
+    assert least(attack_on(hole, mended=False), 30) < -1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("hole", HOLES, ids=lambda hole: f"{hole.name}: {hole.what}")
+def test_a_declared_way_out_is_closed(hole):
+    if keys_missing(hole):
+        pytest.skip(f"cannot be declared yet: {', '.join(keys_missing(hole))}")
+    assert (least(attack_on(hole, mended=True), 30) >= -1e-9) is (hole.name not in OPEN)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_no_hand_gets_energy_out_of_an_ideal_loop():
+    ideal = [seed for seed in range(120) if random_attack(seed).is_ideal][:15]
+    assert min(least(random_attack(seed), 8) for seed in ideal) >= -1e-9
+
+
+def test_the_plant_of_the_attack_conserves_energy():
+    rig = Rig(0.01, 0.25, damping=0.3, friction=0.4, lag=1e-3, window=5e-4)
+    state = [0.0] * 8
+    state[V] = 0.2
+    start = energy_of(rig, state)
+    work = 0.0
+    for k in range(40):
+        before = state[X]
+        hold(rig, state, 2.0 * (-1) ** (k // 5), 1.5, 0.01)
+        work += 1.5 * (state[X] - before)
+    assert energy_of(rig, state) - start == pytest.approx(work - state[TAKEN_IN] - state[7], abs=1e-12)
+    assert state[7] > 0.01

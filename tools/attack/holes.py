@@ -1,0 +1,123 @@
+"""What a real rig does to the proof of an ideal hold, each with and without the declaration that mends it.
+
+The eight ways by which energy came out of certified torques before the hold was declared as it is.
+"""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded import GuardedParameters
+from tools.attack.climb import Attack, Hand
+from tools.attack.plant import Rig
+
+
+class Hole(NamedTuple):
+    """One way out, at one loop."""
+
+    name: str
+    what: str
+    rig: Rig
+    wall: dict[str, float]
+    hand: Hand
+    mend: dict[str, float]  # what is declared beside mass, damping and hand force
+    wrong: dict[str, float]  # what takes its place without the mend; a key that is not named is left out
+
+
+_HAND: Final = Hand(pull=5.0, push=20.0, speed=0.5)
+_STIFF: Final = {"stiffness": 2000.0}
+
+HOLES: Final = (
+    Hole("A", "limit of 2.5 N, 100 Hz", Rig(0.01, 0.25, 0.1, limit=2.5, delay=1), _STIFF, Hand(20.0, 20.0, 0.5),
+         {"torque_limit": 2.5}, {}),
+    Hole("A", "limit of 2.5 N, 40 Hz", Rig(0.025, 0.25, 0.1, limit=2.5, delay=1), _STIFF, Hand(20.0, 20.0, 0.5),
+         {"torque_limit": 2.5}, {}),
+    Hole("A", "rate limit of 50 N/s, 40 Hz", Rig(0.025, 0.25, 0.1, rate_limit=50.0, delay=1), _STIFF, _HAND,
+         {"torque_rate_limit": 50.0}, {}),
+    Hole("K", "damped wall, pushed, 100 Hz", Rig(0.01, 0.25, 0.1), {"stiffness": 2000.0, "damping": 20.0},
+         Hand(0.0, 60.0, 0.5), {"hand_push": 60.0}, {"hand_push": 0.0}),
+    Hole("K", "the same one sample late", Rig(0.01, 0.25, 0.1, delay=1), {"stiffness": 2000.0, "damping": 20.0},
+         Hand(0.0, 60.0, 0.5), {"hand_push": 60.0}, {"hand_push": 0.0}),
+    Hole("C", "jitter of 2 %, 100 Hz", Rig(0.01, 0.25, 0.1, jitter=0.02), _STIFF, _HAND, {"sync_jitter": 0.02}, {}),
+    Hole("C", "jitter of 10 %, 100 Hz", Rig(0.01, 0.25, 0.1, jitter=0.1), _STIFF, _HAND, {"sync_jitter": 0.1}, {}),
+    Hole("D", "torque 0.1 T late, 100 Hz", Rig(0.01, 0.25, 0.1, window=1e-3), {"stiffness": 1000.0}, _HAND,
+         {"torque_window": 1e-3}, {}),
+    Hole("D", "torque 0.3 T late, 100 Hz", Rig(0.01, 0.25, 0.1, window=3e-3), {"stiffness": 1000.0}, _HAND,
+         {"torque_window": 3e-3}, {}),
+    Hole("F", "current loop of 50 us, 1 kHz", Rig(1e-3, 0.25, 0.1, lag=5e-5), {"stiffness": 1e4}, _HAND,
+         {"current_lag": 5e-5}, {}),
+    Hole("F", "current loop of 300 us, 1 kHz", Rig(1e-3, 0.25, 0.1, lag=3e-4), {"stiffness": 1e4}, _HAND,
+         {"current_lag": 3e-4}, {}),
+    Hole("U", "damping of 2 N s/m, 100 Hz", Rig(0.01, 0.25, 2.0), _STIFF, _HAND, {"device_damping_bound": 2.0},
+         {"device_damping_bound": 0.0}),
+    Hole("B", "dry friction of 2 N, 100 Hz", Rig(0.01, 0.25, 0.1, friction=2.0), _STIFF, _HAND,
+         {"device_friction_bound": 2.0}, {}),
+    Hole("G", "rotor of 0.1 kg on a shaft, 100 Hz",
+         Rig(0.01, 0.1, 0.1, load=0.126, shaft_stiffness=5000.0, shaft_damping=1.0), {"stiffness": 200.0}, _HAND,
+         {"hand_force": 100.0}, {"moving_mass": 0.226}),  # the torque of the shaft is the hand of the rotor
+)  # fmt: skip
+
+
+def keys_missing(hole: Hole) -> list[str]:
+    """Returns what the mend of a hole needs and this version of the package cannot declare."""
+    known = LoopProperties.model_fields.keys() | GuardedParameters.model_fields.keys()
+    return [key for key in hole.mend if key not in known]
+
+
+def attack_on(hole: Hole, *, mended: bool) -> Attack:
+    """Returns the attack on a loop that declares the mend of a hole, or does not."""
+    rig, declared = hole.rig, {**(hole.mend if mended else hole.wrong)}
+    loop: dict[str, Any] = {
+        "sample_time": rig.sample_time, "delay": rig.delay, "moving_mass": rig.mass, "device_damping_bound": rig.damping
+    }  # fmt: skip
+    of_algorithm: dict[str, Any] = {"hand_force": hole.hand.pull}
+    for key, value in declared.items():
+        if key in LoopProperties.model_fields:
+            loop[key] = value
+        elif key in GuardedParameters.model_fields:
+            of_algorithm[key] = value  # hand force that is declared too, for a shaft
+    wall = SpringDamperWall(**{"position": 0.0, **hole.wall})
+    return Attack(rig, wall, LoopProperties(**loop), GuardedParameters(**of_algorithm), hole.hand)
+
+
+def random_attack(seed: int) -> Attack:
+    """Returns an attack on a loop of which everything is declared as it is."""
+    random = np.random.default_rng([seed, 9])
+
+    def decades(low: float, high: float) -> float:
+        return float(10.0 ** random.uniform(np.log10(low), np.log10(high)))
+
+    sample_time = float(random.choice([1e-3, 2e-3, 4e-3, 0.01, 0.025]))
+    known = LoopProperties.model_fields
+    jitter = float(random.choice([0.0, 0.02, 0.1])) if "sync_jitter" in known else 0.0
+    window = float(random.choice([0.0, 0.0, 0.1, 0.3])) * sample_time if "torque_window" in known else 0.0
+    lag = float(random.choice([0.0, 0.0, 0.05, 0.3])) * sample_time if "current_lag" in known else 0.0
+    friction = float(random.choice([0.0, 0.0, 0.5, 2.0])) if "device_friction_bound" in known else 0.0
+    mass, damping = decades(0.05, 2.0), decades(0.01, 3.0)
+    rig = Rig(
+        sample_time, mass, damping, friction, lag, window, jitter, delay=int(random.integers(2)),
+        limit=float(random.choice([1.0, 5.0, 1e6])),
+    )  # fmt: skip
+    hand = Hand(float(random.choice([0.0, 0.5, 2.0, 5.0, 20.0])), float(random.choice([5.0, 20.0, 60.0])), 1.0)
+    declared = {
+        "sync_jitter": jitter, "torque_window": window, "current_lag": lag, "device_friction_bound": friction,
+        "device_damping": damping * float(random.choice([0.0, 0.5, 1.0])) or None,
+    }  # fmt: skip
+    loop = LoopProperties(
+        sample_time=sample_time, delay=rig.delay, moving_mass=mass * float(random.choice([0.6, 1.0])),
+        device_damping_bound=damping * float(random.choice([1.0, 3.0])), torque_limit=rig.limit,
+        encoder_count=float(random.choice([0.0, 1e-6, 2e-5])),
+        **{key: value for key, value in declared.items() if key in known},
+    )  # fmt: skip
+    more = {"hand_push": hand.push} if "hand_push" in GuardedParameters.model_fields and random.random() < 0.5 else {}
+    wall = SpringDamperWall(
+        stiffness=decades(50.0, 5e4), damping=float(random.choice([0.0, 5.0, 20.0])) if _PUSH_MATTERS else 0.0,
+        position=0.0,
+    )  # fmt: skip
+    return Attack(rig, wall, loop, GuardedParameters(hand_force=hand.pull, **more), hand)
+
+
+_PUSH_MATTERS: Final = "hand_push" in GuardedParameters.model_fields
+"""Whether a damped wall can be declared; before, a pushing hand was the way out K."""
