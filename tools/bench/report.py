@@ -102,8 +102,8 @@ def _seconds(candidate: Callable[[], object]) -> float:
     return perf_counter() - start
 
 
-def publish(question: str, rows: Sequence[Row], packages: Sequence[str]) -> None:
-    """Prints the table and writes <question>.json into the folder for results."""
+def publish(question: str, rows: Sequence[Row], packages: Sequence[str], more: Mapping[str, Any] | None = None) -> None:
+    """Prints the table and writes <question>.json, with more besides, into the folder for results."""
     table = Table(title=question)
     for heading in ("figure", "value", "unit", "peer", "peer value", "ratio", "target", "met"):
         table.add_column(heading)
@@ -119,7 +119,7 @@ def publish(question: str, rows: Sequence[Row], packages: Sequence[str]) -> None
             console.print(f"{row.row}, {row.peer}: {row.note}")
     console.print("  ".join(f"{key}: {value}" for key, value in {**machine(), **versions(packages)}.items()))
     path = out_folder() / f"{question}.json"
-    write_result(path, packages, {"rows": [asdict(row) for row in rows]})
+    write_result(path, packages, {"rows": [asdict(row) for row in rows], **(more or {})})
     console.print(f"written: {path}", soft_wrap=True)
 
 

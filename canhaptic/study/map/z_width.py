@@ -109,7 +109,7 @@ def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> _Bo
     return _Border(np.where(known, largest, np.nan), known & (count == len(values)))
 
 
-def _colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
+def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
     """Returns the largest stiffness [N/m or N*m/rad] that the condition above permits.
 
     Args:
@@ -151,7 +151,7 @@ def theory_at(field: MapField, values: Mapping[str, float]) -> _Theory:
     delay = scene.bus.delay
     device = simulation.plant.damping + viscous_friction(simulation)
     wall = float(getattr(environment, "damping", 0.0))
-    colgate = _colgate_stiffness(device, wall, scene.bus.sample_time, delay)
+    colgate = colgate_stiffness(device, wall, scene.bus.sample_time, delay)
     friction = quantisation_bound(axis)
     friction = friction if friction and math.isfinite(friction) else None
     return _Theory(colgate, friction if delay == 0 and wall == 0.0 else None)

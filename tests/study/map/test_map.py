@@ -14,7 +14,7 @@ from canhaptic.study.map.map_page import write_map
 from canhaptic.study.map.map_picture import draw_map
 from canhaptic.study.map.panel import Cells, Lines, _edges_of
 from canhaptic.study.map.panels import Chosen, panels_of
-from canhaptic.study.map.z_width import _Border, _colgate_stiffness, _passes, border_of, theory_at, usual_judgement
+from canhaptic.study.map.z_width import _Border, _passes, border_of, colgate_stiffness, theory_at, usual_judgement
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.sweep_table import SweepTable
 
@@ -85,16 +85,16 @@ def test_the_border_found_by_marching_is_that_of_colgate_within_three_per_cent(t
 
 
 def test_colgates_condition_in_its_closed_forms():
-    assert _colgate_stiffness(1.0, 0.0, 1e-3, 0) == pytest.approx(2000.0)  # b > k T / 2
-    assert _colgate_stiffness(1.0, 0.3, 1e-3, 0) == pytest.approx(1400.0)  # b > k T / 2 + B
-    assert _colgate_stiffness(3.0, 0.0, 1e-3, 1) == pytest.approx(2000.0, rel=1e-5)  # b > 3 k T / 2
-    assert _colgate_stiffness(1.0, 1.5, 1e-3, 0) == 0.0
+    assert colgate_stiffness(1.0, 0.0, 1e-3, 0) == pytest.approx(2000.0)  # b > k T / 2
+    assert colgate_stiffness(1.0, 0.3, 1e-3, 0) == pytest.approx(1400.0)  # b > k T / 2 + B
+    assert colgate_stiffness(3.0, 0.0, 1e-3, 1) == pytest.approx(2000.0, rel=1e-5)  # b > 3 k T / 2
+    assert colgate_stiffness(1.0, 1.5, 1e-3, 0) == 0.0
 
 
 def test_colgates_condition_is_that_of_the_energy_of_any_motion():
     random = np.random.default_rng(1)
     period, damping, delay = 1e-3, 2.0, 1
-    stiffness = _colgate_stiffness(damping, 0.0, period, delay)
+    stiffness = colgate_stiffness(damping, 0.0, period, delay)
     for factor, is_passive in ((0.99, True), (1.05, False)):
         motions = [random.normal(size=400).cumsum() for _ in range(50)]
         motions += [np.sin(np.arange(4000) * angle) for angle in np.linspace(0.02, 3.1, 60)]  # from and back to rest
