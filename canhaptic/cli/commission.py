@@ -16,6 +16,7 @@ from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
 from canhaptic.errors import CanHapticError, InputError
+from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
 
@@ -27,6 +28,7 @@ _YES: Final = ("y", "yes")
 def execute(arguments: argparse.Namespace) -> int:
     """Walks the steps; returns 0 when all agrees, 1 when something is to be corrected, 130 or 143 after a signal."""
     scene = scene_of(arguments)
+    refuse_displays(scene, "commission")
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
     if arguments.out is not None:
         check_folder(arguments.out)

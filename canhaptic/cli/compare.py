@@ -22,6 +22,8 @@ def execute(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     if scene.groups:
         return _compare_groups(scene, arguments)
+    if all(axis.parameters.admittance is not None for axis in scene.axes):
+        return _compare_displays(scene, arguments)
     algorithms = chosen_algorithms(arguments.algorithms, own_algorithms(scene))
     if arguments.png is not None:
         check_picture(arguments.png)
@@ -48,6 +50,21 @@ def execute(arguments: argparse.Namespace) -> int:
 
         draw_comparison(comparison, arguments.png)
         note_file("picture", arguments.png)
+    return 0
+
+
+def _compare_displays(scene: Scene, arguments: argparse.Namespace) -> int:
+    from canhaptic.study.display_comparison import compare_displays, display_algorithms, display_comparison_report
+
+    if arguments.rate is not None or arguments.png is not None:
+        raise InputError("--rate, --png: for impedance displays; for admittance displays use --set bus.rate=...")
+    total = cycles_of(scene, arguments.duration) * len(display_algorithms(arguments.algorithms))
+    with run_progress(total, scene.bus.sample_time, "free") as progress:
+        result = compare_displays(scene, arguments.algorithms, duration=arguments.duration, progress=progress)
+    if arguments.json:
+        write_json(result)
+    else:
+        make_console().print(display_comparison_report(result))
     return 0
 
 

@@ -12,6 +12,7 @@ from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
+from canhaptic.scene.display_checks import check_display, limit_objection
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
@@ -40,6 +41,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         _check_loop(axis, _passivity_section(axis, entry, sections, scene), scene, faults)
+        check_display(axis, entry, scene, faults)
         maps[axis.bus].append(_check_parts(axis, entry, sections, scene, faults))
     _check_groups(scene, sections, faults)
     _check_mechanisms(scene, sections, faults)
@@ -162,7 +164,7 @@ def _check_parts(
         except ParameterError as error:
             faults.add(_place_in_simulation(axis, sections["simulation"], error.part), str(error))
     bus = next(bus.parameters for bus in scene.buses if bus.name == axis.bus)
-    return _check_dictionary(axis, bus, entry, faults)
+    return _check_dictionary(axis, bus, entry, scene, faults)
 
 
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
@@ -178,7 +180,9 @@ def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) 
     return simulation.value_at(part if part == "compiled" else "plant")
 
 
-def _check_dictionary(axis: AxisScene, bus: BusParameters, entry: MarkedMapping, faults: Diagnostics) -> AxisMap | None:
+def _check_dictionary(
+    axis: AxisScene, bus: BusParameters, entry: MarkedMapping, scene: Scene, faults: Diagnostics
+) -> AxisMap | None:
     """Notes every reason why the drive's dictionary does not serve; returns the PDO map when it does."""
     try:
         dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
@@ -188,6 +192,8 @@ def _check_dictionary(axis: AxisScene, bus: BusParameters, entry: MarkedMapping,
     refusals = [f for f in check_dictionary(dictionary, axis.parameters, bus) if f.verdict is Verdict.REFUSED]
     for finding in refusals:
         faults.add(entry.value_at("eds"), f"{axis.parameters.eds}: {finding.item}: {finding.text}")
+    if (text := limit_objection(axis, dictionary, scene)) is not None:
+        faults.add(entry.value_at("eds"), text)
     return None if refusals else choose_map(dictionary, axis.parameters)
 
 

@@ -7,6 +7,7 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import simulation_of
+from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.effects import Effect
@@ -33,8 +34,9 @@ def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> 
         axis: The only one that is studied; None for all.
 
     Raises:
-        InputError: A group renders on one of them.
+        InputError: A group renders on one of them, or one is an admittance display.
     """
+    refuse_displays(scene, command)
     for group in scene.groups:
         if axis is None or axis in group.axes:
             raise InputError(

@@ -16,6 +16,10 @@ DISPLAY_ENVIRONMENTS: Final[dict[str, str]] = {
 
 DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.unprotected:Unprotected",
+    "internal_dissipation": f"{_HERE}.internal_dissipation:InternalDissipation",
+    "passivity_observer": f"{_HERE}.passivity_observer:PassivityObserver",
+    "energy_tank": f"{_HERE}.energy_tank:EnergyTank",
+    "ultimately_passive": f"{_HERE}.ultimately_passive:UltimatelyPassive",
     "guarded": f"{_HERE}.guarded:Guarded",
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""

@@ -1,0 +1,90 @@
+"""`internal_dissipation` of an admittance display: the paper's algorithm carried over, port u J, state p = m u.
+
+Energy that flows in with the held velocity is u J; the damper takes T b u u+. The next speed is the root of
+
+    m u+^2 / 2 + T b u u+ - [m u^2 / 2 + u J - (U(x+) - U(x))] = 0
+
+that keeps the sign. At rest it begins with J / m, which creates J^2 / 2m. Where there is no root the store is
+overdrawn: the mass stops, and what is missing is a deficit. It takes the drive for perfect, so that it bounds what the
+sampling creates and not what the drive does.
+"""
+
+from math import sqrt
+from typing import ClassVar
+
+from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.motion import DisplayMemory
+from canhaptic.control.admittance.port import begin_port
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.sampled_mass import (
+    DisplaySettings,
+    DisplayState,
+    command,
+    display_settings,
+    follow,
+    memory_of,
+)
+from canhaptic.control.admittance.virtual_mass import VirtualMass
+from canhaptic.control.balance import AT_REST, EnergyBalance
+from canhaptic.kernels import Kernel
+from canhaptic.units import Parameters
+
+
+class DisplayDissipationParameters(Parameters):
+    """Of an admittance display: nothing to choose."""
+
+
+def settings_of(
+    environment: VirtualMass, _parameters: DisplayDissipationParameters, properties: DisplayProperties
+) -> DisplaySettings:
+    """Returns what is fixed for a run."""
+    return display_settings(environment, properties)
+
+
+def step(
+    environment: VirtualMass,
+    settings: DisplaySettings,
+    state: DisplayState,
+    memory: DisplayMemory,
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Solves the balance of energy for the next speed; see `Controller.step`."""
+    force = -torque_applied
+    if not state.axis.started:
+        begin_port(state.axis, memory.positions, position, force)
+        state.energy = environment.potential(position)
+        return AT_REST
+    hold = follow(environment, settings, state, memory, position, force)
+    impulse, potential = force * settings.port.sample_time, environment.potential(position)
+    risen, state.energy = potential - state.energy, potential
+    wish = next_speed(environment, settings.port.sample_time, hold.before, impulse, risen)
+    if hold.before == 0.0:
+        wish = (impulse + settings.port.sample_time * environment.pull(position)) / environment.mass
+    return command(environment, settings, state, memory, hold, 0.0, wish, 0.0)
+
+
+def next_speed(environment: VirtualMass, time: float, speed: float, impulse: float, risen: float) -> float:
+    """Returns the root that keeps the sign of the speed; 0 where there is none [m/s or rad/s].
+
+    Args:
+        environment: Mass and damper.
+        time: T [s].
+        speed: Of the hold that ended, not 0 [m/s or rad/s].
+        impulse: J of the force in it [N*s or N*m*s].
+        risen: What the potential gained in it [J].
+    """
+    share = time * environment.damping / environment.mass
+    square = (1.0 + share * share) * speed * speed + 2.0 * (speed * impulse - risen) / environment.mass
+    if square <= 0.0:
+        return 0.0
+    root = sqrt(square)
+    found = -share * speed + (root if speed > 0.0 else -root)
+    return found if found * speed > 0.0 else 0.0
+
+
+class InternalDissipation(DisplayController):
+    """The paper's balance of energy with force in and velocity out."""
+
+    parameters_type: ClassVar[type[Parameters]] = DisplayDissipationParameters
+    kernel: ClassVar[Kernel] = Kernel(settings_of, DisplayState, memory_of, step)

@@ -1,0 +1,124 @@
+"""The virtual mass sampled as it is: what the algorithms without a certificate share.
+
+What sampling, the drive and the doubt of the account create is booked as `gen`, what they lose as `leak`, so that the
+account closes like every other.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from canhaptic.control.admittance.motion import (
+    DisplayMemory,
+    Motion,
+    MotionSettings,
+    accelerated,
+    display_memory,
+    limited,
+    motion_settings,
+    send,
+    whole,
+)
+from canhaptic.control.admittance.port import Port, PortSettings, book, port_settings
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.virtual_mass import VirtualMass
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance
+from canhaptic.kernels import MakeBuffer, new
+
+_EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.value
+
+
+@dataclass(frozen=True, slots=True)
+class DisplaySettings:
+    """What is fixed for a run of an algorithm without a certificate."""
+
+    port: PortSettings
+    motion: MotionSettings
+    first: float = 0.0  # of the algorithm's own: energy at the start, or damping per energy
+    second: float = 0.0  # of the algorithm's own: largest energy, or largest slip
+
+
+@dataclass(slots=True)
+class DisplayState:
+    """What is remembered between two SYNCs."""
+
+    axis: Port = field(default_factory=Port)
+    motion: Motion = field(default_factory=Motion)
+    h_s: float = 0.0  # [J]
+    energy: float = 0.0  # of the algorithm's own: observed, in the tank, or still to be dissipated [J]
+    slip: float = 0.0  # speed in the last command that dissipates [m/s or rad/s]
+
+
+class SampledHold(NamedTuple):
+    """One hold that ended, and where the mass goes on to."""
+
+    energy: float  # that came in, at least [J]
+    elapsed: float  # [s]
+    velocity: float  # [m/s or rad/s]
+    before: float  # the last command [m/s or rad/s]
+    wish: float  # speed of the mass after another hold [m/s or rad/s]
+
+
+def display_settings(
+    environment: VirtualMass, properties: DisplayProperties, first: float = 0.0, second: float = 0.0
+) -> DisplaySettings:
+    """Returns what is fixed for a run."""
+    return DisplaySettings(port_settings(properties), motion_settings(environment, properties), first, second)
+
+
+def memory_of(settings: DisplaySettings, make_buffer: MakeBuffer) -> DisplayMemory:
+    """Returns the buffers of one axis."""
+    return display_memory(settings.port, settings.motion.delay + 1, make_buffer)
+
+
+def follow(
+    environment: VirtualMass,
+    settings: DisplaySettings,
+    state: DisplayState,
+    memory: DisplayMemory,
+    position: float,
+    force: float,
+) -> SampledHold:
+    """Books the hold that ended and moves the mass on; `command` must follow."""
+    hold = book(settings.port, state.axis, memory.positions, position, force)
+    before = state.motion.speed - state.slip
+    wish = accelerated(environment, settings.motion, before, force, position)
+    return new(SampledHold, (hold.energy, hold.elapsed, hold.moved / hold.elapsed, before, wish))
+
+
+def command(
+    environment: VirtualMass,
+    settings: DisplaySettings,
+    state: DisplayState,
+    memory: DisplayMemory,
+    hold: SampledHold,
+    h_pas: float,
+    wish: float,
+    slip: float,
+) -> EnergyBalance:
+    """Sends a speed and closes the account of the hold.
+
+    Args:
+        environment: What is rendered.
+        settings: Of the run.
+        state: Its mass and store change.
+        memory: Of the axis.
+        hold: That ended.
+        h_pas: What of its energy the slip took in [J].
+        wish: Speed of the mass [m/s or rad/s].
+        slip: Speed besides, that dissipates [m/s or rad/s].
+    """
+    motion, commands, position = state.motion, memory.commands, state.axis.position
+    speed = limited(settings.motion, motion, commands, wish + slip, position, hold.velocity)
+    send(motion, commands, whole(settings.motion, speed))
+    state.slip = slip if abs(speed - wish - slip) < abs(slip) else 0.0
+    own = motion.speed - state.slip
+    h_s = 0.5 * environment.mass * own * own + environment.potential(position)
+    h_r = environment.damping * hold.before * hold.before * hold.elapsed
+    rest = state.h_s + hold.energy - h_pas - h_r - h_s
+    state.h_s = h_s
+    gen, leak = max(0.0, -rest), max(0.0, rest)
+    branch = _EXACT if motion.speed != 0.0 or hold.before != 0.0 else _FREE
+    return new(EnergyBalance, (
+        motion.speed, hold.energy, h_pas, hold.energy - h_pas, h_r, h_s, 0.0, gen, 0.0, leak, 0.0, branch,
+        environment.damping, _NONE, environment.stretch(position),
+    ))  # fmt: skip

@@ -1,0 +1,75 @@
+"""`ultimately_passive` of an admittance display: what was created is dissipated by and by, as eq. 19 of the paper does.
+
+Energy that the hold created goes into a surplus H. A series slip u_pas = C F with C = alpha H takes F u_pas T of it in
+each hold, so that the sum becomes passive in the end, not at each instant. C is capped by the
+stability of the slip against the stiffest hand declared (C K T <= 0.5).
+"""
+
+from typing import Annotated, ClassVar
+
+from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.motion import DisplayMemory
+from canhaptic.control.admittance.port import begin_port
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.sampled_mass import (
+    DisplaySettings,
+    DisplayState,
+    command,
+    display_settings,
+    follow,
+    memory_of,
+)
+from canhaptic.control.admittance.virtual_mass import VirtualMass
+from canhaptic.control.balance import AT_REST, EnergyBalance
+from canhaptic.kernels import Kernel
+from canhaptic.units import Parameters, quantity
+
+_STABLE = 0.5
+"""Largest C K T of a series slip against a spring, with a whole hold of delay to spare."""
+
+
+class UltimatelyPassiveParameters(Parameters):
+    """Of an admittance display: how fast the surplus is dissipated."""
+
+    alpha: Annotated[float, quantity("m/N/s/J", "rad/N/m/s/J", ge=0.0, le=1e6)] = 1.0
+    """Slip per force and per joule of surplus."""
+    hand_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e8)] = 5000.0
+    """Stiffest hand, an over-estimate: bounds the slip."""
+
+
+def settings_of(
+    environment: VirtualMass, parameters: UltimatelyPassiveParameters, properties: DisplayProperties
+) -> DisplaySettings:
+    """Returns what is fixed for a run."""
+    most = _STABLE / (parameters.hand_stiffness * properties.sample_time)
+    return display_settings(environment, properties, parameters.alpha, most)
+
+
+def step(
+    environment: VirtualMass,
+    settings: DisplaySettings,
+    state: DisplayState,
+    memory: DisplayMemory,
+    position: float,
+    torque_applied: float,
+) -> EnergyBalance:
+    """Dissipates part of the surplus; see `Controller.step`."""
+    force = -torque_applied
+    if not state.axis.started:
+        begin_port(state.axis, memory.positions, position, force)
+        return AT_REST
+    slipped = state.slip
+    hold = follow(environment, settings, state, memory, position, force)
+    h_pas = force * slipped * hold.elapsed
+    state.energy = max(0.0, state.energy - h_pas)
+    slip = min(settings.first * state.energy, settings.second) * force
+    balance = command(environment, settings, state, memory, hold, h_pas, hold.wish, slip)
+    state.energy = max(0.0, state.energy + balance.gen - balance.leak)
+    return balance
+
+
+class UltimatelyPassive(DisplayController):
+    """A virtual mass whose surplus is dissipated by and by."""
+
+    parameters_type: ClassVar[type[Parameters]] = UltimatelyPassiveParameters
+    kernel: ClassVar[Kernel] = Kernel(settings_of, DisplayState, memory_of, step)

@@ -1,0 +1,69 @@
+"""Checks of admittance displays that need more than one section of a scene."""
+
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.dictionary import Dictionary, is_writable
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.errors import InputError
+from canhaptic.scene.diagnostics import Diagnostics
+from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.models import AxisScene, Scene
+
+
+def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
+    """Notes what an admittance display lacks; nothing for another axis, unless it is simulated as one."""
+    display, simulation = axis.parameters.admittance, axis.simulation
+    if display is None:
+        if simulation is not None and simulation.admittance is not None:
+            faults.add(entry.mark, "simulation.admittance: got one, but the axis has no `admittance`; add it there")
+        return
+    at = entry.value_at("admittance")
+    if axis.group or axis.simulated_drive is not None:
+        what = f"group {axis.group!r} renders on this axis" if axis.group else "this axis moves a simulated mechanism"
+        faults.add(at, f"got an admittance display, but {what}; expected an axis that renders by itself")
+    if simulation is not None and simulation.admittance is None:
+        faults.add(at, "got an admittance display, but simulation.admittance is missing; add loop, grip and sensor")
+    if not scene.simulated:
+        for key, missing in _needed(axis).items():
+            if missing:
+                faults.add(
+                    at, f"{key}: missing; an admittance display on a real interface does not move without, add it"
+                )
+
+
+def _needed(axis: AxisScene) -> dict[str, bool]:
+    """Returns what real hardware needs, and whether it is missing."""
+    given, display = axis.parameters, axis.parameters.admittance
+    return {
+        "admittance.position_low": display is None or display.position_low is None,
+        "admittance.position_high": display is None or display.position_high is None,
+        "admittance.acceleration_limit": display is None or display.acceleration_limit is None,
+        "admittance.force.frozen_after": display is None or display.force.frozen_after is None,
+        "speed_limit": "speed_limit" not in given.model_fields_set,
+        "watchdog: true": not given.watchdog,
+    }
+
+
+def limit_objection(axis: AxisScene, dictionary: Dictionary, scene: Scene) -> str | None:
+    """Returns why nothing in the drive limits the torque of a real admittance display; None where something does."""
+    if axis.parameters.admittance is None or scene.simulated:
+        return None
+    if quirks_of(axis.parameters.quirks).writes_max_torque and is_writable(dictionary, od.MAX_TORQUE, 0):
+        return None
+    return (
+        "0x6072 cannot be written, so that no torque limit in the drive holds a sensor that is wrong; an admittance "
+        "display on a real interface needs one: choose a drive or firmware that has it"
+    )
+
+
+def refuse_displays(scene: Scene, command: str) -> None:
+    """Refuses a scene with admittance displays where a command is made for impedance displays.
+
+    Raises:
+        InputError: It has one.
+    """
+    names = ", ".join(axis.parameters.name for axis in scene.axes if axis.parameters.admittance is not None)
+    if names:
+        raise InputError(
+            f"{scene.source}: {names}: {command} varies and judges impedance displays (motion in, torque out) only; "
+            "use canhaptic run, compare, check or inspect"
+        )
