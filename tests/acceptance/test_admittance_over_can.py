@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.cycle import run
 from canhaptic.errors import ForceFrozenError, ForceRangeError, SceneError
 from canhaptic.scene.build import Experiment, build
@@ -94,3 +95,47 @@ def test_a_display_without_an_acceleration_limit_is_refused() -> None:
 def test_the_json_of_a_run_names_the_port(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(SCENE), "--set", "duration=0.1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["ports"]["handle"]["passive"] == "yes"
+
+
+@pytest.mark.parametrize("name", ["wall", "two_axes"])
+def test_every_shipped_display_keeps_its_promise(name: str) -> None:
+    scene = load_scene(SCENE.with_name(f"{name}.yaml"))
+    with build(scene) as experiment:
+        run(experiment.cycle, 1200)
+        account = experiment_account(experiment, "completed", 1.0)
+    for axis in scene.axes:
+        port, truth = account["ports"][axis.parameters.name], account["truth"][axis.parameters.name]
+        allowance = getattr(axis.passivity.parameters, "energy_allowance", 0.0)
+        assert port["certificate"] in ("velocity_loop", "exact")
+        assert truth["least_interaction"] >= -allowance - 1e-9
+        assert truth["interaction"] > 0.1
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("axes.0.admittance.position_low=null", "position_low"),
+        ("axes.0.admittance.force.frozen_after=null", "frozen_after"),
+        ("axes.0.watchdog=false", "watchdog"),
+        ("axes.0.quirks=[max_torque_absent]", "0x6072"),
+    ],
+)
+def test_a_real_interface_is_refused_without_every_limit(override: str, words: str) -> None:
+    real = ["bus.interface=socketcan", "bus.channel=can0", "axes.0.admittance.force.frozen_after=50"]
+    load_scene(SCENE, real)
+    with pytest.raises(SceneError, match=words):
+        load_scene(SCENE, [*real, override])
+
+
+def test_every_algorithm_is_compared_over_can(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", str(SCENE), "--duration", "0.2", "--json"]) == 0
+    compared = json.loads(capsys.readouterr().out)["axes"]["handle"]
+    assert set(compared) == set(DISPLAY_ALGORITHMS)
+    assert {found["status"] for found in compared.values()} == {"completed"}
+
+
+@pytest.mark.parametrize("command", ["accuracy", "design", "commission", "sweep"])
+def test_what_is_made_for_impedance_displays_refuses_in_words(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    vary = ["--vary", "bus.rate=500,1000"] if command == "sweep" else []
+    assert main([command, str(SCENE), *vary]) == 2
+    assert "impedance displays" in capsys.readouterr().err

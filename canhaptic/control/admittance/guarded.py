@@ -8,6 +8,9 @@ brought up to date by force and encoder, whichever proves more; the virtual mass
 speed is cut to the largest one certified, and the mass keeps the speed that is left; the account is then settled down
 to what the mass, or the drive with the commands under way, can give back.
 
+A drive with an integral is certified as long as its torque stays below its limit for certain; from the first hold on
+in which it may not, nothing is certified any more and the account rests on the force alone.
+
 Where the mass asked for is lighter than the drive carries safely, the hand feels a heavier one; nothing else changes.
 """
 
@@ -88,6 +91,7 @@ class _GuardedState:
     surplus: float = 0.0  # [J]
     taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
     place: int = 0  # of this SYNC in the rings of the memory
+    unsure: bool = False  # the drive may have reached its torque limit, so that its integral is no longer known
 
 
 class GuardedMemory(NamedTuple):
@@ -153,7 +157,9 @@ def step(
     before = motion.speed
     send(motion, commands, whole(settings.motion, wish))
     speed = abs(velocity) + settings.port.acceleration * settings.port.sample_time
-    if may_limit(settings.loop, loop.lead, speed, motion.speed):
+    limits = may_limit(settings.loop, loop.lead, velocity, motion.speed, settings.port.acceleration)
+    state.unsure = state.unsure or limits
+    if state.unsure:
         certificate = _NONE
     h_s, h_r, deficit, leak, paid = _settle(environment, settings, state, memory, h_i, before, speed)
     branch = _DEPLETED if deficit > 0.0 else _FREE if motion.speed == 0.0 and before == 0.0 else _EXACT
@@ -212,6 +218,8 @@ def _take(
             since += memory.changes[place]
     free = state.h_s - state.surplus
     late = free + hold.energy
+    if state.unsure:
+        return hold.energy, hold.moved / hold.elapsed
     loop.margin = max(loop.margin, late - reserve(settings.loop, memory.leads[then], hold.speed) + since)
     if then == state.place:
         memory.margins[then] = loop.margin + state.taken

@@ -62,11 +62,23 @@ def reserve(settings: LoopSettings, lead: float, speed: float) -> float:
     return value
 
 
-def may_limit(settings: LoopSettings, lead: float, speed: float, command: float) -> bool:
-    """Whether the torque may reach its limit, where the bound is not proved: only with an integral."""
+def may_limit(settings: LoopSettings, lead: float, velocity: float, command: float, acceleration: float) -> bool:
+    """Whether the torque may reach its limit while a command acts: with an integral the bound is then not proved.
+
+    Args:
+        settings: Of the run.
+        lead: At this SYNC [m or rad].
+        velocity: Mean of the hold that ended [m/s or rad/s].
+        command: Computed now [m/s or rad/s].
+        acceleration: Largest of the handle [m/s^2 or rad/s^2].
+    """
     if settings.integral == 0.0:
         return False
-    torque = settings.gain * (abs(command) + speed) + settings.integral * (abs(lead) + settings.count)
+    span = (settings.delay + 1) * settings.sample_time
+    change = acceleration * (span + 0.5 * settings.sample_time)
+    ahead = (abs(command) + abs(velocity) + change) * span
+    torque = settings.gain * (abs(command - velocity) + change)
+    torque += settings.integral * (abs(lead) + settings.count + ahead)
     return torque >= settings.torque_limit
 
 

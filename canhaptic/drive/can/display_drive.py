@@ -27,6 +27,7 @@ _QUICK_STOP_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.QUIC
 _PER_MILLE: Final = 1000.0  # of `AxisScaling`, which here takes counts of the command
 _WRAP: Final = 1 << 32
 _UNLIMITED_SPEED: Final = 1e9  # [m/s or rad/s] where the scene declares none, on the virtual bus only
+_JUMP: Final = 2.0  # of the speed limit: a handle overshoots its command, and the hand moves it besides
 _NEAR: Final = 1 << 10  # counts that a handle may move between two readings of its position
 
 
@@ -51,6 +52,7 @@ class DisplayDrive(ServoDrive):
         super().__init__(link, axis, dictionary, bus)
         self.stop_time = round(display.stop_time * 1e9)
         self.limiter = TorqueLimiter(axis.speed_limit or _UNLIMITED_SPEED, bus.sample_time, display.acceleration_limit)
+        self._largest_step = _JUMP * (axis.speed_limit or _UNLIMITED_SPEED) * bus.sample_time
         counts = axis.counts_per_unit
         self.command_scaling = AxisScaling(counts, self.command_quantum * _PER_MILLE, axis.direction)
         low, high = display.position_low, display.position_high

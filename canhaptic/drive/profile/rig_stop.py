@@ -103,7 +103,8 @@ def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis]
     those that are left says that it is without torque, the last word is SDO's.
     """
     period, now = exchange.sample_time_ns, exchange.now
-    stopping = max([drive.stop_time for drive in drives])
+    stopping = max([drive.stop_time for drive in drives])  # until then a drive that brakes is left to brake
+    patience = now() + stopping
     end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.silence) + stopping
     cycles = rounds = 0
     while now() < end:
@@ -115,7 +116,7 @@ def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis]
         if not left:
             return
         cycles += 1
-        if insists and cycles % _FEWEST_CYCLES == 0:
+        if insists and cycles % _FEWEST_CYCLES == 0 and now() >= patience:
             doubtful = [drive for drive in left if not _demands_no_torque(drive)]
             if rounds == _ROUNDS and len(doubtful) == len(left):
                 return

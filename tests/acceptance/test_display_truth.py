@@ -1,0 +1,40 @@
+"""Random admittance displays, judged by the plant's own energy at the sensor: no account claims what that denies."""
+
+from dataclasses import replace
+
+import pytest
+
+from tools.displays.direct import run
+from tools.displays.judge import false_claims
+from tools.displays.random_display import random_display, with_true_bounds
+
+_CYCLES = 300
+
+
+@pytest.mark.parametrize("batch", range(4))
+def test_no_account_claims_what_the_plant_denies(batch: int) -> None:
+    for seed in range(20 * batch, 20 * batch + 20):
+        judged = with_true_bounds(random_display(seed), _CYCLES)
+        if judged is not None:
+            assert not false_claims(*judged), seed
+
+
+def test_the_guard_says_yes_where_it_is_due() -> None:
+    said = []
+    for seed in range(400, 425):
+        judged = with_true_bounds(random_display(seed, "guarded"), _CYCLES)
+        if judged is not None and judged[0].allowance == 0.0 and not judged[1].uncertified:
+            said.append(judged[1].is_passive)
+    assert len(said) >= 5
+    assert sum(said) >= 0.8 * len(said)
+
+
+def test_a_command_that_acts_later_than_declared_is_found() -> None:
+    """A control: the judge finds what it is made to find."""
+    denied = 0
+    for seed in range(12):
+        judged = with_true_bounds(random_display(seed, "guarded"), _CYCLES)
+        if judged is not None:
+            late = replace(judged[0], late=1)
+            denied += bool(false_claims(late, run(late, _CYCLES)))
+    assert denied > 0

@@ -1,0 +1,102 @@
+"""Random admittance displays, all declarations true: rigs, sensors with errors, hands, masses, algorithms."""
+
+import math
+from dataclasses import replace
+from random import Random
+from typing import Any
+
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
+from canhaptic.control.admittance.guarded import GuardedDisplayParameters
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.virtual_mass import VirtualMass
+from canhaptic.sim.plant.effects import Effect, read_effect
+from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
+from canhaptic.sim.plant.plant import PlantParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, GripParameters, VelocityLoopParameters
+from tools.displays.direct import Display, Outcome, run
+
+_DURATION = 2.0  # for the drift [s]
+
+
+def random_display(seed: int, algorithm: str | None = None) -> Display:
+    """Returns the display of a seed, with slew and acceleration declared at random; see `with_true_bounds`."""
+    random = Random(seed)
+    time = random.choice([1e-3, 2e-3, 4e-3])
+    mass, bandwidth = random.uniform(0.5, 3.0), random.choice([25.0, 50.0, 100.0])
+    gain = 2.0 * math.pi * bandwidth * mass
+    integral = random.choice([0.0, 0.0, 0.0, gain * 20.0, gain * 60.0])
+    sensor, error = _sensor(random)
+    grip = GripParameters(
+        mass=random.choice([0.05, 0.3, 1.0]), stiffness=random.choice([2e3, 1e4, 5e4]),
+        damping=random.choice([1.0, 5.0, 20.0]),
+    )  # fmt: skip
+    loop = VelocityLoopParameters(gain=gain, integral_gain=integral, torque_limit=random.choice([None, 500.0]))
+    losses = 0 if integral else random.choice([0, 0, 1, 2])
+    properties = DisplayProperties(
+        sample_time=time, delay=random.choice([0, 1, 1, 2]), sampling="mean" if sensor.sampling == "mean" else "point",
+        latency=sensor.latency, filter=sensor.filter, force_slew=2e4, handle_acceleration=200.0, force_error=error,
+        encoder_count=random.choice([1e-7, 1e-6, 1e-5]), speed_quantum=1e-6, speed_limit=2.0, acceleration_limit=200.0,
+        torque_limit=500.0,
+    )  # fmt: skip
+    name = algorithm or random.choice(["guarded", "guarded", "guarded", *DISPLAY_ALGORITHMS])
+    guarded = GuardedDisplayParameters(
+        drive_mass=mass * random.uniform(1.0, 1.1), loop_gain=gain * random.uniform(1.0, 1.1),
+        integral_gain=integral * random.uniform(1.0, 1.1), spread=0.2,
+        energy_allowance=random.choice([0.0, 1e-3, 1e-2]), max_consecutive_losses=losses,
+    )  # fmt: skip
+    return Display(
+        PlantParameters(mass=mass, damping=random.choice([0.0, 2.0, 10.0])),
+        AdmittanceSimulation(loop=loop, grip=grip, sensor=sensor), _hand(random),
+        VirtualMass(
+            mass=random.choice([0.1, 0.5, 1.0, 2.0, 5.0]), damping=random.choice([0.0, 2.0, 10.0]),
+            stiffness=random.choice([0.0, 0.0, 200.0]), lower_wall=random.choice([-10.0, -0.03]),
+        ),
+        properties, name, guarded if name == "guarded" else None, _effects(random), seed,
+        random.choice([0.0, 0.0, 0.02]), losses,
+    )  # fmt: skip
+
+
+def with_true_bounds(display: Display, cycles: int) -> tuple[Display, Outcome] | None:
+    """Returns a display whose declared slew and acceleration hold, with its run; None where none was found.
+
+    They are what a run shows and half as much again; the next run must then stay within.
+    """
+    for _ in range(3):
+        found = run(display, cycles)
+        properties = display.properties
+        if found.slew <= properties.force_slew and found.acceleration <= properties.handle_acceleration:
+            return display, found
+        bounds = {"force_slew": 1.5 * found.slew, "handle_acceleration": 1.5 * found.acceleration}
+        display = replace(display, properties=properties.model_copy(update=bounds))
+    return None
+
+
+def _sensor(random: Random) -> tuple[SimulatedForceSensor, float]:
+    """Returns a sensor and the largest error of one of its values [N]."""
+    noise, offset = random.choice([0.0, 0.02, 0.1]), random.choice([0.0, 0.0, 0.05, 0.3])
+    quantum, drift = random.choice([0.0, 0.01, 0.1]), random.choice([0.0, 0.0, 0.02])
+    sampling: Any = random.choice(["point", "point", "mean"])
+    corner = random.choice([0.0, 0.0, 200.0]) if sampling == "point" else 0.0
+    sensor = SimulatedForceSensor(
+        sampling=sampling, filter=corner, offset=random.choice([-1.0, 1.0]) * offset, drift=drift, noise=noise,
+        quantum=quantum, latency=random.choice([0, 0, 0, 1, 2]),
+    )  # fmt: skip
+    return sensor, offset + drift * _DURATION + 3.0 * noise + 0.5 * quantum
+
+
+def _hand(random: Random) -> UserParameters:
+    motion = SinusoidMotion(
+        amplitude=random.choice([0.01, 0.05, 0.1]), frequency=random.uniform(0.5, 6.0), phase=random.uniform(-3.0, 3.0)
+    )
+    return UserParameters(
+        stiffness=random.choice([50.0, 300.0, 2000.0]), damping=random.choice([0.5, 5.0, 20.0]),
+        push=random.choice([0.0, 0.0, 5.0]), motion=motion,
+    )  # fmt: skip
+
+
+def _effects(random: Random) -> tuple[Effect, ...]:
+    """Returns friction of the device, or none."""
+    if random.random() < 0.7:
+        return ()
+    return (read_effect({"type": "coulomb_friction", "kinetic": random.choice([0.5, 3.0]), "static": 4.0}, "m"),)
