@@ -212,6 +212,22 @@ def test_a_position_that_jumps_stops_the_rig(bench: MakeBench, limit: float | No
     assert b.rig.stop_reason is StopReason.POSITION_JUMP
 
 
+def test_one_count_of_a_coarse_encoder_is_no_jump(bench: MakeBench) -> None:
+    """At 1 kHz a count of 0.1 m is a motion of 100 m/s from one SYNC to the next."""
+    b = started(bench, [axis(counts_per_unit=10.0)])
+    b.run(3, torque=1.0)
+    moved = itertools.count()
+
+    def move(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x185:
+            message.data[2:6] = (next(moved) // 40).to_bytes(4, "little")
+        return message
+
+    b.tampered.on_receive = move
+    b.run(200, torque=1.0)
+    assert b.rig.stop_reason is StopReason.NONE
+
+
 def test_the_master_heartbeat_is_sent_by_the_count_of_syncs(bench: MakeBench) -> None:
     b = started(bench)
     before = len(b.sent(0x77E))

@@ -132,7 +132,8 @@ class TorqueAxis(ABC):
         self._measures = read_back == "actual"
         self._shows_next = axis.demand_reported == "after"
         self._tolerance = axis.torque_tolerance / self.quirks.torque_resolution  # counts of 0x6077
-        self._largest_step = axis.largest_speed * rules.sample_time
+        # A handle just below the limit may pass one line of the encoder more than its speed makes.
+        self._largest_step = axis.largest_speed * rules.sample_time + 1.0 / axis.counts_per_unit
 
     def reset(self) -> None:
         """Forgets everything received and commanded; a derived class calls it when it is complete."""
