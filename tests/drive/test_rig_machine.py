@@ -260,8 +260,8 @@ class RigUnderStress(RuleBasedStateMachine):
     def follow_no_more(self, cycles: int) -> None:
         """Bit 12 goes out for a while."""
         self.not_following = cycles
-        if cycles > HOLD_CYCLES and self.trouble is None and not any(self.lost.values()):
-            self.trouble = 0  # TPDOs that are still to be damaged show the bit later
+        if cycles > HOLD_CYCLES and self.trouble is None and not any(self.lost.values()) and self.tamper is None:
+            self.trouble = 0  # a TPDO that is still to be damaged takes one of them away
         self.run(cycles)
 
     @precondition(lambda self: self.is_running)
