@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine with python3 (3.11 or newer), venv and make:
-#   make demo    the main job on the virtual bus: energy table, log, picture
+#   make demo    a stiff wall on the virtual bus: energy table, logs, and a picture of it unprotected and guarded
 #   make test    every check, in at most five minutes
 PYTHON ?= python3
 VENV := .venv
@@ -19,9 +19,12 @@ $(VENV)/.installed-%: pyproject.toml | $(VENV)/bin/pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$*]"
 	@touch $@
 
+DEMO := configs/hard/stiff_wall.yaml
+
 demo: $(VENV)/.installed-plot
 	@mkdir -p demo_output
-	$(BIN)/canhaptic run configs/demo.yaml --pace free --log demo_output/demo.h5 --bus-log demo_output/demo.log --png demo_output/demo.png
+	$(BIN)/canhaptic run $(DEMO) --pace free --log demo_output/demo.h5 --bus-log demo_output/demo.log
+	$(BIN)/canhaptic compare $(DEMO) --algorithms unprotected,guarded --png demo_output/demo.png
 
 test: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check $(SOURCES)

@@ -180,20 +180,20 @@ class SimulationResult:
         time = ("time", self.time, {"units": "s"})
         return xarray.Dataset(arrays, coords={"time": time}, attrs={"status": self.status})
 
-    def plot(self, other: "SimulationResult | None" = None) -> "Figure":
-        """Returns a figure of position, torque and energy over time; `other` is drawn over it in dashed lines.
+    def plot(self, *others: "SimulationResult") -> "Figure":
+        """Returns a figure of position, torque and energy over time; `others` are drawn over it in dashed lines.
 
         Raises:
             InputError: matplotlib is not installed, or the run ended before its first cycle.
 
         Example:
-            >>> guarded.plot(other=unprotected).savefig("both.png")  # doctest: +SKIP
+            >>> guarded.plot(unprotected).savefig("both.png")  # doctest: +SKIP
         """
         from canhaptic.view.run_picture import energy_figure
 
         with ExitStack() as stack:
-            log, *second = [stack.enter_context(run.log()) for run in (self, other) if run is not None]
-            figure: Figure = energy_figure(log, other=second[0] if second else None)
+            log, *further = [stack.enter_context(run.log()) for run in (self, *others)]
+            figure: Figure = energy_figure(log, others=further, labels=[_label(run.scene) for run in others])
         return figure
 
     def save(self, path: str | PathLike[str]) -> Path:
@@ -294,6 +294,10 @@ def simulate(
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return SimulationResult(loaded, raw, error, folder)
+
+
+def _label(scene: Scene) -> str:
+    return ", ".join(scene.overrides) or Path(scene.source).name
 
 
 def _scene(

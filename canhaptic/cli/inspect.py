@@ -21,7 +21,7 @@ from canhaptic.view.energy_table import energy_report, make_console
 from canhaptic.view.inspect_table import checks_table, comparison_report, inspection_report
 from canhaptic.view.run_picture import draw_energy
 
-_EXPORTS: Final = ("csv", "parquet", "mat")
+_EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -105,13 +105,14 @@ def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Nam
     if not pictures and arguments.html is None:
         return
     with ExitStack() as stack:
-        other = stack.enter_context(EnergyLog.open(arguments.compare)) if arguments.compare is not None else None
+        paths = [path for path in (arguments.compare, *arguments.overlay) if path is not None]
+        others = [stack.enter_context(EnergyLog.open(path)) for path in paths]
         for path in pictures:
-            draw_energy(log, path, arguments.start, arguments.stop, other)
+            draw_energy(log, path, arguments.start, arguments.stop, others)
         if arguments.html is not None:
             from canhaptic.view.html_report import write_html
 
-            write_html(log, arguments.html, result, arguments.start, arguments.stop, other)
+            write_html(log, arguments.html, result, arguments.start, arguments.stop, others)
 
 
 def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:

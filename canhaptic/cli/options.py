@@ -161,7 +161,12 @@ def _inspect(parser: argparse.ArgumentParser) -> None:
         metavar="OTHER",
         help="exit with 1 unless the other log is the same; pictures show both",
     )
-    for option, what in (("--csv", "a table of every row"), ("--parquet", "the same"), ("--mat", "the same")):
+    parser.add_argument(
+        "--overlay", type=Path, action="append", default=[], metavar="OTHER",
+        help="lay another log over this one in pictures and page; repeatable",
+    )  # fmt: skip
+    tables = {"--csv": "a table of every row (PlotJuggler)", "--parquet": "the same", "--mat": "the same"}
+    for option, what in {**tables, "--mcap": "every row as messages (Foxglove, PlotJuggler)"}.items():
         parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
     for option in ("--png", "--svg"):
         parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")

@@ -1,7 +1,9 @@
-"""Energy log -> tables that other programs read: CSV always, Parquet and MAT-file with the `export` extra."""
+"""Energy log -> files that other programs read: CSV always; Parquet, MAT-file and MCAP with the `export` extra."""
 
 import csv
 import importlib
+import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +17,7 @@ _BLOCK: Final = 65_536  # rows held in memory at a time
 
 
 def export(log: EnergyLog, path: str | Path) -> None:
-    """Writes a log as a table; the suffix says which kind: .csv, .parquet or .mat.
+    """Writes a log as a table; the suffix says which kind: .csv, .parquet, .mat or .mcap.
 
     Floats in CSV are the shortest text that reads back to the same bits.
 
@@ -23,7 +25,7 @@ def export(log: EnergyLog, path: str | Path) -> None:
         InputError: Another suffix, a library that is not installed, or a file that cannot be written.
     """
     path = Path(path)
-    writers = {".csv": _write_csv, ".parquet": _write_parquet, ".mat": _write_mat}
+    writers = {".csv": _write_csv, ".parquet": _write_parquet, ".mat": _write_mat, ".mcap": _write_mcap}
     if path.suffix not in writers:
         raise InputError(f"{path}: cannot export to {path.suffix!r}, expected one of: {', '.join(writers)}")
     require_library(path)
@@ -40,7 +42,7 @@ def require_library(path: Path) -> None:
     Raises:
         InputError: It is not installed.
     """
-    library = {".parquet": "pyarrow", ".mat": "scipy"}.get(path.suffix)
+    library = {".parquet": "pyarrow", ".mat": "scipy", ".mcap": "mcap"}.get(path.suffix)
     try:
         if library is not None:
             importlib.import_module(library)
@@ -62,9 +64,11 @@ def _write_csv(log: EnergyLog, path: Path) -> None:
     described = list(_columns(log))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(f"{title} [{unit}]" if unit != "1" else title for title, unit, _, _ in described)
+        titles = (f"{title} [{unit}]" if unit != "1" else title for title, unit, _, _ in described)
+        writer.writerow(["time [s]", *titles])
         for start in range(0, log.rows, _BLOCK):
-            block = [group.read(name, start, start + _BLOCK).tolist() for _, _, group, name in described]
+            block = [(log.deadlines(start, min(start + _BLOCK, log.rows)) * log.sample_time).tolist()]
+            block += [group.read(name, start, start + _BLOCK).tolist() for _, _, group, name in described]
             writer.writerows(zip(*block, strict=True))
 
 
@@ -92,3 +96,61 @@ def _write_mat(log: EnergyLog, path: Path) -> None:
         content["truth"] = {name: dict(truth) for name, truth in log.truth.items()}
     content["attributes"] = {name.replace(".", "_"): value for name, value in log.attributes.items()}
     savemat(path, content, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _write_mcap(log: EnergyLog, path: Path) -> None:
+    """Writes one JSON message per port and SYNC, with its schema; what Foxglove opens as it is.
+
+    Topics: /PORT, /true/PORT (the simulated plant), /timing, /events. Time: of the SYNC since the first, from 0.
+    """
+    writer_module: Any = importlib.import_module("mcap.writer")
+    groups = {"/timing": log.timing}
+    groups |= {f"/{name}": port for name, port in log.ports.items()}
+    groups |= {f"/true/{name}": truth for name, truth in log.truth.items()}
+    with path.open("wb") as file:
+        writer = writer_module.Writer(file)
+        writer.start(library="canhaptic")
+        writer.add_metadata("canhaptic", {name: str(value) for name, value in log.attributes.items()})
+        channels = {topic: _mcap_channel(writer, topic, quantities) for topic, quantities in groups.items()}
+        for start in range(0, log.rows, _MESSAGES):
+            stop = min(start + _MESSAGES, log.rows)
+            times = log.deadlines(start, stop) * log.sample_time_ns
+            blocks = {
+                topic: [quantities.read(name, start, stop).tolist() for name in quantities]
+                for topic, quantities in groups.items()
+            }
+            for row, time in enumerate(times.tolist()):
+                for topic, quantities in groups.items():
+                    values = {name: column[row] for name, column in zip(quantities, blocks[topic], strict=True)}
+                    _add_message(writer, channels[topic], int(time), values)
+        _write_events(writer, log)
+        writer.finish()
+
+
+_MESSAGES: Final = 4096  # SYNCs held in memory at a time
+
+
+def _mcap_channel(writer: Any, topic: str, quantities: Quantities) -> int:
+    properties = {name: {"type": "number", "description": f"[{quantities.unit(name)}]"} for name in quantities}
+    return _channel(writer, topic, properties)
+
+
+def _channel(writer: Any, topic: str, properties: dict[str, Any]) -> int:
+    schema = json.dumps({"type": "object", "properties": properties}).encode()
+    schema_id = writer.register_schema(f"canhaptic{topic.replace('/', '.')}", "jsonschema", schema)
+    channel: int = writer.register_channel(topic, "json", schema_id)
+    return channel
+
+
+def _write_events(writer: Any, log: EnergyLog) -> None:
+    text = {"type": "string"}
+    channel = _channel(writer, "/events", {"kind": text, "port": text, "text": text})
+    for event in log.events:
+        time = max(0, event.sync_index) * log.sample_time_ns
+        _add_message(writer, channel, time, {"kind": event.kind, "port": event.port, "text": event.text})
+
+
+def _add_message(writer: Any, channel: int, time: int, values: dict[str, Any]) -> None:
+    """Adds one message; numbers that JSON lacks (inf, nan) are left out."""
+    finite = {name: value for name, value in values.items() if not isinstance(value, float) or math.isfinite(value)}
+    writer.add_message(channel, time, json.dumps(finite, separators=(",", ":")).encode(), time)

@@ -83,6 +83,30 @@ def new_plane(title: str, unit: str, height: int) -> Any:
     return panel
 
 
+def new_xy(title: str, unit: str, across: str, height: int) -> Any:
+    """Returns an empty panel of one quantity over another.
+
+    Args:
+        title: At the left.
+        unit: Of the quantity, SI.
+        across: Unit of the other, SI.
+        height: In pixels.
+    """
+    panel = figure(
+        height=height,
+        tools="pan,wheel_zoom,box_zoom,reset,save",
+        output_backend="canvas",
+        sizing_mode="stretch_width",
+        min_border_left=90,
+        min_border_right=40,
+        name=title,
+    )
+    panel.yaxis.axis_label = title
+    panel.xaxis.formatter, panel.yaxis.formatter = _si_ticks(across), _si_ticks(unit)
+    _plain(panel)
+    return panel
+
+
 def _plain(panel: Any) -> None:
     panel.toolbar.logo = None
     panel.grid.grid_line_color = "#E6E6E6"

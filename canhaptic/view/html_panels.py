@@ -1,17 +1,19 @@
 """The page of a finished run: tabs of ports, panels linked in time; needs Bokeh to be imported."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any, Final
 
 import numpy as np
 from bokeh.layouts import column, row
 from bokeh.models import Button, ColumnDataSource, CustomJS, Div, HoverTool, Range1d, TabPanel, Tabs
 
-from canhaptic.view.bokeh_style import add_hover, finished, new_plane
+from canhaptic.view.bokeh_style import add_hover, finished, new_plane, new_xy
 from canhaptic.view.common_panels import link_panel, timing_panel
-from canhaptic.view.palette import BLUE, GREY
+from canhaptic.view.cursors import add_cursors
+from canhaptic.view.palette import BLUE, GREY, OVERLAID
 from canhaptic.view.port_panels import PortPanels, fault_columns, is_empty
-from canhaptic.view.series import PortSeries
+from canhaptic.view.series import PortFacts, PortSeries
 from canhaptic.view.si import si
 from canhaptic.view.task_plane import TaskPlane
 
@@ -36,14 +38,17 @@ class Panels:
         self._buttons: list[Any] = [self._button("whole run", start, stop)]
         self.empty: list[str] = []
 
-    def port(self, series: PortSeries, other: PortSeries | None, plane: TaskPlane | None) -> Any:
-        """Returns the tab of one port: path, position, torque, energy, surplus, damping; those that show something."""
+    def port(self, series: PortSeries, others: Mapping[str, PortSeries], plane: TaskPlane | None) -> Any:
+        """Returns the tab of one port: path, position, torque, energy, surplus, damping; those that show something.
+
+        Below them stands force over position, where the port has a position; `others` are further runs by their names.
+        """
         facts = series.facts
         marks = ColumnDataSource(series.contacts)
-        second = None if other is None else ColumnDataSource(other.columns)
+        further = [(name, ColumnDataSource(other.columns)) for name, other in others.items()]
         source = ColumnDataSource(series.columns)
         faults = ColumnDataSource(fault_columns(series.faults, series.sample_time))
-        made = PortPanels(facts, self._time, source, marks, faults, second, stairs=series.is_whole).panels
+        made = PortPanels(facts, self._time, source, marks, faults, further, stairs=series.is_whole).panels
         panels = [panel for name, panel in made.items() if not is_empty(name, series.columns)]
         self.empty += [f"{facts.name}: {name}" for name in made if is_empty(name, series.columns)]
         _hover_contacts(panels[0], series)
@@ -55,8 +60,12 @@ class Panels:
         for number, fault in enumerate(series.faults[:3]):
             at = fault.sync_index * series.sample_time
             self._buttons.append(self._button(f"fault {number + 1} at {at:.4g} s", at - _WORST_SPAN, at + _WORST_SPAN))
+        readout = add_cursors(panels, source, facts.units, self._all)
         if plane is not None:
             panels.insert(0, _drawn_plane(plane))
+        if not facts.is_group:
+            panels.append(_force_over_position(facts, source, further))
+        panels.append(readout)
         return TabPanel(title=facts.name, child=column(*panels, sizing_mode="stretch_width"))
 
     def timing(self, columns: dict[str, Any], period: float) -> Any:
@@ -83,6 +92,20 @@ class Panels:
         button = Button(label=label, width=max(110, 8 * len(label)), height=30)
         button.js_on_click(CustomJS(args={"range": self._time, "low": low, "high": high}, code=code))
         return button
+
+
+def _force_over_position(facts: PortFacts, source: Any, others: Sequence[tuple[str, Any]]) -> Any:
+    """Returns the panel of the torque that acted over the position: its slope is the stiffness felt."""
+    effort = "torque" if facts.units["applied"] == "N*m" else "force"
+    panel = new_xy(f"{facts.name}: loop", facts.units["applied"], facts.units["position"], 300)
+    panel.title.text = f"{effort} over position"
+    panel.line("position", "applied", source=source, color=BLUE, line_width=1.2, legend_label="applied", name="xy")
+    for (label, further), colour in zip(others, cycle(OVERLAID)):
+        style = {"color": colour, "line_width": 1.0, "line_dash": [3, 2], "legend_label": label}
+        panel.line("position", "applied", source=further, **style)
+    units = {"position": ("position", facts.units["position"]), "applied": ("applied", facts.units["applied"])}
+    add_hover(panel, "xy", units, "mouse")
+    return finished(panel)
 
 
 def _drawn_plane(plane: TaskPlane) -> Any:

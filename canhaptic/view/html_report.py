@@ -39,7 +39,7 @@ def write_html(
     result: dict[str, Any],
     start: float | None = None,
     stop: float | None = None,
-    other: EnergyLog | None = None,
+    others: Sequence[EnergyLog] = (),
 ) -> None:
     """Writes a run as one self-contained page.
 
@@ -49,7 +49,7 @@ def write_html(
         result: What `inspect` returned for the same rows.
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.
-        other: A second run, drawn over the first in thin dashed lines.
+        others: Further runs, drawn over the first in thin dashed lines.
 
     Raises:
         InputError: The log holds no cycle there, Bokeh is not installed, or the page cannot be written.
@@ -59,13 +59,13 @@ def write_html(
     from canhaptic.view.html_panels import Panels
 
     panels = Panels(float(result["from"]), float(result["to"]))
-    further = rows_between(other, start, stop) if other is not None and other.rows else None
+    further = [(other, rows_between(other, start, stop)) for other in others if other.rows]
     tabs = []
     for name in sorted(log.ports, key=lambda name: name not in log.groups):  # groups first: they have the account
-        second = PortSeries(other, name, further) if other and further and name in other.ports else None
-        tabs.append(panels.port(PortSeries(log, name, rows), second, task_plane(log, name, rows)))
+        over = {one.path.name: PortSeries(one, name, of_one) for one, of_one in further if name in one.ports}
+        tabs.append(panels.port(PortSeries(log, name, rows), over, task_plane(log, name, rows)))
     common = [_timing(log, rows, panels), _link(log, rows, panels)]
-    heading = _heading(log, result, other, panels.empty)
+    heading = _heading(log, result, others, panels.empty)
     page = panels.page(heading, tabs, [panel for panel in common if panel is not None])
     write_page(page, f"{log.path.name} - canhaptic", path)
 
@@ -95,14 +95,14 @@ def _link(log: EnergyLog, rows: slice, panels: "Panels") -> Any:
     return panels.link({"time": time} | {name: total[shown].astype(np.float32) for name, total in lost.items()})
 
 
-def _heading(log: EnergyLog, result: dict[str, Any], other: EnergyLog | None, empty: Sequence[str]) -> str:
+def _heading(log: EnergyLog, result: dict[str, Any], others: Sequence[EnergyLog], empty: Sequence[str]) -> str:
     facts = [
         f"<b>{html.escape(log.path.name)}</b>",
         html.escape(str(result["status"])),
         f"{result['cycles']} cycles at {si(result['rate'], 'Hz', 3)}",
         f"configuration {result['config_hash'][:12]}",
         f"link {100.0 * result['link']['success_rate']:.6g} %",
-        f"over it, dashed: <b>{html.escape(other.path.name)}</b>" if other is not None else "",
+        f"over it, dashed: <b>{html.escape(', '.join(one.path.name for one in others))}</b>" if others else "",
     ]
     rows = [f"<tr><th>port</th>{''.join(f'<th>{title}</th>' for title in _ACCOUNT)}</tr>"]
     for name, port in result["ports"].items():

@@ -5,6 +5,7 @@ long as nothing is known of it. Only where every row is drawn does a torque stay
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from bokeh.models import BoxAnnotation, HoverTool
 
 from canhaptic.logs.columns import Event
 from canhaptic.view.bokeh_style import add_hover, finished, new_panel
-from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
+from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, OVERLAID, VERMILION
 from canhaptic.view.series import PortFacts
 
 OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
@@ -45,7 +46,7 @@ class PortPanels:
         source: Columns of `PortSeries.columns`.
         contacts: Columns start and end of each contact [s].
         faults: Columns at [s] and text of each fault.
-        second: Another run, drawn over it in thin dashed lines; None for none.
+        others: Name and source of further runs, drawn over it in thin dashed lines.
         stairs: Whether every row is drawn.
 
     Attributes:
@@ -59,11 +60,11 @@ class PortPanels:
         source: Any,
         contacts: Any,
         faults: Any,
-        second: Any = None,
+        others: Sequence[tuple[str, Any]] = (),
         *,
         stairs: bool = False,
     ) -> None:
-        self._facts, self._time, self._source, self._second, self._stairs = facts, time, source, second, stairs
+        self._facts, self._time, self._source, self._others, self._stairs = facts, time, source, others, stairs
         self.panels: dict[str, Any] = {}
         if not facts.is_group:
             self.panels["position"] = self._position()
@@ -87,11 +88,11 @@ class PortPanels:
             panel.line("time", name, source=self._source, name=name, **style)
 
     def _other(self, panel: Any, *names: str) -> None:
-        """Draws the second run of a comparison."""
-        if self._second is not None:
+        """Draws the runs that lie over this one."""
+        for (label, source), colour in zip(self._others, cycle(OVERLAID)):
             for name in names:
-                style = {"color": "black", "line_width": 1.0, "line_dash": [3, 2], "legend_label": "other run"}
-                panel.line("time", name, source=self._second, **style)
+                style = {"color": colour, "line_width": 1.0, "line_dash": [3, 2], "legend_label": label}
+                panel.line("time", name, source=source, **style)
 
     def _position(self) -> Any:
         unit, wall = self._facts.units["position"], self._facts.wall

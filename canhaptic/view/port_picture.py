@@ -74,7 +74,7 @@ class PortPicture:
         if len(self._log.ports) > 1 or self._axes:
             panels["position"].set_title(f"{self._name}: position", fontweight="bold")
 
-    def draw_over(self, panels: Mapping[str, Any], scales: Mapping[str, float]) -> None:
+    def draw_over(self, panels: Mapping[str, Any], scales: Mapping[str, float], name: str, colour: str) -> None:
         """Draws the same quantities over the panels of another run, whose scales they take."""
         lines = {
             "position": self._of_movers("position"),
@@ -84,8 +84,8 @@ class PortPicture:
         }
         for panel, scale in scales.items():
             for number, line in enumerate(lines[panel]):
-                label = self._log.path.name if number == 0 else None
-                self._line(panels[panel], line, scale, color="black", linewidth=0.7, linestyle=(0, (3, 2)), label=label)
+                label = name if number == 0 else None
+                self._line(panels[panel], line, scale, color=colour, linewidth=0.7, linestyle=(0, (3, 2)), label=label)
             panels[panel].legend(**_LEGEND)
 
     def _column(self, name: str) -> _Array:

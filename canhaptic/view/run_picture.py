@@ -6,12 +6,14 @@ but zeros are left out.
 matplotlib is imported when a picture is drawn, not before.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.audit.extent import rows_between, rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.view.palette import OVERLAID
 from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 from canhaptic.view.port_picture import PortPicture
 from canhaptic.view.si import si
@@ -26,7 +28,7 @@ def draw_energy(
     path: str | Path,
     start: float | None = None,
     stop: float | None = None,
-    other: EnergyLog | None = None,
+    others: Sequence[EnergyLog] = (),
 ) -> None:
     """Draws a run into a file; its suffix says how (.png, .svg, .pdf).
 
@@ -37,20 +39,33 @@ def draw_energy(
         path: The picture.
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.
-        other: A second run, drawn over the first in thin dashed lines where it has the same ports.
+        others: Further runs, drawn over the first in thin dashed lines where they have the same ports.
 
     Raises:
         InputError: The log holds no cycle there, matplotlib is not installed, or the file cannot be written.
     """
     mpl, _ = matplotlib_figure()
     with mpl.rc_context(STYLE):
-        save_picture(energy_figure(log, start, stop, other), path)
+        save_picture(energy_figure(log, start, stop, others), path)
 
 
 def energy_figure(
-    log: EnergyLog, start: float | None = None, stop: float | None = None, other: EnergyLog | None = None
+    log: EnergyLog,
+    start: float | None = None,
+    stop: float | None = None,
+    others: Sequence[EnergyLog] = (),
+    labels: Sequence[str] = (),
 ) -> Any:
-    """Returns the matplotlib figure of a run; the arguments are those of `draw_energy`."""
+    """Returns the matplotlib figure of a run; the arguments are those of `draw_energy`.
+
+    Args:
+        log: An open energy log.
+        start: As there.
+        stop: As there.
+        others: As there.
+        labels: One for each of them; by default the names of their files.
+    """
+    names = list(labels) or [other.path.name for other in others]
     rows = rows_to_draw(log, start, stop)
     mpl, figure_type = matplotlib_figure()
     with mpl.rc_context(STYLE):
@@ -58,9 +73,10 @@ def energy_figure(
         figure, columns = _layout(figure_type, pictures)
         for name, picture in pictures.items():
             picture.draw(columns[name])
-            if other is not None and name in other.ports and other.rows:
-                overlay = PortPicture(other, name, rows_between(other, start, stop))
-                overlay.draw_over(columns[name], picture.scales)
+            for other, label, colour in zip(others, names, cycle(OVERLAID)):
+                if name in other.ports and other.rows:
+                    overlay = PortPicture(other, name, rows_between(other, start, stop))
+                    overlay.draw_over(columns[name], picture.scales, label, colour)
             list(columns[name].values())[-1].set_xlabel("time [s]" + picture.faults())
         figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
     return figure

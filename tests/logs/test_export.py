@@ -1,3 +1,4 @@
+import json
 import math
 from pathlib import Path
 
@@ -55,17 +56,37 @@ def test_a_mat_file_holds_ports_timing_and_attributes(path: Path, tmp_path: Path
     assert math.isclose(content["truth"]["handle"]["position"][5], 0.0051)
 
 
+def test_an_mcap_file_holds_every_row_as_a_message_with_its_schema(path: Path, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed (pip install 'canhaptic[export]')")
+    with EnergyLog.open(path) as log:
+        export(log, tmp_path / "run.mcap")
+        energies, units = log.ports["knob"]["h_i"].tolist(), log.ports["knob"].unit("h_i")
+    with (tmp_path / "run.mcap").open("rb") as file:
+        summary = reader.make_reader(file).get_summary()
+        topics = {channel.topic for channel in summary.channels.values()}
+        file.seek(0)
+        messages = list(reader.make_reader(file).iter_messages(topics=["/knob"]))
+    assert topics == {"/timing", "/handle", "/knob", "/true/handle", "/true/knob", "/events"}
+    assert [json.loads(message.data)["h_i"] for _, _, message in messages] == energies
+    assert [message.log_time for _, _, message in messages] == [k * SAMPLE_TIME_NS for k in range(ROWS)]
+    schema, channel, _ = messages[0]
+    assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+    assert json.loads(schema.data)["properties"]["h_i"] == {"type": "number", "description": f"[{units}]"}
+
+
 def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_BLOCK", 300)
     with EnergyLog.open(path) as log:
         export(log, tmp_path / "run.csv")
         header = (tmp_path / "run.csv").read_text().partition("\n")[0].split(",")
         values = np.genfromtxt(tmp_path / "run.csv", delimiter=",", skip_header=1)
+        assert header[0] == "time [s]"
+        assert values[:, 0].tolist() == (log.deadlines(0, log.rows) * log.sample_time).tolist()
         column = values[:, header.index("handle.h_m [J]")]
         assert column.tobytes() == log.ports["handle"]["h_m"].tobytes()
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet", "mat"])
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "mat", "mcap"])
 def test_a_table_that_cannot_be_written_is_one_clear_error(path: Path, tmp_path: Path, suffix: str) -> None:
     target = tmp_path / "no" / f"run.{suffix}"
     with EnergyLog.open(path) as log, pytest.raises(InputError, match=rf"no/run\.{suffix}: "):

@@ -1,5 +1,6 @@
 """What a page and a live page are made of: lines, areas, units, panels; of logs whose content is known."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def test_panels_that_hold_only_zeros_are_left_out_and_named(tmp_path: Path, monk
     with build(load_scene(CONFIGS / "demo.yaml"), "free", tmp_path / "run.h5") as experiment:
         run(experiment.cycle, 1500)
     page = page_of(tmp_path / "run.h5", monkeypatch)
-    expected = [f"handle: {name}" for name in ("position", "force", "energy", "damping")]
+    expected = [f"handle: {name}" for name in ("position", "force", "energy", "damping", "loop")]
     assert sorted(titles(page)) == sorted(expected)
     heading = page.select_one({"name": "heading"}).text
     assert "not drawn: handle: surplus, lost" in heading
@@ -130,7 +131,7 @@ def test_axes_and_pointer_carry_units_with_a_prefix(tmp_path: Path, monkeypatch:
 def test_scope_and_page_have_the_same_panels_lines_and_colours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_run(tmp_path / "run.h5", cycles=6000)
     page, scope = page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")
-    assert sorted(titles(page)) == sorted(titles(scope))
+    assert sorted(set(titles(page)) - {"handle: loop"}) == sorted(titles(scope))
 
     def drawn(content: Any, title: str) -> set[tuple[str, str, str]]:
         parts = set()
@@ -215,3 +216,25 @@ def test_the_page_of_a_stage_shows_path_and_room(groups: Path, monkeypatch: pyte
 
 def test_a_coupling_without_a_surface_has_no_path(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not any("path" in title for title in titles(page_of(groups / "two_handles.h5", monkeypatch)))
+
+
+def test_several_runs_lie_over_one_page_and_two_cursors_read_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from bokeh.models import Span
+
+    for name in ("run.h5", "second.h5", "third.h5"):
+        write_run(tmp_path / name, cycles=1500)
+    with ExitStack() as stack:
+        log, *others = [stack.enter_context(EnergyLog.open(p)) for p in sorted(tmp_path.glob("*.h5"))]
+        kept: list[Any] = []
+        monkeypatch.setattr(html_report, "write_page", lambda content, _title, _path: kept.append(content))
+        html_report.write_html(log, tmp_path / "page.html", inspect(log), others=others)
+    [page] = kept
+    for word in ("position", "loop"):
+        labels = [item.label.value for item in panel_of(page, word).legend[0].items]
+        assert labels[-2:] == ["second.h5", "third.h5"]
+    timed = [panel for panel in figures(page) if panel.name.split(": ")[-1] in ("position", "force", "energy")]
+    cursors = [{span.name for span in panel.select({"type": Span}) if span.editable} for panel in timed]
+    assert len(timed) == 3
+    assert cursors == [{"cursor 1", "cursor 2"}] * 3
