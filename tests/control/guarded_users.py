@@ -130,7 +130,7 @@ def guarded(
     most = other.pop("most", FRICTION)
     return Guarded(
         SpringDamperWall(stiffness=stiffness, damping=damping),
-        GuardedParameters(hand_force=hand_force, **other),
+        GuardedParameters(**{"hand_force": hand_force, "hand_push": hand_force, **other}),
         LoopProperties(
             sample_time=1.0 / rate,
             delay=delay,

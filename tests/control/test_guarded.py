@@ -224,7 +224,7 @@ def test_torque_commands_are_whole_quanta_and_never_above_the_bound():
 @pytest.mark.parametrize("delay", [0, 1])
 def test_what_is_taken_from_an_empty_store_is_lacking_though_nothing_dissipates(delay: int) -> None:
     """A torque that nobody commanded gives energy out of a wall without a damper, in which nothing was stored."""
-    loop = LoopProperties(sample_time=1e-3, delay=delay, moving_mass=0.2)
+    loop = LoopProperties(sample_time=1e-3, delay=delay, moving_mass=0.2, device_damping_bound=0.0)
     controller = build_controller(SpringDamperWall(stiffness=100.0), "guarded", None, loop)
     controller.step(-0.001, 0.0)
     taken = controller.step(-0.0005, 4.0)
@@ -236,7 +236,7 @@ def test_what_is_taken_from_an_empty_store_is_lacking_though_nothing_dissipates(
 
 
 def test_a_modulated_damper_pays_the_surplus_back_in_a_wall_that_dissipates_nothing() -> None:
-    loop = LoopProperties(sample_time=1e-3, delay=0, moving_mass=0.2)
+    loop = LoopProperties(sample_time=1e-3, delay=0, moving_mass=0.2, device_damping_bound=0.0)
     parameters = GuardedParameters(alpha="2000 s/m^2")
     controller = build_controller(SpringDamperWall(stiffness=100.0), "guarded", parameters, loop)
     controller.step(-0.001, 0.0)

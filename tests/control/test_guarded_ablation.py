@@ -8,20 +8,21 @@ from dataclasses import replace
 
 import pytest
 
-from canhaptic.control.certificates import torque_bound
+from canhaptic.control.certificates import certified_torque
 from canhaptic.control.passivity import guarded as kernel
 from tests.control.guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
 
-whole_step = torque_bound.next_displacement  # type: ignore[attr-defined]
-by_hand_force = torque_bound.by_hand_force
+whole_step = certified_torque.next_displacement  # type: ignore[attr-defined]
+by_hand_force = certified_torque.by_hand_force
 
 
 def without_previous_torque(patch):
-    patch.setattr(torque_bound, "next_displacement", lambda d, _before, f, r: whole_step(d, 0.0, f, r))
+    patch.setattr(certified_torque, "next_displacement", lambda d, _before, f, *r: whole_step(d, 0.0, f, *r))
 
 
 def without_damping_term(patch):
-    patch.setattr(torque_bound, "next_displacement", lambda d, b, f, r: whole_step(d, b, f, replace(r, retained=1.0)))
+    undamped = lambda d, b, f, r, h: whole_step(d, b, f, replace(r, retained=1.0), h)  # noqa: E731
+    patch.setattr(certified_torque, "next_displacement", undamped)
 
 
 def without_mirror(patch):
@@ -30,7 +31,7 @@ def without_mirror(patch):
     def one_sided(declared, bound, memory, sign, *rest):
         return by_hand_force(declared, bound, memory, sign, *rest) if sign > 0.0 else 1e9
 
-    patch.setattr(torque_bound, "by_hand_force", one_sided)
+    patch.setattr(certified_torque, "by_hand_force", one_sided)
 
 
 def without_cap_on_dissipation(patch):

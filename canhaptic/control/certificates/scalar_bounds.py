@@ -18,7 +18,7 @@ counts as 0.
 Since D_1 is bounded by a rising function of D_0, bounds chain over the holds whose torque is under way (delay), and
 the energy taken out, sum(f_i D_i) + F D, is largest when every D_i is: a bound D_1 < 0 therefore certifies energy that
 comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
-Coulomb friction F_c of the device may push out as well as hold: declare F_h + F_c.
+Dry friction F_c of the device may push out as well as hold: F_h + F_c stands for F_h (`device_friction_bound`).
 
 **Device damping.** The device itself dissipates at least (b/T) D^2 in a hold of displacement D (Cauchy-Schwarz). For
 every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the torques under way, keeps
@@ -31,6 +31,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from canhaptic.control.certificates.hold_timing import HoldTiming
+
 
 @dataclass(frozen=True, slots=True)
 class DisplacementResponse:
@@ -39,7 +41,16 @@ class DisplacementResponse:
     retained: float  # least share of an inward displacement that the next hold repeats, e^(-bT/m)
     before: float  # [m/N] per torque in the hold before
     during: float  # [m/N] per torque in the hold itself
-    hand: float  # [m] by the hand pushing out with its declared force in both holds
+    hand: float  # [m] by the hand pulling out with its declared force in both holds
+    push: float = 0.0  # [m] the same by the hand pushing in, along a torque that sticks; infinite: not declared
+    growth: float = 1.0  # largest share of an outward displacement that the next hold repeats
+    late: float = 0.0  # share of what an older torque exceeds a new one by that counts in the hold of the new one
+    share: float = 0.0  # of a hold in which an older torque acts: theta / T
+    behind: float = 0.0  # the same of an inward displacement, of which no more is repeated than `retained`
+    tail_before: float = 0.0  # [m/N] of `tail_reach`, per torque in the hold before
+    tail_during: float = 0.0  # [m/N] per torque in the hold itself
+    tail_hand: float = 0.0  # per displacement by the hand
+    swing: float = 1.0  # by which friction lengthens the way back inside a hold
 
 
 NO_RESPONSE: Final = DisplacementResponse(1.0, 0.0, 0.0, 0.0)
@@ -47,7 +58,13 @@ NO_RESPONSE: Final = DisplacementResponse(1.0, 0.0, 0.0, 0.0)
 
 
 def displacement_response(
-    sample_time: float, mass: float, hand_force: float, damping_least: float = 0.0, damping_most: float = 0.0
+    sample_time: float,
+    mass: float,
+    hand_force: float,
+    damping_least: float = 0.0,
+    damping_most: float = 0.0,
+    hand_push: float = math.inf,
+    timing: HoldTiming | None = None,
 ) -> DisplacementResponse:
     """Returns the worst response of the displacement in a hold.
 
@@ -61,21 +78,40 @@ def displacement_response(
         hand_force: Largest outward force of the hand [N or N*m].
         damping_least: Certain viscous damping of the device [N*s/m or N*m*s/rad].
         damping_most: Upper bound of it.
+        hand_push: Largest inward force of the hand [N or N*m]; infinite: no bound is known.
+        timing: Of the holds; None: exact.
     """
-    whole = sample_time * sample_time / mass
-    y = damping_least * sample_time / mass
+    timing = timing or HoldTiming(sample_time, sample_time, 0.0, 0.0)
+    longest, shortest, late = timing.longest, timing.shortest, timing.late
+    whole = longest * longest / mass
+    y = damping_least * longest / mass
     if y < 1e-3:
         during, before = whole * (0.5 - y / 6.0 + y * y / 24.0), whole * (0.5 - y / 3.0 + y * y / 8.0)
     else:
         fade = math.exp(-y)
         during, before = whole * (y - 1.0 + fade) / (y * y), whole * (1.0 - fade - y * fade) / (y * y)
-    both = during + before
-    retained = math.exp(-max(damping_most, damping_least) * sample_time / mass)
-    return DisplacementResponse(retained, 0.5 * whole if y > 0.5 else before, during, both * hand_force)
+    both, share = during + before, late / shortest
+    fading = max(damping_most, damping_least) * longest / mass
+    retained = math.exp(-fading) * (shortest / longest)
+    return DisplacementResponse(
+        retained=retained,
+        before=0.5 * whole if y > 0.5 else before,
+        during=during,
+        hand=both * hand_force,
+        push=both * max(hand_push, hand_force),
+        growth=longest / shortest,
+        late=min(1.0, 2.0 * share),
+        share=share,
+        behind=min(share, retained),
+        tail_before=0.5 * late * longest / mass,
+        tail_during=late * late / mass,
+        tail_hand=late * (0.5 * longest + late) / mass / both,
+        swing=fading / -math.expm1(-fading) if fading > 0.0 else 1.0,
+    )
 
 
 def next_displacement(
-    displacement: float, torque_before: float, torque: float, response: DisplacementResponse
+    displacement: float, torque_before: float, torque: float, response: DisplacementResponse, hand: float
 ) -> float:
     """Returns the largest outward displacement [m or rad] in the hold that follows one of `displacement`.
 
@@ -83,15 +119,31 @@ def next_displacement(
         displacement: Largest outward displacement of the hold before [m or rad].
         torque_before: Outward torque held in it [N or N*m]; an inward one counts as 0.
         torque: Outward torque of the hold asked about; 0 gives the base of `hand_force_bound`.
-        response: Of the axis and hand.
+        response: Of the axis.
+        hand: Displacement by the hand in both holds [m or rad]: `response.hand`, or `response.push`.
     """
     if displacement < 0.0:
         displacement -= (1.0 - response.retained) * displacement
+    else:
+        displacement *= response.growth
     if torque_before > 0.0:
         displacement += torque_before * response.before
     if torque > 0.0:
         displacement += torque * response.during
-    return displacement + response.hand
+    return displacement + hand
+
+
+def tail_reach(
+    displacement: float, torque_before: float, torque: float, response: DisplacementResponse, hand: float
+) -> float:
+    """Returns the farthest that older torques may be carried along in the hold after one of `displacement` [m or rad].
+
+    It is (2) of `hold_timing`; arguments as of `next_displacement`, `torque` the largest that acts in the hold.
+    """
+    reach = response.tail_hand * hand + response.tail_during * torque
+    if torque_before > 0.0:
+        reach += response.tail_before * torque_before
+    return reach + response.share * displacement if displacement > 0.0 else reach
 
 
 def hand_force_bound(budget: float, base: float, gain: float) -> float:
@@ -148,8 +200,9 @@ def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque:
     """
     displacement = extracted = 0.0
     for _ in range(delay + 1):
-        displacement = next_displacement(displacement, torque, torque, response)
+        displacement = next_displacement(displacement, torque, torque, response, response.hand)
         extracted += torque * displacement
+    extracted += torque * tail_reach(displacement, torque, torque, response, response.hand)
     return torque * torque / (2.0 * extracted) if extracted > 0.0 else math.inf
 
 

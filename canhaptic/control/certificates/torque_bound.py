@@ -1,17 +1,10 @@
-"""The certified bound of one axis: what is known of it and of the hand, applied to the torques under way."""
+"""What the certificates of one axis remember: the holds that ended, and what of their energy is not known."""
 
 from dataclasses import dataclass
 from math import inf, isnan, nan
 from typing import NamedTuple, Protocol
 
-from canhaptic.control.certificates.scalar_bounds import (
-    WINDOW,
-    DisplacementResponse,
-    device_damping_bound,
-    hand_force_bound,
-    hand_speed_bound,
-    next_displacement,
-)
+from canhaptic.control.certificates.scalar_bounds import WINDOW, DisplacementResponse, tail_reach
 from canhaptic.kernels import Buffer, MakeBuffer
 
 
@@ -19,7 +12,7 @@ from canhaptic.kernels import Buffer, MakeBuffer
 class Declared:
     """What a configuration declares of the axis and of the hand."""
 
-    sample_time: float  # [s]
+    sample_time: float  # longest hold [s]
     delay: int  # whole holds between computation and action
     losses: int  # consecutive cycles without a new torque that the certificates survive
     by_hand_force: bool  # whether that certificate is declared
@@ -27,6 +20,9 @@ class Declared:
     damping: float  # certain damping of the device [N*s/m or N*m*s/rad]; 0: not declared
     hand_speed: float  # largest speed of the hand [m/s or rad/s]; 0: not declared
     encoder_count: float  # [m or rad]; 0: ideal
+    late: float = 0.0  # theta of `hold_timing`: window and lag of a new torque [s]; 0: torques change at the SYNC
+    late_share: float = 0.0  # the same as a part of the shortest hold
+    left: float = 0.0  # c of `hold_timing`: share of older torques that is left after a hold
 
 
 @dataclass(slots=True)
@@ -44,13 +40,21 @@ class TorqueBound:
     first: int = 0  # place of the torque that acts next in `BoundMemory.under_way`
     upward: float = nan  # `outward` along +, of a coarse encoder; NaN until it is asked for [m or rad]
     downward: float = nan  # the same along -
+    out: float = 0.0  # direction out of the last contact, 1 or -1; 0: there was none, or it has none
+    turning: int = 0  # holds for which torques of the contact before may act yet
+    highest: float = 0.0  # torque that acts at the last SYNC at most; used where torques come late [N or N*m]
+    lowest: float = 0.0  # the same, at least
+    most: float = 0.0  # that counts as held in the hold that ended, along + [N or N*m]
+    least: float = 0.0  # the same, along -
+    resolution: float = 0.0  # width of what is known of the energy, where torques come late [J]
 
 
 class BoundMemory(NamedTuple):
     """Where the bound keeps sequences; changed in place."""
 
     displacements: Buffer  # of the last holds, a ring of `WINDOW` [m or rad]
-    torques: Buffer  # held in them [N or N*m]
+    torques: Buffer  # held in them; where torques come late, what counts along + [N or N*m]
+    against: Buffer  # what counts along -, where torques come late
     under_way: Buffer  # torques sent, the ring of `Commands` [N or N*m]
     held_on: Buffer  # torques that may act instead where frames are lost, shape (losses + delay,) [N or N*m]
 
@@ -59,16 +63,50 @@ def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer)
     """Returns the buffers of a bound on the torque under way."""
     window = WINDOW if declared.encoder_count > 0.0 else 0
     held_on = declared.losses + declared.delay if declared.losses else 0
-    return BoundMemory(make_buffer(window), make_buffer(window), under_way, make_buffer(held_on))
+    against = window if declared.late > 0.0 else 0
+    return BoundMemory(make_buffer(window), make_buffer(window), make_buffer(against), under_way, make_buffer(held_on))
 
 
-def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float) -> None:
-    """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
-    count = declared.encoder_count
+def turn(declared: Declared, bound: TorqueBound, out: float) -> None:
+    """Takes the direction out of a contact that begins: 1, -1, or 0 where it has none.
+
+    Torques of a contact with another direction may be under way yet: until they have ended the hand may do along either
+    direction what it may do against them.
+    """
+    if out != bound.out:
+        if bound.out != 0.0:
+            bound.turning = declared.delay + (2 if declared.late > 0.0 else 1)
+        bound.out = out
+
+
+def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:
+    """Returns the displacement by the hand in two holds along `sign` [m or rad]: it pulls out, or it pushes in."""
+    if sign * bound.out < 0.0 or bound.turning:
+        return declared.response.push
+    return declared.response.hand
+
+
+def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
+    """Returns the torque along `sign` that counts as held in the hold that ended [N or N*m]."""
+    if declared.late > 0.0:
+        return bound.most if sign > 0.0 else -bound.least
+    return sign * bound.torque
+
+
+def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float) -> float:
+    """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m].
+
+    Returns:
+        How much less than booked may have come in because the torque came late [J].
+    """
+    count, doubt = declared.encoder_count, 0.0
     if declared.damping > 0.0:
         certain = abs(displacement) - count
         if certain > 0.0:
             bound.dissipated += declared.damping / declared.sample_time * certain * certain
+    if declared.late > 0.0:
+        doubt = doubt_of_late(declared, bound, displacement, torque)
+        take_late(declared, bound, torque)
     if count > 0.0:
         half = 0.5 * count
         bound.changes = changes = bound.changes + half * abs(torque - bound.torque)
@@ -79,11 +117,91 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
         bound.newest = newest
         memory.displacements[newest] = displacement
         memory.torques[newest] = torque
+        if declared.late > 0.0:
+            memory.torques[newest] = bound.most
+            memory.against[newest] = bound.least
         if bound.kept < WINDOW:
             bound.kept += 1
         bound.upward = bound.downward = nan
     bound.blur = 0.0
     bound.displacement, bound.torque = displacement, torque
+    if bound.turning:
+        bound.turning -= 1
+    return doubt
+
+
+def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
+    """Takes the torque of the hold that ended, with what acted in it of older ones [N or N*m]."""
+    above, below = bound.highest - torque, torque - bound.lowest
+    counts, left = declared.response.late, declared.left
+    bound.most = bound.highest = bound.least = bound.lowest = torque
+    if above > 0.0:
+        bound.most += counts * above
+        bound.highest += left * above
+    if below > 0.0:
+        bound.least -= counts * below
+        bound.lowest -= left * below
+
+
+def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, torque: float) -> float:
+    """Returns how much less than booked may have come in by a hold in which the torque came late [J].
+
+    See `hold_timing`. The hand's force is used in the direction out of the contact alone.
+
+    Args:
+        declared: Of axis and hand.
+        bound: Of the axis, as it was before the hold; `resolution` and `dissipated` change.
+        displacement: [m or rad].
+        torque: Held [N or N*m].
+    """
+    change = torque - bound.torque
+    rest = max(bound.highest - bound.torque, bound.torque - bound.lowest)
+    differs = abs(change) + rest
+    if differs == 0.0:
+        return 0.0
+    count, damped = declared.encoder_count, 0.0
+    if declared.damping > 0.0:
+        path = (abs(displacement) + count) * declared.late_share
+        damped = differs * path + differs * differs * declared.late / (4.0 * declared.damping)
+    if declared.by_hand_force:
+        sign = -1.0 if bound.out < 0.0 else 1.0
+        up, down = reach_of_late(declared, bound, sign, displacement, torque)
+        change *= sign
+        less, more = (change * down, change * up) if change > 0.0 else (-change * up, -change * down)
+        further = rest * max(up, down)
+        less, more = less + further, more + further
+    elif declared.hand_speed > 0.0:
+        less = more = differs * declared.hand_speed * declared.late
+    else:
+        bound.resolution += 2.0 * damped
+        return damped
+    bound.resolution += less + more
+    if declared.damping > 0.0:  # what is promised to every hand rests on no hand
+        bound.dissipated += less - damped
+    return less
+
+
+def reach_of_late(
+    declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float
+) -> tuple[float, float]:
+    """Returns how far older torques can have been carried along `sign` in the hold that ended, and against it [m or rad].
+
+    Args:
+        declared: Of axis and hand.
+        bound: Of the axis, as it was before the hold.
+        sign: Direction in which the hand's force is bounded, 1 or -1.
+        displacement: In the hold [m or rad].
+        torque: Held in it [N or N*m].
+    """
+    response, count = declared.response, declared.encoder_count
+    acting = max(0.0, sign * torque, bound.highest if sign > 0.0 else -bound.lowest)
+    start = sign * bound.displacement + count + bound.blur
+    up = tail_reach(start, acted(declared, bound, sign), acting, response, response.hand)
+    back = count - sign * displacement
+    down = response.tail_before * acting + response.tail_hand * response.hand
+    if back > 0.0:
+        down += response.share * back
+    return up, response.swing * down
 
 
 def end_gap(
@@ -111,17 +229,29 @@ def end_gap(
         largest: Size of the torques sent for them [N or N*m].
         apart: Largest difference of one of those from the last [N or N*m].
     """
-    count, missed = declared.encoder_count, holds - 1
+    count, missed, further = declared.encoder_count, holds - 1, 1.0
     if declared.losses:
         largest, apart = max(largest, abs(bound.torque)), max(apart, abs(bound.torque - torque))
+    if declared.late > 0.0:  # older torques act in the last hold as well
+        missed = holds
+        largest = max(largest, bound.highest, -bound.lowest)
+        apart = max(apart, bound.highest - torque, torque - bound.lowest)
+        apart = max(apart, abs(largest - torque), abs(largest + torque))
+        bound.most, bound.least = largest, -largest
+        bound.highest, bound.lowest = largest, -largest
     bound.kept = 0
     bound.upward = bound.downward = nan
     if declared.by_hand_force:
         response = declared.response
-        step = (response.before + response.during) * largest + response.hand
+        hand = response.push if response.push < inf else response.hand
+        step = (response.before + response.during) * largest + hand
+        for _ in range(holds):
+            further *= response.growth
         start = abs(bound.displacement) + bound.blur + count
-        excursion = abs(displacement) + count + holds * (start + holds * step)
-        bound.blur = 0.5 * missed * step + (1.0 - response.retained) * holds * excursion
+        excursion = abs(displacement) + count + further * (holds * (start + holds * step))
+        bound.blur = 0.5 * (holds - 1) * step + (1.0 - response.retained) * holds * excursion
+        if further > 1.0:
+            bound.blur += (further - 1.0) * excursion
         doubt = missed * apart * excursion
     elif declared.hand_speed > 0.0:
         doubt = missed * apart * declared.hand_speed * declared.sample_time
@@ -130,6 +260,8 @@ def end_gap(
         if certain > 0.0:
             bound.dissipated += stiffness * certain * certain / holds
         doubt = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
+    if declared.late > 0.0:
+        bound.resolution += 2.0 * doubt
     bound.changes += holds * count * largest
     bound.unsure = bound.changes + 0.5 * count * abs(torque)
     bound.displacement, bound.torque = displacement / holds, torque
@@ -149,74 +281,6 @@ def keep(bound: Dissipated, energy: float, enough: float) -> None:
     """
     if energy + bound.dissipated > enough:
         bound.dissipated = max(0.0, enough - energy)
-
-
-def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
-    delay, losses = declared.delay, declared.losses
-    if delay == 0 and losses == 0:
-        return energy + bound.dissipated
-    if losses == 0:
-        hand, path, squares = needed(declared, bound, memory, memory.under_way, bound.first, delay)
-        free = energy - hand if declared.by_hand_force else 0.0
-    elif delay > 1:  # some of the torques under way may act, and others not
-        take_sizes(declared, bound, memory, losses + delay)
-        _, path, squares = needed(declared, bound, memory, memory.held_on, 0, losses + delay)
-        free = 0.0
-        if declared.by_hand_force:
-            free = energy - given_by_any(declared, bound, memory, 1.0, losses + delay)[0]
-            free -= given_by_any(declared, bound, memory, -1.0, losses + delay)[0]
-    else:
-        take_constant(memory, bound.torque)
-        hand, path, squares = needed(declared, bound, memory, memory.held_on, 0, losses + delay)
-        if delay:
-            take_constant(memory, memory.under_way[bound.first])
-            other, further, more = needed(declared, bound, memory, memory.held_on, 0, losses + delay)
-            hand, path, squares = max(hand, other), max(path, further), max(squares, more)
-        free = energy - hand if declared.by_hand_force else 0.0
-    if declared.hand_speed > 0.0:
-        free = max(free, energy - declared.hand_speed * declared.sample_time * path)
-    if declared.damping > 0.0:
-        share = declared.sample_time / (4.0 * declared.damping)
-        free = max(free, energy + bound.dissipated - share * squares)
-    return free if free > 0.0 else 0.0
-
-
-def take_constant(memory: BoundMemory, torque: float) -> None:
-    """Writes that one torque [N or N*m] is held on."""
-    for place in range(len(memory.held_on)):
-        memory.held_on[place] = torque
-
-
-def take_sizes(declared: Declared, bound: TorqueBound, memory: BoundMemory, holds: int) -> None:
-    """Writes the largest size of a torque that may act in each of the next holds [N or N*m]."""
-    for hold in range(holds):
-        along = may_act(declared, bound, memory, 1.0, hold + 1)
-        memory.held_on[hold] = max(along, may_act(declared, bound, memory, -1.0, hold + 1))
-
-
-def needed(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, torques: Buffer, first: int, count: int
-) -> tuple[float, float, float]:
-    """Returns what a sequence of torques may give out to a hand within its force [J], sum(|f|), and sum(f^2).
-
-    Args:
-        declared: Of axis and hand.
-        bound: Of the axis.
-        memory: Of the bound.
-        torques: [N or N*m].
-        first: Place of the one that acts first; below 0 it wraps.
-        count: How many act.
-    """
-    sizes = squares = hand = 0.0
-    for place in range(first, first + count):
-        torque = torques[place]
-        sizes += abs(torque)
-        squares += torque * torque
-    if declared.by_hand_force and sizes > 0.0:
-        hand = worst_out(declared, bound, memory, 1.0, torques, first, count)
-        hand += worst_out(declared, bound, memory, -1.0, torques, first, count)
-    return hand, sizes, squares
 
 
 def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
@@ -240,18 +304,22 @@ def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
 def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
     """Returns the smallest of the bounds by the mean over the last 1, 2, 3, ... holds [m or rad]."""
     response, count = declared.response, declared.encoder_count
-    lost, enough = 1.0 - response.retained, 2.0 * count
-    later = sign * bound.torque if sign * bound.torque > 0.0 else 0.0
+    lost, enough, more = 1.0 - response.retained, 2.0 * count, response.growth - 1.0
+    torques = memory.against if declared.late > 0.0 and sign < 0.0 else memory.torques
+    hand, acting = hand_along(declared, bound, sign), acted(declared, bound, sign)
+    later = acting if acting > 0.0 else 0.0
     total = least = sign * bound.displacement + count
     raised = raises = 0.0
     start = bound.newest + 1
     for holds in range(2, bound.kept + 1):  # the newest is taken; an index below 0 wraps, as a ring does
-        along, push = sign * memory.displacements[start - holds], sign * memory.torques[start - holds]
+        along, push = sign * memory.displacements[start - holds], sign * torques[start - holds]
         if push < 0.0:
             push = 0.0
-        raised += response.before * push + response.during * later + response.hand
+        raised += response.before * push + response.during * later + hand
         if along < count:
             raised += lost * (count - along)
+        if more > 0.0 and along > -count:
+            raised += more * (along + count)
         raises += raised
         total += along
         mean = (total + raises) / holds
@@ -261,29 +329,6 @@ def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemo
             break
         later = push
     return least
-
-
-def worst_out(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, torques: Buffer, first: int, count: int
-) -> float:
-    """Returns the most energy [J] that a sequence of torques may give out along `sign`, >= 0; see `needed`."""
-    acts = False
-    for place in range(first, first + count):
-        if sign * torques[place] > 0.0:
-            acts = True
-    if not acts:
-        return 0.0
-    displacement, before = outward(declared, bound, memory, sign), sign * bound.torque
-    worst = given = 0.0
-    for place in range(first, first + count):
-        along = sign * torques[place]
-        displacement = next_displacement(displacement, before, along, declared.response)
-        if along > 0.0:
-            given += along * displacement
-            if given > worst:
-                worst = given
-        before = along
-    return worst
 
 
 def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
@@ -297,115 +342,3 @@ def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
         if torque > most:
             most = torque
     return most
-
-
-def given_by_any(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, holds: int
-) -> tuple[float, float]:
-    """Returns what any mix of torques along `sign` may give out [J], and the base of one after them [m or rad].
-
-    What one of them would take in is not counted: another may act in its place.
-    """
-    displacement, before, given = outward(declared, bound, memory, sign), sign * bound.torque, 0.0
-    for hold in range(1, holds + 1):
-        along = may_act(declared, bound, memory, sign, hold)
-        displacement = next_displacement(displacement, before, along, declared.response)
-        if displacement > 0.0:
-            given += along * displacement
-        before = along
-    return given, next_displacement(displacement, before, 0.0, declared.response)
-
-
-def by_hand_force_of_any(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
-) -> float:
-    """Returns `by_hand_force` where any mix of the torques under way may act."""
-    given, base = given_by_any(declared, bound, memory, sign, declared.delay)
-    energy -= given + given_by_any(declared, bound, memory, -sign, declared.delay)[0]
-    largest = hand_force_bound(energy, base, declared.response.during)
-    return min(largest, by_hand_force_if_held_on(declared, energy, base))
-
-
-def by_hand_force(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, torques: Buffer, first: int
-) -> float:
-    """Returns the largest torque along `sign` [N or N*m] for a hand within its declared force.
-
-    Args:
-        declared: Of axis and hand.
-        bound: Of the axis.
-        memory: Of the bound.
-        sign: 1 or -1.
-        energy: That may be taken out [J].
-        torques: Of which `delay` act before it [N or N*m].
-        first: Place of the one that acts first.
-    """
-    response, before = declared.response, sign * bound.torque
-    if declared.encoder_count > 0.0:
-        displacement = outward(declared, bound, memory, sign)
-    else:
-        displacement = sign * bound.displacement + bound.blur
-    if declared.delay:
-        opposed = False
-        for place in range(first, first + declared.delay):
-            along = sign * torques[place]
-            displacement = next_displacement(displacement, before, along, response)
-            if along >= 0.0:
-                energy -= along * displacement
-            else:
-                opposed = True
-            before = along
-        if opposed:
-            energy -= worst_out(declared, bound, memory, -sign, torques, first, declared.delay)
-    base = next_displacement(displacement, before, 0.0, response)
-    largest = hand_force_bound(energy, base, response.during)
-    if declared.losses:
-        largest = min(largest, by_hand_force_if_held_on(declared, energy, base))
-    return largest
-
-
-def by_hand_force_if_held_on(declared: Declared, energy: float, base: float) -> float:
-    """Returns the largest torque that may act in as many holds more as frames may be lost [N or N*m]."""
-    response, largest = declared.response, inf
-    friction = (1.0 - response.retained) * max(0.0, -base)
-    for holds in range(2, declared.losses + 2):
-        pairs = 0.5 * holds * (holds - 1)
-        start = holds * base + pairs * (response.hand + friction)
-        gain = holds * response.during + pairs * (response.before + response.during)
-        largest = min(largest, hand_force_bound(energy, start, gain))
-    return largest
-
-
-def largest_torques(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
-) -> tuple[float, float, float]:
-    """Returns the bound of each certificate along `sign` [N or N*m]: hand force, device damping, hand speed.
-
-    0 where a certificate is not declared. `energy` [J] is what may be taken out.
-    """
-    losses, delay, torques, first = declared.losses, declared.delay, memory.under_way, bound.first
-    force = damping = speed = 0.0
-    if declared.by_hand_force:
-        if losses and delay > 1:
-            force = by_hand_force_of_any(declared, bound, memory, sign, energy)
-        else:
-            force = by_hand_force(declared, bound, memory, sign, energy, torques, first)
-            if losses and delay:
-                take_constant(memory, bound.torque)
-                force = min(force, by_hand_force(declared, bound, memory, sign, energy, memory.held_on, 0))
-    if losses:
-        take_sizes(declared, bound, memory, delay)
-        torques, first = memory.held_on, 0
-    if declared.damping > 0.0:
-        squares = 0.0
-        for place in range(first, first + delay):
-            squares += torques[place] * torques[place]
-        energy_left = energy + bound.dissipated
-        damping = device_damping_bound(energy_left, declared.damping, declared.sample_time, squares, losses + 1)
-    if declared.hand_speed > 0.0:
-        sizes = 0.0
-        for place in range(first, first + delay):
-            sizes += abs(torques[place])
-        rest = energy - declared.hand_speed * declared.sample_time * sizes
-        speed = hand_speed_bound(rest, declared.hand_speed, declared.sample_time, losses + 1)
-    return force, damping, speed

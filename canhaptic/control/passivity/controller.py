@@ -3,6 +3,7 @@
 from typing import Annotated, Protocol
 
 from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.certificates.hold_timing import HoldTiming, hold_timing
 from canhaptic.units import Parameters, quantity
 
 
@@ -19,12 +20,35 @@ class LoopProperties(Parameters):
     """Certain viscous damping of the device, an under-estimate."""
     device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
     """Upper bound of the device damping (b_max of the hand-force certificate)."""
+    device_friction_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
+    """Upper bound of the dry friction of the device, which may push out of a contact as well as hold; 0: none."""
+    sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
+    """Every hold, from position to position, lasts T (1 +- jitter). None: not known; 0 in a bare loop."""
+    torque_window: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
+    """Time after a SYNC by which its torque acts at the latest (event RPDO, wire time). None: not known, as above."""
+    current_lag: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
+    """Largest time constant with which the motor's torque follows. None: not known, as above."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Displacement of one encoder count; 0 for an ideal encoder."""
     torque_quantum: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
     """Smallest step of the torque command; 0 for an ideal actuator."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)] | None = None
     """Largest torque the drive applies."""
+    torque_rate_limit: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)] | None = None
+    """Largest rise of the torque per second that the limiter lets pass."""
+    power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
+    """Largest power into the user's side that the limiter lets pass."""
+
+    @property
+    def timing(self) -> HoldTiming:
+        """What is declared of every hold.
+
+        Raises:
+            ParameterError: The window is as long as a hold.
+        """
+        return hold_timing(
+            self.sample_time, self.sync_jitter or 0.0, self.torque_window or 0.0, self.current_lag or 0.0
+        )
 
 
 class Controller(Protocol):

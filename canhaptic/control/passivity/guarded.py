@@ -21,32 +21,30 @@ gets softer, and the balance says so: `certificate` is not EXACT, `damping_rende
 
 from dataclasses import dataclass, field
 from math import copysign, inf, sqrt
-from typing import Annotated, ClassVar, Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance, interaction_energy
-from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response
+from canhaptic.control.certificates.certified_torque import free_energy, largest_torques
 from canhaptic.control.certificates.torque_bound import (
     BoundMemory,
-    Declared,
     TorqueBound,
     bound_memory,
     end_gap,
     end_hold,
-    free_energy,
     keep,
-    largest_torques,
+    turn,
 )
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import GuardedParameters, GuardedSettings, settings_of
 from canhaptic.control.passivity.hold_account import Axis, AxisMemory, axis_memory, begin
 from canhaptic.control.passivity.in_flight import as_far_as_limit, efforts_inside, repeat, send, towards_zero
 from canhaptic.control.passivity.settlement import settle
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
+from canhaptic.control.recovery import modulated_damping
 from canhaptic.control.velocity import restart, update
-from canhaptic.errors import ParameterError
 from canhaptic.kernels import Kernel, MakeBuffer, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Parameters
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
 _STICKY, _DEPLETED = Branch.STICKY.value, Branch.DEPLETED.value
@@ -54,57 +52,8 @@ _EXIT = Branch.EXIT.value
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
 
-_CALM: Final = 0.7
-"""Stiffness of the energy-permitted spring over the one whose lead alone uses up the damping cap.
-
-k T^2 / m is then 0.48 at delay 0 and 0.084 at delay 1; the sampled spring with its lead turns unstable slightly above.
-"""
-_LEAD_ROOM: Final = 1.75
-"""Lead and damping together over the damping cap: in contact the hold's own negative damping takes the excess."""
-_LONGEST_WINDOW: Final = 0.02
-"""Of the velocity from a coarse encoder [s]."""
-_NO_CAP: Final = 1e12
-"""Of the damping when the moving mass is not known [N*s/m or N*m*s/rad]: finite, so that at rest it gives no force."""
 _FADE: Final = 0.8
 """Share of the device's past dissipation that still counts after another hold out of contact."""
-
-
-class GuardedParameters(Parameters):
-    """What the certificates rest on. Mass and damping of the device are properties of the loop."""
-
-    hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
-    """Largest force with which the hand pulls along the torque: out of a wall, into it only where a damper makes it
-    stick. None: the certificate is not used."""
-    hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
-    """Largest speed of the hand. None: the certificate is not used. Alone it begins only with an energy allowance."""
-    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
-    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
-    alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
-    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
-    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
-    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Consecutive cycles without a new torque at the drive that the certificates survive; each costs stiffness."""
-
-
-@dataclass(frozen=True, slots=True)
-class _GuardedSettings:
-    """What is fixed for a run."""
-
-    sample_time: float  # [s]
-    credit: float  # [J]
-    alpha: float  # [s/m^2 or s/rad^2]
-    torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
-    quantum: float  # of the torque command; 0: ideal [N or N*m]
-    lead: float  # prediction [holds]
-    cap: float  # of the damping [N*s/m or N*m*s/rad]
-    damping: float  # rendered where nothing is short [N*s/m or N*m*s/rad]
-    lead_room: float  # damping that the lead may take beyond the cap [N*s/m or N*m*s/rad]
-    calm_stiffness: float  # of the energy-permitted spring, by the rate; 0 without a hand force [N/m or N*m/rad]
-    damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
-    path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
-    longest_window: int  # of the velocity, in samples; 0 with an ideal encoder
-    declared: Declared
 
 
 @dataclass(slots=True)
@@ -126,53 +75,7 @@ class Memory(NamedTuple):
     bound: BoundMemory
 
 
-def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> _GuardedSettings:
-    """Returns what is fixed for a run.
-
-    Raises:
-        ParameterError: Nothing is known that a torque could be certified by.
-    """
-    sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
-    response, speed = NO_RESPONSE, parameters.hand_speed or 0.0
-    by_hand_force = parameters.hand_force is not None and mass is not None
-    if parameters.hand_force is not None and mass is not None:
-        response = displacement_response(
-            sample_time, mass, parameters.hand_force, damping, loop.device_damping_bound or 0.0
-        )
-    elif not damping and not speed:
-        raise ParameterError(
-            "guarded: got neither moving_mass with hand_force, nor device_damping, nor hand_speed, expected one of "
-            "them; without any no torque can be certified: declare what is known or choose another algorithm"
-        )
-    cap = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time))
-    return _GuardedSettings(
-        sample_time=sample_time,
-        credit=parameters.energy_allowance,
-        alpha=parameters.alpha,
-        torque_limit=inf if loop.torque_limit is None else loop.torque_limit,
-        quantum=loop.torque_quantum,
-        lead=parameters.prediction_holds + loop.delay,
-        cap=cap,
-        damping=min(environment.damping, cap),
-        lead_room=(_LEAD_ROOM - 1.0) * cap,
-        calm_stiffness=_CALM * cap / (sample_time * (0.5 + loop.delay)) if by_hand_force else 0.0,
-        damped_stiffness=2.0 * damping / (sample_time * (1 + loop.delay)),
-        path=speed * sample_time * (1 + loop.delay),
-        longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
-        declared=Declared(
-            sample_time,
-            loop.delay,
-            parameters.max_consecutive_losses,
-            by_hand_force,
-            response,
-            damping,
-            speed,
-            loop.encoder_count,
-        ),
-    )
-
-
-def memory_of(settings: _GuardedSettings, make_buffer: MakeBuffer) -> Memory:
+def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
     """Returns the buffers of one axis."""
     axis = axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
     return Memory(axis, bound_memory(settings.declared, axis.commands.torques, make_buffer))
@@ -180,7 +83,7 @@ def memory_of(settings: _GuardedSettings, make_buffer: MakeBuffer) -> Memory:
 
 def step(
     environment: Environment,
-    settings: _GuardedSettings,
+    settings: GuardedSettings,
     state: _GuardedState,
     memory: Memory,
     position: float,
@@ -191,12 +94,16 @@ def step(
     state.zone = zone
     if not axis.started:
         begin(axis, memory.axis, position)
+        if zone:
+            turn(settings.declared, state.bound, way_out(environment, environment.true_state(position, 0.0, 0.0)))
         return AT_REST
     holds = axis.missed + 1
     displacement, damper, modulated, unsure = end(settings, state, memory, position, torque_applied)
     same = zone == zone_before
     last = state.true if same else 0.0
     true = environment.true_state(position, displacement, last) if zone else 0.0
+    if not same and zone:
+        turn(settings.declared, state.bound, way_out(environment, true))
     ceiling = environment.stored_energy(true) if zone else 0.0
     h_i = interaction_energy(torque_applied, displacement) - unsure
     h_pas = modulated * displacement
@@ -212,7 +119,7 @@ def step(
         if holds > 1 or settings.longest_window or not same:
             travel, inside = motion_of(environment, settings, axis, displacement, holds, true, last, same)
         torque, damper, modulated, rendered, certificate = render(
-            environment, settings, state, memory, true, travel, inside, spring, ceiling
+            environment, settings, state, memory, true, travel, inside, spring, ceiling, displacement / holds
         )
         branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
     else:
@@ -229,7 +136,7 @@ def step(
 
 
 def end(
-    settings: _GuardedSettings, state: _GuardedState, memory: Memory, position: float, torque_applied: float
+    settings: GuardedSettings, state: _GuardedState, memory: Memory, position: float, torque_applied: float
 ) -> tuple[float, float, float, float]:
     """Ends a hold; returns (displacement, damper effort, modulated effort, energy unsure)."""
     declared, bound, axis, commands = settings.declared, state.bound, state.axis, memory.axis.commands
@@ -238,17 +145,24 @@ def end(
     if axis.missed:
         return displacement, 0.0, 0.0, end_several(settings, state, memory, displacement, torque_applied)
     bound.first = oldest - declared.delay
-    end_hold(declared, bound, memory.bound, displacement, torque_applied)
+    unsure = end_hold(declared, bound, memory.bound, displacement, torque_applied)
     if count > 0.0:
         update(axis.window, memory.axis.samples, count, settings.sample_time, position)
     if commands.torques[oldest] == torque_applied:
-        return displacement, commands.dampers[oldest], commands.modulated[oldest], 0.0
+        return displacement, commands.dampers[oldest], commands.modulated[oldest], unsure
     damper, modulated = efforts_inside(commands, oldest, torque_applied)
-    return displacement, damper, modulated, 0.0
+    return displacement, damper, modulated, unsure
+
+
+def way_out(environment: Environment, true: float) -> float:
+    """Returns the direction out of a contact, 1 or -1; 0 where its storage works both ways and it has none."""
+    if environment.admissible(-true, true) == -true:
+        return 0.0
+    return 1.0 if true < 0.0 else -1.0
 
 
 def end_several(
-    settings: _GuardedSettings, state: _GuardedState, memory: Memory, displacement: float, torque_applied: float
+    settings: GuardedSettings, state: _GuardedState, memory: Memory, displacement: float, torque_applied: float
 ) -> float:
     """Ends several holds whose samples were lost but for the last; returns the energy unsure [J]."""
     axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
@@ -266,7 +180,7 @@ def end_several(
 
 
 def book(
-    settings: _GuardedSettings,
+    settings: GuardedSettings,
     state: _GuardedState,
     memory: Memory,
     h_i: float,
@@ -301,7 +215,7 @@ def book(
 
 
 def relax(
-    environment: Environment, settings: _GuardedSettings, state: _GuardedState, true: float, ceiling: float
+    environment: Environment, settings: GuardedSettings, state: _GuardedState, true: float, ceiling: float
 ) -> tuple[float, float, float]:
     """Returns (state, energy there, energy dissipated) after one hold of internal relaxation [m or rad, J, J]."""
     relaxed = environment.relaxed(true, settings.sample_time)
@@ -314,7 +228,7 @@ def relax(
 
 def motion_of(
     environment: Environment,
-    settings: _GuardedSettings,
+    settings: GuardedSettings,
     axis: Axis,
     displacement: float,
     holds: int,
@@ -351,7 +265,7 @@ def certain_energy(state: _GuardedState, energy: float) -> float:
 
 def render(
     environment: Environment,
-    settings: _GuardedSettings,
+    settings: GuardedSettings,
     state: _GuardedState,
     memory: Memory,
     true: float,
@@ -359,6 +273,7 @@ def render(
     inside: float,
     spring: float,
     ceiling: float,
+    moved: float,
 ) -> tuple[float, float, float, float, int]:
     """Returns (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate)."""
     velocity, bound = inside / settings.sample_time, state.bound
@@ -380,6 +295,10 @@ def render(
     if size == 0.0:
         return torque, damper, modulated, rendered, _UNBOUNDED
     sign = 1.0 if torque > 0.0 else -1.0
+    most = within_limits(settings, memory.axis.commands.torques[state.axis.oldest - 1], sign, moved)
+    if size > most:
+        share, torque, size = most / size, sign * most, most
+        damper, modulated, rendered = damper * share, modulated * share, rendered * share
     force, damping, speed = largest_torques(settings.declared, bound, memory.bound, sign, energy)
     largest = force if force > damping else damping
     if speed > largest:
@@ -394,8 +313,31 @@ def render(
     return towards_zero(torque, settings.quantum), damper, modulated, rendered, certificate
 
 
+def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
+    """Returns the largest torque along `sign` that the limiter lets pass [N or N*m]; see `drive.profile.limiter`.
+
+    What it cuts after a torque was certified would take energy in no more on which the next one counts.
+
+    Args:
+        settings: Of the run.
+        newest: Torque sent last [N or N*m].
+        sign: 1 or -1.
+        moved: In the last sample time [m or rad].
+    """
+    most = settings.torque_limit
+    if settings.torque_step < inf:
+        rise = settings.torque_step + (sign * newest if sign * newest > 0.0 else 0.0)
+        if rise < most:
+            most = rise
+    if settings.power_limit < inf and sign * moved > 0.0:
+        power = settings.power_limit / (sign * moved / settings.sample_time)
+        if power < most:
+            most = power
+    return most
+
+
 def efforts(
-    settings: _GuardedSettings,
+    settings: GuardedSettings,
     bound: TorqueBound,
     spring: float,
     lead: float,
@@ -445,6 +387,11 @@ class Guarded(SteppedController):
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
         self.energy_allowance = parameters.energy_allowance
+
+    @property
+    def energy_resolution(self) -> float:
+        """Width of what is known of the sum of h_i because torques come late [J]; what is booked is its lower end."""
+        return float(self._state.bound.resolution)
 
     def hold(self) -> EnergyBalance:
         """Repeats the last command for want of a position; see `Controller.hold`.

@@ -1,0 +1,141 @@
+"""What `guarded` rests on: its parameters, and the numbers that follow from them and from the loop."""
+
+from dataclasses import dataclass
+from math import inf
+from typing import Annotated, Final
+
+from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, DisplacementResponse, displacement_response
+from canhaptic.control.certificates.torque_bound import Declared
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.recovery import Alpha, damping_cap
+from canhaptic.errors import ParameterError
+from canhaptic.units import Parameters, quantity
+
+_CALM: Final = 0.7
+"""Stiffness of the energy-permitted spring over the one whose lead alone uses up the damping cap.
+
+k T^2 / m is then 0.48 at delay 0 and 0.084 at delay 1; the sampled spring with its lead turns unstable slightly above.
+"""
+_LEAD_ROOM: Final = 1.75
+"""Lead and damping together over the damping cap: in contact the hold's own negative damping takes the excess."""
+_LONGEST_WINDOW: Final = 0.02
+"""Of the velocity from a coarse encoder [s]."""
+_NO_CAP: Final = 1e12
+"""Of the damping when the moving mass is not known [N*s/m or N*m*s/rad]: finite, so that at rest it gives no force."""
+
+
+class GuardedParameters(Parameters):
+    """What the certificates rest on. Mass and damping of the device are properties of the loop."""
+
+    hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
+    """Largest force with which the hand pulls out of the contact, or along the torque where a contact has no outside.
+    None: the certificate is not used."""
+    hand_push: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = None
+    """Largest force with which the hand pushes into the contact, along a torque that sticks (a damper's, going out).
+    None: any push, and by the hand force no torque sticks."""
+    hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
+    """Largest speed of the hand. None: the certificate is not used. Alone it begins only with an energy allowance."""
+    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
+    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
+    alpha: Alpha = 0.0
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
+    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
+    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
+    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    """Consecutive cycles without a new torque at the drive that the certificates survive; each costs stiffness."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuardedSettings:
+    """What is fixed for a run."""
+
+    sample_time: float  # [s]
+    credit: float  # [J]
+    alpha: float  # [s/m^2 or s/rad^2]
+    torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
+    torque_step: float  # by which it may rise from SYNC to SYNC [N or N*m]
+    power_limit: float  # that the torque may put into the user's side [W]
+    quantum: float  # of the torque command; 0: ideal [N or N*m]
+    lead: float  # prediction [holds]
+    cap: float  # of the damping [N*s/m or N*m*s/rad]
+    damping: float  # rendered where nothing is short [N*s/m or N*m*s/rad]
+    lead_room: float  # damping that the lead may take beyond the cap [N*s/m or N*m*s/rad]
+    calm_stiffness: float  # of the energy-permitted spring, by the rate; 0 without a hand force [N/m or N*m/rad]
+    damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
+    path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
+    longest_window: int  # of the velocity, in samples; 0 with an ideal encoder
+    declared: Declared
+
+
+def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: Nothing is known that a torque could be certified by, or not enough.
+    """
+    sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
+    timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
+    by_hand_force = response is not NO_RESPONSE
+    if not (by_hand_force or damping or speed):
+        raise ParameterError(
+            "guarded: got neither moving_mass with hand_force, nor device_damping, nor hand_speed, expected one of "
+            "them; without any no torque can be certified: declare what is known or choose another algorithm"
+        )
+    cap, late = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time)), timing.late / sample_time
+    return GuardedSettings(
+        sample_time=sample_time,
+        credit=parameters.energy_allowance,
+        alpha=parameters.alpha,
+        torque_limit=loop.torque_limit or inf,
+        torque_step=(loop.torque_rate_limit or inf) * sample_time,
+        power_limit=loop.power_limit or inf,
+        quantum=loop.torque_quantum,
+        lead=parameters.prediction_holds + loop.delay + late,
+        cap=cap,
+        damping=min(environment.damping, cap),
+        lead_room=(_LEAD_ROOM - 1.0) * cap,
+        calm_stiffness=_CALM * cap / (sample_time * (0.5 + loop.delay + late)) if by_hand_force else 0.0,
+        damped_stiffness=2.0 * damping / (sample_time * (1 + loop.delay)),
+        path=speed * sample_time * (1 + loop.delay),
+        longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
+        declared=Declared(
+            timing.longest,
+            loop.delay,
+            parameters.max_consecutive_losses,
+            by_hand_force,
+            response,
+            damping,
+            speed,
+            loop.encoder_count,
+            timing.late,
+            timing.late / timing.shortest,
+            timing.left,
+        ),
+    )
+
+
+def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> DisplacementResponse:
+    """Returns the response of the hand-force certificate; `NO_RESPONSE` where that is not declared.
+
+    Raises:
+        ParameterError: The damping of the device has no upper bound.
+    """
+    if parameters.hand_force is None or loop.moving_mass is None:
+        return NO_RESPONSE
+    if loop.device_damping_bound is None:
+        raise ParameterError(
+            "guarded: got hand_force without device_damping_bound, expected the largest damping that the device can "
+            "have: it turns an inward motion sooner than was counted on; measure it (canhaptic commission), or declare "
+            "hand_force: null and another certificate"
+        )
+    friction, push = loop.device_friction_bound, parameters.hand_push
+    return displacement_response(
+        loop.sample_time,
+        loop.moving_mass,
+        parameters.hand_force + friction,
+        loop.device_damping or 0.0,
+        loop.device_damping_bound,
+        inf if push is None else push + friction,
+        loop.timing,
+    )
