@@ -54,10 +54,11 @@ _BASE_UNITS: Final[dict[str, tuple[float, _Dimension]]] = {
     "bit": (1.0, (0, 0, 0, 0, 0, 0)),
     "count": (1.0, (0, 0, 0, 0, 0, 0)),
     "1": (1.0, (0, 0, 0, 0, 0, 0)),
+    "%": (1e-2, (0, 0, 0, 0, 0, 0)),
 }
 _PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
 _NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
-_FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1)(?:\^(-?\d))?\s*")
+_FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1|%)(?:\^(-?\d))?\s*")
 
 
 _LEAST, _MOST = 1e-30, 1e30

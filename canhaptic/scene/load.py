@@ -20,6 +20,7 @@ from canhaptic.scene.models import Scene, SceneContext, scene_adapter
 from canhaptic.scene.old_names import rename_old
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.own_code import CodeUse, OwnCode
+from canhaptic.scene.timing import with_timing
 
 MAX_BYTES: Final = 1_000_000
 
@@ -142,7 +143,7 @@ def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics
     """Returns the scene; None when it has faults, which are all noted."""
     try:
         scene = scene_adapter().validate_python(laid, context=SceneContext(code=code))
-        return _completed(replace(scene, own_code=code.hashes, unread=tuple(code.left)))
+        return with_timing(_completed(replace(scene, own_code=code.hashes, unread=tuple(code.left))))
     except ValidationError as error:
         note_errors(Scene, laid, error, faults)
     except RecursionError:

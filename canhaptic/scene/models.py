@@ -51,7 +51,10 @@ if TYPE_CHECKING:
 else:
     BusEffects = Any
 
-LOOP_KEYS: Final = ("moving_mass", "device_damping", "device_damping_bound", "delay", "sample_time")
+LOOP_KEYS: Final = (
+    *("moving_mass", "device_damping", "device_damping_bound", "device_friction_bound"),
+    *("sync_jitter", "torque_window", "current_lag", "delay", "sample_time"),
+)
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
 _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres, for linear and rotary motors."""
@@ -175,6 +178,7 @@ def _loop_of(section: Any, info: Info[SceneContext]) -> Any:
     if axis is not None:
         derived["encoder_count"] = 1.0 / abs(axis.counts_per_unit)
         derived["torque_limit"] = axis.torque_limit
+        derived["torque_rate_limit"], derived["power_limit"] = axis.torque_rate_limit, axis.power_limit
         if axis.rated_torque is not None:
             derived["torque_quantum"] = axis.rated_torque * quirks_of(axis.quirks).torque_scale / 1000.0
     return derived | {key: value for key, value in section.items() if value is not None}

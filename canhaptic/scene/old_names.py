@@ -21,6 +21,10 @@ OLD_KEYS: Final = {
 """Key of `passivity` -> what it is called now."""
 OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipation"}
 """Algorithm of one axis -> what it is called now."""
+_NEW_OF_LOOP: Final = (
+    *("device_friction_bound", "sync_jitter", "torque_window", "current_lag", "torque_rate_limit", "power_limit"),
+)
+"""What the loop of an axis did not say."""
 _SECTION: Final = "passivity"
 _SELECTOR: Final = "algorithm"
 
@@ -48,18 +52,31 @@ def path_now(path: tuple[str, ...], where: str) -> tuple[str, ...]:
 def rename_old(scene: MarkedMapping, faults: Diagnostics) -> None:
     """Gives keys and algorithms of a scene the names of now, in place; an old key with its new one is a fault."""
     for section, is_of_axis in _sections(scene):
-        for old in OLD_KEYS.keys() & section.keys():
+        outdated = OLD_KEYS.keys() & section.keys()
+        taken = ""
+        if outdated and section.get(_SELECTOR) == "guarded":
+            taken = _declared_as_then(section, is_of_axis)
+        for old in outdated:
             new, at = OLD_KEYS[old], section.keys_at[old]
             if new in section:
                 faults.add(at, f"is now called {new!r}, which is given too; leave out {old!r}")
             else:
-                _warn(f"{at.where}: {'.'.join(at.path)}", repr(old), new)
+                _warn(f"{at.where}: {'.'.join(at.path)}", repr(old), new, taken)
                 section.put(new, section[old], at, section.values_at[old])
             del section[old]
         name = section.get(_SELECTOR)
         if is_of_axis and isinstance(name, str):
             at = section.values_at[_SELECTOR]
             section[_SELECTOR] = algorithm_now(name, f"{at.where}: {'.'.join(at.path)}")
+
+
+def _declared_as_then(section: MarkedMapping, is_of_axis: bool) -> str:
+    """Declares what the first release took for granted where it is not declared; returns that in words."""
+    then = {"device_damping_bound": 0.0, **({"hand_push": section.get("hand_force", 0.0)} if is_of_axis else {})}
+    missing = {key: value for key, value in then.items() if key not in section and value is not None}
+    for key, value in missing.items():
+        section.put(key, value, section.mark, section.mark)
+    return "".join(f"; {key} is needed now, and taken as {value}" for key, value in missing.items())
 
 
 def _sections(scene: MarkedMapping) -> Iterator[tuple[MarkedMapping, bool]]:
@@ -81,11 +98,16 @@ def in_old_names(resolved: Mapping[str, Any]) -> dict[str, Any]:
     for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
         section = {keys.get(key, key): value for key, value in owner[_SECTION].items()}
         section[_SELECTOR] = algorithms.get(section[_SELECTOR], section[_SELECTOR])
+        if section.get("hand_push") == section.get("hand_force"):
+            section.pop("hand_push", None)
         owner[_SECTION] = section
+    for axis in old["axes"].values():
+        axis["loop"] = {key: value for key, value in axis["loop"].items() if key not in _NEW_OF_LOOP}
+        axis["loop"]["device_damping_bound"] = axis["loop"]["device_damping_bound"] or None
     return old
 
 
-def _warn(where: str, old: str, new: str) -> None:
+def _warn(where: str, old: str, new: str, more: str = "") -> None:
     if parent_process() is None:  # what a worker of a sweep reads, its parent has read and warned of
-        text = f"{where}: {old} is now called {new!r}; the old name works in this release and not in the next"
+        text = f"{where}: {old} is now called {new!r}; the old name works in this release and not in the next{more}"
         warnings.warn(text, OldNameWarning, stacklevel=2)

@@ -74,8 +74,17 @@ environment:
 passivity:
   algorithm: guarded
   moving_mass: $inertia kg*m^2   # $to_set: an under-estimate is safe, an over-estimate is not
-  hand_force: 0 N*m         # largest torque with which the hand pulls along the rendered torque
+  device_damping_bound: $most_damping N*m*s/rad # $to_set: an over-estimate is safe, an under-estimate is not
+  device_friction_bound: $most_friction N*m # $to_set: the same of dry friction
+$timing  hand_force: 0 N*m         # largest torque with which the hand pulls out of the contact
+  hand_push: $push N*m       # $to_set: largest torque with which it pushes in
 $simulation""")
+
+_TIMING: Final = f"""\
+  sync_jitter: 5 %         # {TO_SET}: every hold lasts 1 / rate, give or take this (canhaptic commission)
+  torque_window: 100 us    # {TO_SET}: a torque acts so long after its SYNC at the latest
+  current_lag: 500 us      # {TO_SET}: time constant of the current loop at most
+"""
 
 _SIMULATION: Final = Template("""
 # The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
@@ -121,6 +130,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         limit=f"{limit:g}",
         **_scaled(limit),
         simulation=_simulation(found, rated, limit) if simulate else "",
+        timing="" if simulate else _TIMING,
     )
     return _aligned(text).replace(_EDS_TOKEN, json.dumps(path_for_scene(found.path, out), ensure_ascii=False))
 
@@ -277,6 +287,9 @@ def _scaled(limit: float) -> dict[str, str]:
         "stiffness": f"{5.0 * limit:.3g}",
         "damping": f"{0.05 * limit:.3g}",
         "inertia": f"{0.005 * limit:.3g}",
+        "most_damping": f"{0.02 * limit:.3g}",
+        "most_friction": f"{0.05 * limit:.3g}",
+        "push": f"{limit:.3g}",
     }
 
 

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 
 MASS, FRICTION, HAND_FORCE, PUSH = 0.25, 0.1, 20.0, 60.0
 SUBSTEPS = 4

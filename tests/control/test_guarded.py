@@ -14,7 +14,7 @@ from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, b
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import GuardedParameters
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
 from tests.control.guarded_users import HAND_FORCE, MASS, PUSH, USERS, Loss, guarded, run

@@ -8,7 +8,8 @@ from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE
 from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, end_gap
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from tests.control.guarded_users import PUSH, USERS, Loss, guarded, run
 
 T, DAMPING, CREDIT = 1e-3, 3.0, 1e-4

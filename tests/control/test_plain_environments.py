@@ -64,7 +64,7 @@ def test_every_environment_answers_as_its_model_does(
 
 
 def test_a_controller_is_given_the_plain_form() -> None:
-    loop = LoopProperties(sample_time=1e-3, moving_mass=0.2)
+    loop = LoopProperties(sample_time=1e-3, moving_mass=0.2, device_damping_bound=0.0)
     controller: Any = build_controller(SpringDamperWall(stiffness=100.0), "guarded", None, loop)
     assert not isinstance(controller._environment, Parameters)
 

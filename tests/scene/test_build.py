@@ -186,7 +186,9 @@ def test_what_is_not_known_is_said_to_be_unknown(tmp_path: Path) -> None:
 
 
 def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
-    overrides = ["passivity={algorithm: guarded, moving_mass: 0.2, hand_force: 20}"]
+    overrides = [
+        "passivity={algorithm: guarded, moving_mass: 0.2, device_damping_bound: 0, torque_window: 0, hand_force: 20}"
+    ]
     limits = {h.what: h.limit for h in stability_hints(load_scene(scene_file(tmp_path), overrides).axes[0])}
     # (m / 2 T^2) F / (F + F_h) with F the torque limit of 20 N
     assert limits["stiffness, certified by hand force"] == pytest.approx(0.2 / 2e-6 * 20 / (20 + 20))
@@ -213,7 +215,8 @@ def test_the_damping_that_colgate_leaves_falls_with_the_stiffness(tmp_path: Path
 
 
 def test_the_largest_certificate_says_how_much_of_the_wall_it_holds(tmp_path: Path) -> None:
-    passivity = "{algorithm: guarded, moving_mass: 0.2, hand_force: 20, device_damping: 2, hand_speed: 50}"
+    passivity = "{algorithm: guarded, moving_mass: 0.2, hand_force: 20, device_damping: 2, device_damping_bound: 2"
+    passivity += ", hand_speed: 50}"
     overrides = [f"passivity={passivity}", "environment.stiffness=1e5", "bus.rpdo=synchronous"]
     hints = {h.what: h for h in stability_hints(load_scene(scene_file(tmp_path), overrides).axes[0])}
     assert hints["stiffness, certified by device damping"].limit == pytest.approx(2 * 2 / 2e-3)

@@ -31,6 +31,9 @@ def test_the_real_rig_differs_from_the_demo_in_the_bus_and_the_simulation_only()
     del demo["simulation"]
     bus, real_bus = demo.pop("bus"), real.pop("bus")
     assert (demo["axes"][0].pop("torque_limit"), real["axes"][0].pop("torque_limit")) == ("20 N", "0.5 N")
+    for key in ("device_damping_bound", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"):
+        demo["passivity"].pop(key, None)
+        del real["passivity"][key]
     assert demo == real
     assert {key for key in bus.keys() | real_bus.keys() if bus.get(key) != real_bus.get(key)} == {
         "interface",
@@ -46,7 +49,8 @@ REAL = [path for path in CONFIGS if load_scene(path).bus.interface != "virtual"]
 def test_a_scene_with_a_real_interface_marks_every_value_that_only_the_rig_knows(path: Path) -> None:
     scene = load_scene(path)
     assert {guess.key for guess in guesses_left(scene)} == {
-        *("channel", "bitrate", "node_id", "eds", "counts_per_unit", "rated_torque", "torque_limit", "moving_mass")
+        *("channel", "bitrate", "node_id", "eds", "counts_per_unit", "rated_torque", "torque_limit", "moving_mass"),
+        *("device_damping_bound", "device_friction_bound", "sync_jitter", "torque_window", "current_lag", "hand_push"),
     }
     for axis in scene.axes:
         assert axis.parameters.rated_torque is not None

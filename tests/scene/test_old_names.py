@@ -26,7 +26,7 @@ from tests.scene.scene_text import REPOSITORY, faults, scene_file
 OLD_LOGS = Path(__file__).parent / "old_logs"
 NAMES = ("old_guarded", "old_direct", "old_original")
 VALUES = {"lead": 0.25, "credit": 1e-3, "lost_frames": 1}
-GUARDED = "passivity: {algorithm: guarded, moving_mass: 0.2, hand_force: 0"
+GUARDED = "passivity: {algorithm: guarded, moving_mass: 0.2, device_damping_bound: 0, hand_push: 0, hand_force: 0"
 DEMO = str(REPOSITORY / "configs" / "demo.yaml")
 
 
@@ -77,14 +77,14 @@ def test_old_keys_of_an_axis_and_of_a_group_mean_their_new_ones(tmp_path: Path) 
 def test_an_old_key_beside_its_new_one_is_one_fault(tmp_path: Path) -> None:
     both = f"{GUARDED}, lead: 0, prediction_holds: 0.5}}"
     assert faults(tmp_path, ("passivity: {algorithm: unprotected}", both)) == [
-        "scene.yaml:15:66: passivity.lead: is now called 'prediction_holds', which is given too; leave out 'lead'"
+        "scene.yaml:15:105: passivity.lead: is now called 'prediction_holds', which is given too; leave out 'lead'"
     ]
 
 
 @pytest.mark.filterwarnings("ignore::canhaptic.errors.OldNameWarning")
 def test_a_wrong_value_of_an_old_key_is_a_fault_at_its_place(tmp_path: Path) -> None:
     [fault] = faults(tmp_path, ("passivity: {algorithm: unprotected}", f"{GUARDED}, lead: 2}}"))
-    assert fault == "scene.yaml:15:72: passivity.lead: got 2, expected 0 <= prediction_holds <= 1"
+    assert fault == "scene.yaml:15:111: passivity.lead: got 2, expected 0 <= prediction_holds <= 1"
 
 
 @pytest.mark.filterwarnings("error")
@@ -182,6 +182,7 @@ def test_a_scene_that_took_the_new_names_is_still_the_one_of_its_old_log(name: s
     text = (OLD_LOGS / f"{name}.yaml").read_text()
     for old, new in (OLD_KEYS | OLD_ALGORITHMS).items():
         text = text.replace(f"{old}: ", f"{new}: ").replace(f"algorithm: {old}", f"algorithm: {new}")
+    text = text.replace("hand_force: 0 N", "hand_force: 0 N, hand_push: 0 N, device_damping_bound: 0 N*s/m")
     today, other = tmp_path / "today.yaml", tmp_path / "other.yaml"
     today.write_text(text)
     other.write_text(text.replace("400 N/m", "401 N/m"))

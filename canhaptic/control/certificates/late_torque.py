@@ -194,9 +194,9 @@ def given_by_any_late(
 def largest_of_any(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
     """Returns the largest torque along `sign` where frames may be lost and torques come late [N or N*m].
 
-    F acts in 1, 2, ... holds until another arrives. With D_i the displacements in them, g the older torques and X as in
-    `hold_timing`, it gives out F sum(D_i) + g X_1 + c g sum(X_i) + F x and its tail (F + c g) X; each X_i after the first
-    is at most that of the sum of all outward displacements. Where F is lost, the older torques stay: they were
+    F acts in 1, 2, ... holds until another arrives. With D_i the displacements in them, g the older torques and X as
+    in `hold_timing`, it gives out F sum(D_i) + g X_1 + c g sum(X_i) + F x and its tail (F + c g) X; each X_i after the
+    first is at most that of the sum of all outward displacements. Where F is lost, the older torques stay: they were
     certified for that.
     """
     response, left, hand = declared.response, declared.left, hand_along(declared, bound, sign)

@@ -184,7 +184,9 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
 def reach_of_late(
     declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float
 ) -> tuple[float, float]:
-    """Returns how far older torques can have been carried along `sign` in the hold that ended, and against it [m or rad].
+    """Returns how far older torques can have been carried along `sign`, and against it, in the hold that ended.
+
+    In [m or rad].
 
     Args:
         declared: Of axis and hand.

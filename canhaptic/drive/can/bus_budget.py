@@ -24,6 +24,11 @@ def _worst_case_bits(length: int) -> int:
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
 
+def worst_frame() -> int:
+    """Returns the most bits that any data frame can take on the wire, interframe space included."""
+    return _worst_case_bits(_LONGEST_DATA)
+
+
 class _BudgetRow(NamedTuple):
     """One line of the arithmetic."""
 
@@ -85,6 +90,15 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     rows.append(_BudgetRow("heartbeat", len(maps) + 1, _worst_case_bits(_HEARTBEAT_LENGTH)))
     rows.append(_BudgetRow("EMCY", bus.emcy_reserve, _worst_case_bits(_LONGEST_DATA)))
     return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)
+
+
+def torque_latency(bus: BusParameters, maps: Sequence[AxisMap]) -> float:
+    """Returns the longest time [s] from a SYNC until the torques that answer it have come.
+
+    Every TPDO and RPDO, the host between them, and before either one frame that had just begun.
+    """
+    rows = [row for row in bus_budget(bus, maps).rows if row.what in ("TPDO", "RPDO")]
+    return (sum(row.bits for row in rows) + 2 * worst_frame()) / bus.bitrate + bus.compute_latency
 
 
 def round_rate(limit: float) -> float:

@@ -11,7 +11,8 @@ from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.multi_axis.scaled_group import ScaledGroupParameters
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
@@ -58,8 +59,9 @@ def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
 )
 def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, damping, own, known, clip):
     wall, plane = pair(stiffness, damping)
-    loop = LoopProperties(sample_time=1e-3, delay=delay, **{"moving_mass": 0.25, **known})
-    one = Guarded(wall, GuardedParameters(**own), loop)
+    loop = LoopProperties(sample_time=1e-3, delay=delay, **{"moving_mass": 0.25, "device_damping_bound": 0.0, **known})
+    push = {"hand_push": own.get("hand_force", 0.0)}
+    one = Guarded(wall, GuardedParameters(**push, **own), loop)
     group = build_group_controller(plane, Identity(axes=1), "guarded", GuardedGroupParameters(**own), [loop])
     strongest = richest = worst_torque = worst_energy = 0.0
     for q, held, alone in positions(one, 1000, delay, clip=clip):

@@ -1,0 +1,94 @@
+"""Timing of the holds of a simulated scene, as far as the scene does not declare it: what bus and motor make of it.
+
+What is derived is what the simulation can do, and never better than the bus allows: an event RPDO acts when it has
+come, which the bit rate of the bus bounds, whether the simulated bus takes its time or not. With real drives nothing
+is derived: there it is measured (`canhaptic commission`) and declared.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+from canhaptic.canopen.eds import read_dictionary
+from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.drive.can.bus_budget import torque_latency, worst_frame
+from canhaptic.drive.can.pdo_map import choose_map
+from canhaptic.errors import CanHapticError
+from canhaptic.scene.models import AxisScene, NamedBus, Scene
+
+TIMING_KEYS: Final = ("sync_jitter", "torque_window", "current_lag")
+_MOST_JITTER: Final = 0.5
+"""Part of a sample time: a SYNC later than that is a SYNC skipped."""
+
+
+def undeclared(loop: LoopProperties) -> list[str]:
+    """Returns the names of what is not declared of the holds of an axis."""
+    return [key for key in TIMING_KEYS if getattr(loop, key) is None]
+
+
+def with_timing(scene: Scene) -> Scene:
+    """Returns the scene with the timing of its simulated axes; a key that it declares is kept."""
+    if not scene.simulated:
+        return scene
+    windows = {bus.name: _window(scene, bus) for bus in scene.buses}
+    jitters = {bus.name: _jitter(scene, bus) for bus in scene.buses}
+    if any(axis.bus not in windows for axis in scene.axes):  # noted where buses are checked
+        return scene
+    axes = []
+    for axis in scene.axes:
+        known = {"sync_jitter": jitters[axis.bus], "torque_window": windows[axis.bus], "current_lag": _lag(axis)}
+        missing = {key: known[key] for key in undeclared(axis.loop)}
+        axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)) if missing else axis)
+    return replace(scene, axes=tuple(axes))
+
+
+def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, Any]:
+    """Returns what a scene names of the bus; empty where it is ideal."""
+    effects = scene.bus_effects
+    if effects is None or (effects.buses is not None and bus.name not in effects.buses):
+        return {}
+    return {name: getattr(effects, name) for name in effects.named}
+
+
+def _late(scene: Scene, effects: Mapping[str, Any], cob_id: int | None) -> float:
+    """Returns how much later than another a frame to the drive may come [s]; `cob_id` None: any of them."""
+    whole = scene.bus_effects
+    if whole is None or not whole.suffers("to_drive") or (cob_id and whole.ids is not None and cob_id not in whole.ids):
+        return 0.0
+    late: float = effects.get("jitter", 0.0)
+    return late + (whole.reorder_delay if "reorder" in effects else 0.0)
+
+
+def _jitter(scene: Scene, bus: NamedBus) -> float:
+    """Returns by how much a hold may differ from the sample time, as a part of it: the SYNC comes late, or not."""
+    effects = _effects(scene, bus)
+    late = _late(scene, effects, SYNC_FRAME_COB_ID)
+    if "wire_time" in effects:
+        late += worst_frame() / bus.parameters.bitrate  # one that had just begun
+    return min(_MOST_JITTER, late / bus.parameters.sample_time)
+
+
+def _window(scene: Scene, bus: NamedBus) -> float:
+    """Returns how long after its SYNC a torque acts at the latest [s]."""
+    if bus.parameters.rpdo == "synchronous":
+        return 0.0
+    effects, whole = _effects(scene, bus), scene.bus_effects
+    window: float = 2.0 * effects.get("delay", 0.0) + 2.0 * _late(scene, effects, None)
+    if whole is not None and "jitter" in effects and whole.suffers("to_master"):
+        window += whole.jitter
+    try:
+        maps = [
+            choose_map(read_dictionary(axis.parameters.eds, axis.parameters.node_id), axis.parameters)
+            for axis in scene.axes_on(bus.name)
+        ]
+    except (CanHapticError, OSError):
+        return window  # noted with the dictionary
+    return window + torque_latency(bus.parameters, maps)
+
+
+def _lag(axis: AxisScene) -> float:
+    """Returns the largest time constant between the torque held and that of the motor [s]."""
+    effects = axis.simulation.effects if axis.simulation is not None else ()
+    lags = [getattr(effect.parameters, "time_constant", 0.0) for effect in effects if effect.name == "current_loop"]
+    return max(lags, default=0.0)
