@@ -246,6 +246,10 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
 
 _LATER_KEYS: Final = ("energy_loss_limit",)
 """Keys of an axis that logs of the first release do not have."""
+LATER_LOOP_KEYS: Final = (
+    *("device_friction_bound", "sync_jitter", "torque_window", "current_lag", "torque_rate_limit", "power_limit"),
+)
+"""The same of what is known of its loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,14 +339,24 @@ class Scene:
             for key in _LATER_KEYS:
                 if getattr(axis.parameters, key) is None:
                     del resolved["axes"][axis.parameters.name][key]
+            _drop_later(resolved["axes"][axis.parameters.name])
             if self.auto_accuracy is not None and axis.simulation is not None:
                 del resolved["axes"][axis.parameters.name]["simulation"]["accuracy"]
         if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
         if old_names:
-            resolved = in_old_names(resolved)
+            resolved = in_old_names(resolved, LATER_LOOP_KEYS)
         canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _drop_later(axis: dict[str, Any]) -> None:
+    """Drops from an axis what came after the first release, where it changes nothing."""
+    for key in LATER_LOOP_KEYS:
+        if not axis["loop"][key]:
+            del axis["loop"][key]
+    if axis["passivity"].get("hand_push", 0.0) is None:
+        del axis["passivity"]["hand_push"]
 
 
 def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ Scenes, overrides, keys of a sweep and the scenes that logs keep may still have 
 """
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from copy import deepcopy
 from multiprocessing import parent_process
 from typing import Any, Final
@@ -21,10 +21,6 @@ OLD_KEYS: Final = {
 """Key of `passivity` -> what it is called now."""
 OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipation"}
 """Algorithm of one axis -> what it is called now."""
-_NEW_OF_LOOP: Final = (
-    *("device_friction_bound", "sync_jitter", "torque_window", "current_lag", "torque_rate_limit", "power_limit"),
-)
-"""What the loop of an axis did not say."""
 _SECTION: Final = "passivity"
 _SELECTOR: Final = "algorithm"
 
@@ -91,8 +87,13 @@ def _sections(scene: MarkedMapping) -> Iterator[tuple[MarkedMapping, bool]]:
             yield section, is_of_axis
 
 
-def in_old_names(resolved: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a configuration in effect by the names of the first release, as its logs have hashed it."""
+def in_old_names(resolved: Mapping[str, Any], later: Collection[str]) -> dict[str, Any]:
+    """Returns a configuration in effect by the names of the first release, as its logs have hashed it.
+
+    Args:
+        resolved: The configuration.
+        later: Keys of the loop that came after it.
+    """
     old = deepcopy(dict(resolved))
     keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
     for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
@@ -102,7 +103,7 @@ def in_old_names(resolved: Mapping[str, Any]) -> dict[str, Any]:
             section.pop("hand_push", None)
         owner[_SECTION] = section
     for axis in old["axes"].values():
-        axis["loop"] = {key: value for key, value in axis["loop"].items() if key not in _NEW_OF_LOOP}
+        axis["loop"] = {key: value for key, value in axis["loop"].items() if key not in later}
         axis["loop"]["device_damping_bound"] = axis["loop"]["device_damping_bound"] or None
     return old
 
