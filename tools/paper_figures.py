@@ -46,7 +46,10 @@ class PaperFigure:
 _BOTH: Final = {"no_delay": (), "one_sample_late": LATE}
 _COLUMNS: Final = (("no_delay", "without delay: the paper's loop"), ("one_sample_late", "one sample late"))
 _CAPPED: Final = "one_sample_late_mass_known"
-_GUARDED: Final = "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N}"
+_GUARDED: Final = (
+    "passivity={algorithm: guarded, moving_mass: 0.2 kg, device_damping_bound: 0.2 N*s/m, hand_force: 0 N, "
+    "hand_push: 20 N}"
+)
 FIGURES: Final[dict[str, PaperFigure]] = {
     "fig4": PaperFigure("Fig. 4: the original algorithm at 40 Hz", "paper_fig4_40hz.yaml", _BOTH, _COLUMNS),
     "fig5": PaperFigure("Fig. 5: the original algorithm at 100 Hz", "paper_fig5_100hz.yaml", _BOTH, _COLUMNS),

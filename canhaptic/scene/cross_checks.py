@@ -17,7 +17,6 @@ from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_group, build_mechanism, build_plant
-from canhaptic.scene.timing import undeclared
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.units import shown
 
@@ -41,9 +40,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     _check_loss_limits(scene, sections["axes"], faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
-        passivity = _passivity_section(axis, entry, sections, scene)
-        _check_loop(axis, passivity, scene, faults)
-        _check_timing(axis, passivity, scene, faults)
+        _check_loop(axis, _passivity_section(axis, entry, sections, scene), scene, faults)
         check_display(axis, entry, scene, faults)
         maps[axis.bus].append(_check_parts(axis, entry, sections, scene, faults))
     _check_groups(scene, sections, faults)
@@ -142,19 +139,6 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
             passivity.value_at("sample_time"),
             f"got {axis.loop.sample_time:g} s, but bus.rate of {scene.bus.rate:g} Hz makes it "
             f"{scene.bus.sample_time:g} s; leave it out",
-        )
-
-
-def _check_timing(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
-    """Notes what certificates need to know of the holds of a real axis, and is not declared."""
-    algorithm = next((g.passivity for g in scene.groups if g.name == axis.group), axis.passivity)
-    missing = undeclared(axis.loop)
-    if missing and hasattr(algorithm.parameters, "hand_force"):
-        faults.add(
-            passivity.mark,
-            f"{axis.parameters.name}: {', '.join(missing)}: missing, expected how far the holds of real drives are "
-            "from ideal, without which no torque is certified; measure it (canhaptic commission), or begin with "
-            "sync_jitter: 5 %, torque_window: 100 us, current_lag: 500 us, marked TO SET",
         )
 
 

@@ -47,6 +47,11 @@ def require_no_guesses(scene: Scene) -> None:
     Raises:
         InputError: Some are; names their lines.
     """
+    if scene.guessed_timing and refuses_guesses(scene):
+        raise InputError(
+            f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter, torque_window, current_lag: "
+            "not all are declared, and the drives are real; measure them (canhaptic commission) and put them there"
+        )
     guesses = guesses_left(scene)
     if guesses and refuses_guesses(scene):
         listed = ", ".join(f"{guess.line} ({guess.key})" for guess in guesses)

@@ -2,7 +2,7 @@
 
 What is derived is what the simulation can do, and never better than the bus allows: an event RPDO acts when it has
 come, which the bit rate of the bus bounds, whether the simulated bus takes its time or not. With real drives nothing
-is derived: there it is measured (`canhaptic commission`) and declared.
+is derived: there it is measured (`canhaptic commission`) and declared, and until then no real drive runs.
 """
 
 from collections.abc import Mapping
@@ -17,20 +17,21 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.models import AxisScene, NamedBus, Scene
 
-TIMING_KEYS: Final = ("sync_jitter", "torque_window", "current_lag")
+GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
+"""Taken for real drives until it is declared; no real drive runs on them."""
 _MOST_JITTER: Final = 0.5
 """Part of a sample time: a SYNC later than that is a SYNC skipped."""
 
 
 def undeclared(loop: LoopProperties) -> list[str]:
     """Returns the names of what is not declared of the holds of an axis."""
-    return [key for key in TIMING_KEYS if getattr(loop, key) is None]
+    return [key for key in GUESSES if getattr(loop, key) is None]
 
 
 def with_timing(scene: Scene) -> Scene:
-    """Returns the scene with the timing of its simulated axes; a key that it declares is kept."""
+    """Returns the scene with the timing of its axes; a key that it declares is kept."""
     if not scene.simulated:
-        return scene
+        return _with_guesses(scene)
     windows = {bus.name: _window(scene, bus) for bus in scene.buses}
     jitters = {bus.name: _jitter(scene, bus) for bus in scene.buses}
     if any(axis.bus not in windows for axis in scene.axes):  # noted where buses are checked
@@ -41,6 +42,23 @@ def with_timing(scene: Scene) -> Scene:
         missing = {key: known[key] for key in undeclared(axis.loop)}
         axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)) if missing else axis)
     return replace(scene, axes=tuple(axes))
+
+
+def _with_guesses(scene: Scene) -> Scene:
+    """Returns the scene with guesses where the timing of real holds is not declared, and with the names of the axes."""
+    guesses = {axis.parameters.name: undeclared(axis.loop) for axis in scene.axes}
+    axes = [
+        replace(axis, loop=axis.loop.model_copy(update={key: GUESSES[key] for key in undeclared(axis.loop)}))
+        for axis in scene.axes
+    ]
+    guessed = tuple(axis.parameters.name for axis in axes if guesses[axis.parameters.name] and _is_certified(scene, axis))
+    return replace(scene, axes=tuple(axes), guessed_timing=guessed)
+
+
+def _is_certified(scene: Scene, axis: AxisScene) -> bool:
+    """Whether the algorithm of an axis promises anything that rests on its holds."""
+    algorithm = next((group.passivity for group in scene.groups if group.name == axis.group), axis.passivity)
+    return hasattr(algorithm.parameters, "hand_force")
 
 
 def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, Any]:

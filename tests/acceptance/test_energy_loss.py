@@ -20,7 +20,7 @@ from canhaptic.signals import Sample
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DEMO = CONFIGS / "demo.yaml"
-TOO_HEAVY = "passivity={algorithm: guarded, moving_mass: 5 kg, hand_force: 0 N}"
+TOO_HEAVY = "passivity={algorithm: guarded, moving_mass: 5 kg, hand_force: 0 N, hand_push: 0 N, device_damping_bound: 0}"
 UNPROTECTED = "passivity={algorithm: unprotected}"
 LIGHT = "simulation.plant={mass: 0.02 kg, damping: 0 N*s/m}"
 ACTIVE = (LIGHT, "bus.rate=100 Hz", "environment.stiffness=3 kN/m")
@@ -139,7 +139,8 @@ def test_no_run_loses_more_than_the_limit_and_one_hold_and_goes_on(seed: int) ->
         f"stall: [{{begin: 0.5, duration: {chance.uniform(0.0, 0.03):.4f}, every: {chance.uniform(0.031, 0.1):.4f}}}]"
     )
     values = [
-        f"passivity={{algorithm: guarded, moving_mass: {chance.choice([0.2, 1.0, 4.0])} kg, hand_force: 0 N}}",
+        f"passivity={{algorithm: guarded, moving_mass: {chance.choice([0.2, 1.0, 4.0])} kg, hand_force: 0 N, "
+        "hand_push: 0 N, device_damping_bound: 0.2 N*s/m}",
         f"environment.stiffness={chance.choice([500, 3000, 15000])} N/m",
         "environment.side=below",
         f"simulation.bus={{{stall}, drop: {chance.choice([0.0, 0.1, 0.3])}}}",
