@@ -51,7 +51,9 @@ def _with_guesses(scene: Scene) -> Scene:
         replace(axis, loop=axis.loop.model_copy(update={key: GUESSES[key] for key in undeclared(axis.loop)}))
         for axis in scene.axes
     ]
-    guessed = tuple(axis.parameters.name for axis in axes if guesses[axis.parameters.name] and _is_certified(scene, axis))
+    guessed = tuple(
+        axis.parameters.name for axis in axes if guesses[axis.parameters.name] and _is_certified(scene, axis)
+    )
     return replace(scene, axes=tuple(axes), guessed_timing=guessed)
 
 

@@ -20,7 +20,9 @@ from canhaptic.signals import Sample
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DEMO = CONFIGS / "demo.yaml"
-TOO_HEAVY = "passivity={algorithm: guarded, moving_mass: 5 kg, hand_force: 0 N, hand_push: 0 N, device_damping_bound: 0}"
+TOO_HEAVY = (
+    "passivity={algorithm: guarded, moving_mass: 5 kg, hand_force: 0 N, hand_push: 0 N, device_damping_bound: 0}"
+)
 UNPROTECTED = "passivity={algorithm: unprotected}"
 LIGHT = "simulation.plant={mass: 0.02 kg, damping: 0 N*s/m}"
 ACTIVE = (LIGHT, "bus.rate=100 Hz", "environment.stiffness=3 kN/m")

@@ -10,7 +10,8 @@ import numpy as np
 from canhaptic.control.environments.plain import plain, tuple_type
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.kernels import Buffer
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import records_of

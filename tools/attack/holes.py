@@ -9,7 +9,7 @@ import numpy as np
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import GuardedParameters
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from tools.attack.climb import Attack, Hand
 from tools.attack.plant import Rig
 
