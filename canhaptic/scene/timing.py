@@ -76,7 +76,7 @@ def _late(scene: Scene, effects: Mapping[str, Any], cob_id: int | None) -> float
     whole = scene.bus_effects
     if whole is None or not whole.suffers("to_drive") or (cob_id and whole.ids is not None and cob_id not in whole.ids):
         return 0.0
-    late: float = effects.get("jitter", 0.0)
+    late: float = effects.get("jitter", 0.0) + (effects.get("delay", 0.0) if whole.during else 0.0)
     return late + (whole.reorder_delay if "reorder" in effects else 0.0)
 
 

@@ -9,12 +9,10 @@ from tools.truth.judge import Outcome
 SCENES = 150
 KNOWN: dict[str, str] = {
     "effect:current_loop": "the torque lags behind its demand",
-    "effect:torque_ripple": "the motor gives another torque than its demand",
-    "effect:torque_quantisation": "the same",
+    "effect:torque_quantisation": "the motor gives another torque than its demand",
     "effect:torque_saturation": "the same",
     "effect:thermal_derating": "the same",
     "effect:encoder_noise": "positions are worse than half a count",
-    "timing:wire_time": "the torque acts after the SYNC",
     "timing:drop": "losses leave energy open that no figure states",
     "timing:delay": "the torque acts after the SYNC",
 }
