@@ -20,7 +20,7 @@ SAYS = {
     "compare_algorithms.py": r"unprotected .* um +[1-9]",
     "own_wall.py": "passive='yes'",
     "own_hand.py": r"startled .* passive yes",
-    "lossy_bus.py": r"drop.* link 9\d",
+    "lossy_bus.py": r"drop.* link +9\d",
     "stop_when_deep.py": r"stopped after \d+ cycles at -8",
     "read_a_log.py": "in the wall for",
     "replay_a_recording.py": "identical",
