@@ -26,7 +26,7 @@ CONFIGS = REPOSITORY / "configs"
 STAGE, LINKS, HANDLES = (CONFIGS / f"{name}.yaml" for name in ("xy_box", "five_bar_sphere", "two_handles"))
 
 LINEAR = "; ".join(f"axes.left.{key}" for key in ("unit=m", "counts_per_unit=1e6", "rated_torque=2", "torque_limit=2"))
-LINEAR += "; groups.0.passivity={algorithm: guarded, moving_mass: 0.001, hand_force: 0}"
+LINEAR += "; groups.0.passivity={algorithm: guarded, moving_mass: 0.001, hand_force: 0, device_damping_bound: 0}"
 
 
 def faults(path: Path, *overrides: str) -> list[str]:
@@ -179,7 +179,7 @@ def test_hints_say_what_lost_frames_and_a_hand_on_every_axis_leave() -> None:
 
 def test_the_hint_for_lost_frames_is_what_the_certificates_do() -> None:
     scene = load_scene(HANDLES, ["groups.0.passivity.max_consecutive_losses=1"])
-    loops = [LoopProperties(sample_time=1e-3, delay=1, moving_mass=0.2)] * 2
+    loops = [LoopProperties(sample_time=1e-3, delay=1, moving_mass=0.2, device_damping_bound=0.0)] * 2
     apart = AxesApart(axes_of(tuple(loops), 0.0, None), 1, 1)
     still, torques = (0.0, 0.0), (20.0, 0.0)
     apart.take(still, still, torques, [torques])

@@ -39,6 +39,7 @@ class GroupAccount:
     changes: float = 0.0  # energy that encoders leave unsure, up to the last change of torque [J]
     unsure: float = 0.0  # how much less than booked may have come in so far [J]: encoder counts and lost samples
     kept_back: float = 0.0  # dissipated or leaked, and not paid [J]
+    resolution: float = 0.0  # width of what is known of the energy, where torques come late [J]
 
 
 class AccountSettings(NamedTuple):
@@ -55,6 +56,7 @@ class AccountMemory(NamedTuple):
     displacement: Buffer  # of the hold that ended, (axes,) [rad or m]
     torques: Buffer  # held in it [N*m or N]
     blur: Buffer  # by which its displacement is unsure beyond a count [rad or m]
+    older: Buffer  # how far torques that acted at its end were from the one held, at most [N*m or N]
     coming: Matrix  # motion of a mover in the holds to come as one of the motors, (holds, axes) [rad or m]
     passing: Buffer  # room for that of one hold, (axes,)
     apart: PerAxisMemory
@@ -68,9 +70,10 @@ class UnderWay(NamedTuple):
     holds: int
 
 
-def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds) -> None:
-    """Takes one hold: its displacements and the torques applied in it."""
+def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds) -> float:
+    """Takes one hold, its displacements and the torques applied in it; returns `doubt_of_late_group` [J]."""
     axes = settings.axes
+    doubt = 0.0 if axes.is_ideal else doubt_of_late_group(axes, account, memory, ended)
     unsure = 0.0
     for i in range(len(ended.applied)):
         torque, count = ended.applied[i], axes.counts[i]
@@ -82,6 +85,34 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
             unsure += 0.5 * count * abs(torque)
         memory.displacement[i], memory.torques[i], memory.blur[i] = ended.displacement[i], torque, 0.0
     account.unsure = account.changes + unsure
+    return doubt
+
+
+def doubt_of_late_group(axes: AxisLimits, account: GroupAccount, memory: AccountMemory, ended: GroupHolds) -> float:
+    """Returns how much less than booked may have come in by a hold in which torques came late [J].
+
+    As `certificates.hold_timing` has it for one axis: older torques, apart from the one held by their changes, act for
+    a part of the hold, in which an axis moves no further than its displacements and the torques and the hand take it.
+    """
+    push = total = 0.0
+    for i in range(len(ended.applied)):
+        largest = abs(ended.applied[i]) + abs(memory.torques[i]) + memory.older[i]
+        push += (axes.before[i] + axes.during[i]) * largest * largest
+    push = sqrt(push) + axes.hand
+    for i in range(len(ended.applied)):
+        share = axes.late[i]
+        apart = abs(ended.applied[i] - memory.torques[i]) + memory.older[i]
+        memory.older[i] = axes.left[i] * apart
+        moved = max(abs(ended.displacement[i]), abs(memory.displacement[i])) + axes.counts[i] + memory.blur[i]
+        if axes.by_hand:
+            further = (0.5 + share) * sqrt(axes.before[i] + axes.during[i]) * push
+            total += apart * share * ((1.0 + axes.lost[i]) * moved + further)
+        elif axes.path > 0.0:
+            total += apart * share * axes.path
+        else:
+            total += apart * share * (moved + apart / (4.0 * axes.damping[i]))
+    account.resolution += 2.0 * total
+    return total
 
 
 def end_group_gap(

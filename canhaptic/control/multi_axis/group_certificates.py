@@ -52,6 +52,9 @@ class AxisLimits(NamedTuple):
     path: float  # v_max T [m or rad]; 0: the hand-speed certificate is not declared
     counts: Buffer  # encoder counts [m or rad]
     coarse: bool  # whether any of them is above 0
+    late: Buffer  # theta of `hold_timing` over the shortest hold
+    left: Buffer  # c of `hold_timing`
+    is_ideal: bool  # whether every hold is: the certificates are proved for that alone
 
 
 def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_speed: float | None) -> AxisLimits:
@@ -62,7 +65,8 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
         hand_force: F_h of each axis [N or N*m]; None: the certificate is not used. It needs every moving mass.
         hand_speed: v_max [m/s or rad/s]; None: not used.
     """
-    sample_time = loops[0].sample_time
+    timings = [loop.timing for loop in loops]
+    sample_time = max([timing.longest for timing in timings])
     by_hand = hand_force is not None and all(loop.moving_mass is not None for loop in loops)
     alone = len(loops) == 1
     responses = [
@@ -74,19 +78,23 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
         else DisplacementResponse(1.0, 0.0, 0.0, 0.0)
         for loop in loops
     ]  # fmt: skip
+    pull = (hand_force or 0.0) + max([loop.device_friction_bound for loop in loops])
     lost = [1.0 - response.retained for response in responses]
     damping = [(loop.device_damping or 0.0) / sample_time for loop in loops]
     return AxisLimits(
         before=[response.before for response in responses],
         during=[response.during for response in responses],
         lost=lost,
-        hand=(hand_force or 0.0) * math.sqrt(sum(response.hand for response in responses)),
+        hand=pull * math.sqrt(sum(response.hand for response in responses)),
         by_hand=by_hand,
         damping=damping,
         by_damping=all(value > 0.0 for value in damping),
         path=(hand_speed or 0.0) * sample_time,
         counts=[loop.encoder_count for loop in loops],
         coarse=any(loop.encoder_count for loop in loops),
+        late=[timing.late / timing.shortest for timing in timings],
+        left=[timing.left for timing in timings],
+        is_ideal=all(timing.late == 0.0 and timing.longest == timing.shortest for timing in timings),
     )
 
 

@@ -16,6 +16,7 @@ from canhaptic.kernels import Buffer, new
 
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
+_NOTHING = Certificate.NONE.value
 
 _LEAD_ROOM: Final = 1.75  # as in `passivity.guarded`, with the reasons
 _FADE: Final = 0.8
@@ -126,6 +127,8 @@ def certify(
             certificate = _BY_DAMPING
         elif by_force >= factor:
             certificate = _BY_FORCE
+    if not settings.account.axes.is_ideal:  # torques that come late are in the account, and certified by nothing
+        certificate = _NOTHING
     if settings.quantised:
         return put_on_grid(settings, state, memory, under_way, energy, factor), certificate
     for i in range(len(sent)):

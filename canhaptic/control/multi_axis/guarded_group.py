@@ -124,8 +124,7 @@ def end(
             else:
                 write_carried(world, settings.loop.motion, state.group.motion, memory.group.motion, hold, into)
     if missed == 0:
-        end_group_hold(settings.account, state.account, account, ended)
-        return 0.0 - supplied, 0.0
+        return 0.0 - supplied, end_group_hold(settings.account, state.account, account, ended)
     doubt += end_group_gap(settings.account, state.account, account, ended, missed)
     return 0.0 - supplied, doubt if doubt > 0.0 else 0.0
 

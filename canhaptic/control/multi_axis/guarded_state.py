@@ -89,6 +89,12 @@ def settings_of(
             "guarded group: got neither moving_mass of every axis with hand_force, nor device_damping of every "
             "axis, nor hand_speed, expected one of them; without any no torque can be certified"
         )
+    if axes.by_hand and any(loop.device_damping_bound is None for loop in loops):
+        raise ParameterError(
+            "guarded group: got hand_force without device_damping_bound of every axis, expected the largest damping "
+            "that each device can have; measure it (canhaptic commission), or declare hand_force: null and another "
+            "certificate"
+        )
     loop = group_loop(world, loops)
     limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses)
     quanta = [loop.torque_quantum for loop in loops]
@@ -110,7 +116,7 @@ def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemor
     """Returns the buffers of a group at rest."""
     axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
     account = AccountMemory(
-        one(axes), one(axes), one(axes), zeros(limits.holds, axes), one(axes), per_axis_memory(limits)
+        one(axes), one(axes), one(axes), one(axes), zeros(limits.holds, axes), one(axes), per_axis_memory(limits)
     )
     return GuardedGroupMemory(
         group_memory(world, settings.loop, 0), account, RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),

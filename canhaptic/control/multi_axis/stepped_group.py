@@ -46,7 +46,11 @@ def compiled_run(kernel: GroupKernel, world: World, settings: Any) -> Callable[[
 
 
 class SteppedGroup:
-    """A kernel with the state of one group; see `GroupController`."""
+    """A kernel with the state of one group; see `GroupController`.
+
+    Attributes:
+        energy_resolution: How much more than booked may have come in because torques came late [J].
+    """
 
     parameters_type: ClassVar[type[Parameters]]
     kernel: ClassVar[GroupKernel]
@@ -74,6 +78,7 @@ class SteppedGroup:
         """Forgets everything; see `GroupController`."""
         self._step, self._torques, self._interactions = self._begin()
         self._missed = 0
+        self.energy_resolution = 0.0
         self._last = group_at_rest(self.axes)
         self._started = False
 
@@ -106,6 +111,8 @@ class SteppedGroup:
                 f"group controller: computed torques {torques}, expected finite numbers; torque is zero and "
                 "the controller is to be reset, check stiffness and damping against the size of the motion"
             )
+        if not self._missed:
+            self.energy_resolution += unsure
         self._started, self._missed = True, 0
         self._last = GroupBalance(torques, account, tuple(self._interactions), supplied, unsure, limit)
         return self._last

@@ -104,9 +104,7 @@ class DraggedTable(ExactTable):
 
 
 def group_of(attack):
-    known = dict(attack.known)
-    if attack.declared_friction:
-        known["device_damping_bound"] = attack.declared_friction
+    known = {"device_damping_bound": attack.declared_friction or 0.0, **attack.known}
     loops = [
         LoopProperties(
             sample_time=attack.sample_time, delay=attack.delay, moving_mass=mass, encoder_count=attack.count,

@@ -216,7 +216,7 @@ def five_bar_run(environment: Parameters, delay: int, rate: int, cycles: int, an
     kinematics = FiveBarKinematics(
         base=0.1, proximal=(0.15, 0.15), distal=(0.2, 0.2), least_sine=0.15
     )  # fmt: skip
-    loop = LoopProperties(sample_time=1.0 / rate, delay=delay, moving_mass=1.2e-3)
+    loop = LoopProperties(sample_time=1.0 / rate, delay=delay, moving_mass=1.2e-3, device_damping_bound=0.0)
     own = GuardedGroupParameters(hand_force=2.0)
     controller = build_group_controller(environment, kinematics, "guarded", own, [loop, loop])  # type: ignore[arg-type]
     held: tuple[float, ...] = (0.0, 0.0)

@@ -111,7 +111,7 @@ def held(torques):
     apart = per_axis_memory(
         per_axis_limits(axes_of((LoopProperties(sample_time=T, moving_mass=MASS),), 0.0, None), 0, 0)
     )
-    memory = AccountMemory([0.0], [torques[0]], [0.0], [], [0.0], apart)
+    memory = AccountMemory([0.0], [torques[0]], [0.0], [0.0], [], [0.0], apart)
     return memory, GroupHolds([0.0], [0.0], [torques[-1]], lost, [])
 
 

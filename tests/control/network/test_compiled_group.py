@@ -141,7 +141,7 @@ def test_thirty_compiled_groups_have_the_bits_of_the_interpreted_ones():
 
 
 def refused(environment, kinematics):
-    loop = LoopProperties(sample_time=1e-3, moving_mass=0.25)
+    loop = LoopProperties(sample_time=1e-3, moving_mass=0.25, device_damping_bound=0.0)
     with pytest.raises(ParameterError, match="Python code of its own") as caught:
         build_group_controller(environment, kinematics, "guarded", GuardedGroupParameters(compiled=True), [loop])
     return str(caught.value)

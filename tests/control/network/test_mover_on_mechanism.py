@@ -27,7 +27,7 @@ def moved(seed, delay, max_consecutive_losses):
         stiffness=10.0 ** rng.uniform(2, 4), damping=rng.choice((0.0, 5.0)), amplitude=0.02,
         frequency=rng.uniform(1.0, 10.0),
     )  # fmt: skip
-    loop = LoopProperties(sample_time=T, delay=delay, moving_mass=MASS)
+    loop = LoopProperties(sample_time=T, delay=delay, moving_mass=MASS, device_damping_bound=0.0)
     own = GuardedGroupParameters(hand_force=0.0, max_consecutive_losses=max_consecutive_losses)
     controller = build_group_controller(wall, kinematics, "guarded", own, [loop, loop])
     held, pending, booked, least, strongest = np.zeros(2), [np.zeros(2)] * delay, 0.0, 0.0, 0.0

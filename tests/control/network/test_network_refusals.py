@@ -146,7 +146,7 @@ def test_no_torque_at_a_limit_of_the_mechanism_and_the_account_goes_on(mechanism
     spring = AnisotropicSpring(
         centre=tuple(c + 0.02 for c in centre), stiffness=((400.0, 0.0), (0.0, 400.0)), damping=None
     )  # fmt: skip
-    controller = group(spring, kinematics=mechanism, known={"moving_mass": 1e-3, "device_damping_bound": None})
+    controller = group(spring, kinematics=mechanism, known={"moving_mass": 1e-3, "device_damping_bound": 0.0})
     held, felt, path = (0.0, 0.0), 0.0, np.linspace(0.0, 1.0, 60)
     for share in (*path, *path[::-1]):
         q = [a + share * (b - a) for a, b in zip(inside, outside, strict=True)]

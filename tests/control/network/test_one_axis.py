@@ -2,9 +2,11 @@
 
 import math
 import random
+from typing import Any
 
 import pytest
 
+from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
@@ -16,6 +18,7 @@ from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
+from tests.control.late_plant import climb
 
 ENERGIES = ("h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit", "leak", "paid")
 WALLS = [(800.0, 4.0), (1e5, 50.0), (200.0, 0.0)]
@@ -131,3 +134,37 @@ def test_a_pure_spring_scaled_is_that_of_internal_dissipation_over_a_whole_run(d
         together = group.step([q], [held])
         worst = max(worst, abs(together.torques[0] - alone.torque), abs(together.account.h_s - alone.h_s))
     assert worst <= 1e-11
+
+
+class _OneOfGroup:
+    """A group of one axis as a controller of one."""
+
+    def __init__(self, group):
+        self.group, self.certificates = group, set()
+
+    def step(self, position, held):
+        balance = self.group.step([position], [held])
+        if any(balance.torques):
+            self.certificates.add(balance.account.certificate)
+        return balance.account._replace(torque=balance.torques[0])
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_group_books_late_torques_at_their_worst_and_names_no_certificate(delay):
+    made = []
+
+    def make(lag=3e-4):
+        loop = LoopProperties(
+            sample_time=1e-3, delay=delay, moving_mass=0.25, device_damping_bound=0.0, current_lag=lag
+        )  # fmt: skip
+        parameters = GuardedGroupParameters(hand_force=5.0)
+        made.append(
+            _OneOfGroup(build_group_controller(pair(1e4, 0.0)[1], Identity(axes=1), "guarded", parameters, [loop]))
+        )
+        return made[-1]
+
+    how: dict[str, Any] = {"pull": 5.0, "push": 30.0, "lag": 3e-4, "steps": 60}
+    assert climb(make, random.Random(1), 1e-3, delay, **how)[1] <= 1e-9
+    assert max(one.group.energy_resolution for one in made) > 1e-6
+    assert {certificate for one in made for certificate in one.certificates} == {Certificate.NONE.value}
+    assert climb(lambda: make(0.0), random.Random(1), 1e-3, delay, **how)[1] > 1e-5
