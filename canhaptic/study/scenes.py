@@ -8,7 +8,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.display_checks import refuse_displays
-from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
@@ -44,6 +44,22 @@ def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> 
                 f"axes that render by themselves: {command} judges one axis at a time; `canhaptic run` and "
                 "`canhaptic inspect` give the account of a group"
             )
+
+
+def parts_of(scene: Scene) -> dict[str, Scene]:
+    """Returns what renders by itself, an axis or a group, by its name, each as a scene alone."""
+    alone = {
+        axis.parameters.name: replace(scene, axes=(axis,), groups=(), mechanisms=())
+        for axis in scene.axes
+        if not axis.group
+    }
+    return alone | {group.name: _of_group(scene, group) for group in scene.groups}
+
+
+def _of_group(scene: Scene, group: GroupScene) -> Scene:
+    axes = tuple(axis for axis in scene.axes if axis.group == group.name)
+    moved = tuple(of for of in scene.mechanisms if not set(of.axes).isdisjoint(group.axes))
+    return replace(scene, axes=axes, groups=(group,), mechanisms=moved)
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:

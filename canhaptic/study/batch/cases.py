@@ -57,6 +57,8 @@ def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
 
 def why_not_beforehand(scene: Scene) -> str:
     """Returns what `why_not_batchable` finds without looking at the algorithm."""
+    if scene.groups:
+        return f"group {scene.groups[0].name!r} renders on {len(scene.groups[0].axes)} axes together"
     if len(scene.axes) != 1:
         return f"scene has {len(scene.axes)} axes, expected one"
     simulation = scene.axes[0].simulation

@@ -30,6 +30,8 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     Raises:
         ParameterError: The scene has no linear loop, or a key cannot vary.
     """
+    if scene.groups:
+        raise ParameterError(f"{scene.source}: spectral radius: expected one axis, got a group; run the scenes instead")
     axis = scene.axes[0]
     simulation, environment = axis.simulation, environment_of(axis)
     if simulation is None or len(scene.axes) != 1:

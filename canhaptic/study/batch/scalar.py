@@ -12,6 +12,7 @@ from canhaptic.errors import ControlError
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.study.batch.closed_loop import LoopSettings
+from canhaptic.study.batch.group_scalar import run_group
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
 from canhaptic.study.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of
 from canhaptic.study.loop import FURTHEST, DivergedError, LoopCase
@@ -23,7 +24,7 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
     """Returns the figures of one scene by the names of `METRICS`.
 
     Args:
-        scene: With a simulated first axis, which is the one that is run.
+        scene: With a simulated first axis, which is the one that is run; or one group of axes.
         cycles: SYNCs.
         metrics: Names of `ALL`; None for `METRICS`, which need no continuous run beside the loop.
 
@@ -31,6 +32,8 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
         InputError: The axis is not simulated, or has no continuous run that is asked for.
         ParameterError: The algorithm cannot do without something that its loop does not say.
     """
+    if scene.groups:
+        return run_group(scene, cycles, metrics)
     axis = scene.axes[0]
     case, names, continuous = loop_case(axis, scene), list(METRICS if metrics is None else metrics), None
     if any(name in CONTINUOUS for name in names):

@@ -5,7 +5,6 @@ How scenes are dealt into chunks changes nothing, because no scene knows of its 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import Final, NamedTuple
 
@@ -26,6 +25,7 @@ from canhaptic.study.batch import (
     why_not_compared,
 )
 from canhaptic.study.loop import Array
+from canhaptic.study.scenes import parts_of
 from canhaptic.study.sweep.places import batch_key
 from canhaptic.study.sweep.points import Column
 from canhaptic.study.sweep.recipe import (
@@ -155,7 +155,7 @@ class _Chunk:
         """Fills in the spectral radius where the loop is linear; returns "" or why it is not."""
         reason = ""
         for index, name in enumerate(self._recipe.axes):
-            scene = _alone(built, index)
+            scene = _alone(built, name)
             try:
                 radii = spectral_radius(scene, self._varied(built, scene, index, rows, batched))
             except (ParameterError, NotImplementedError) as error:
@@ -172,7 +172,7 @@ class _Chunk:
         stopped: dict[int, str] = {}
         seeds = seeds_of(recipe, built.permitted(), self._start + rows)
         for index, name in enumerate(recipe.axes):
-            scene = _alone(built, index)
+            scene = _alone(built, name)
             reason = why_not_batchable(scene) or why_not_compared(scene, metrics)
             if reason:
                 return reason
@@ -213,8 +213,8 @@ class _Chunk:
                 self._note(row, REFUSED, 0, built.remark)
                 continue
             status, remark = COMPLETED, _joined(reason, built.remark)
-            for index, name in enumerate(self._recipe.axes):
-                scene = seeded(self._recipe, _alone(built, index), self._start + row)
+            for name in self._recipe.axes:
+                scene = seeded(self._recipe, _alone(built, name), self._start + row)
                 try:
                     figures = run_scalar(scene, cycles_in(self._recipe, scene), asked)
                 except CanHapticError as error:
@@ -241,10 +241,9 @@ class _Chunk:
         return self._texts.index(remark) + 1 if remark in self._texts else SLOTS
 
 
-def _alone(built: Built, index: int) -> Scene:
-    """Returns the scene of one axis alone: axes share nothing but the bus."""
-    scene = built.permitted()
-    return replace(scene, axes=(scene.axes[index],))
+def _alone(built: Built, name: str) -> Scene:
+    """Returns the scene of one axis or group alone: they share nothing but the bus."""
+    return parts_of(built.permitted())[name]
 
 
 def _joined(*remarks: str) -> str:

@@ -21,7 +21,7 @@ from canhaptic.scene.own_code import require_same_code
 from canhaptic.study.algorithms import PLANT_OF, able_under, chosen_algorithms
 from canhaptic.study.batch.engine import ChosenEngine
 from canhaptic.study.loop import Array
-from canhaptic.study.scenes import at_rate, cycles_of
+from canhaptic.study.scenes import at_rate, cycles_of, parts_of
 from canhaptic.study.sweep.places import places_of
 from canhaptic.study.sweep.points import CONTROLLER, Points, scene_seed, scene_seeds
 from canhaptic.study.sweep.vary import Value, Varied
@@ -45,7 +45,7 @@ class Recipe:
         overrides: Laid over it before anything varies.
         varied: The keys; of a range only its ends.
         places: Override paths of each key, in the order of `varied`.
-        axes: Names of the axes.
+        axes: Names of the axes that render by themselves, and of the groups.
         duration: Of every scene [s]; None: that of the scene.
         cycles: SYNCs of every scene; None: by the duration.
         metrics: Asked for.
@@ -113,7 +113,8 @@ def make_recipe(
         raise InputError(
             f"{scene.source}: a sweep needs the text of its scene; make it by load_scene or scene_from_text"
         )
-    if not all(axis.simulation is not None for axis in scene.axes):
+    moved = {name for of in scene.mechanisms for name in of.axes}
+    if not all(axis.simulation is not None or axis.parameters.name in moved for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user on every axis; add one")
     places = places_of(scene, tuple(v.key for v in points.varied))
     recipe = Recipe(
@@ -122,7 +123,7 @@ def make_recipe(
         scene.overrides,
         tuple(v if v.spacing == "list" else replace(v, values=v.ends) for v in points.varied),
         tuple(places[v.key] for v in points.varied),
-        tuple(axis.parameters.name for axis in scene.axes),
+        tuple(parts_of(scene)),
         duration,
         cycles,
         metrics,
@@ -245,6 +246,8 @@ def _under(scene: Scene, controller: str) -> Built:
     axes: list[AxisScene] = []
     remark = ""
     told: tuple[str, ...] = ()
+    if scene.groups:
+        return Built(None, f"{CONTROLLER} {controller}: group {scene.groups[0].name!r} has algorithms of its own")
     for axis in scene.axes:
         try:
             chosen = able_under(axis, controller, scene)

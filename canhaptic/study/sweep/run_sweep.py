@@ -265,6 +265,8 @@ def _together(recipe: Recipe, points: Points) -> int:
 
 def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
     """Whether some of the scenes will have to run one by one."""
+    if scene.groups:
+        return True
     for axis in scene.axes:
         for name in controllers or (axis.passivity.name,):
             if why_not_batchable(replace(scene, axes=(with_algorithm(axis, name),))):
