@@ -1,6 +1,7 @@
 """The page's end of the process in which both sides run: places of the pointer go in, rows of both handles come out."""
 
 import multiprocessing
+import signal
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any, Final, NamedTuple
@@ -49,7 +50,11 @@ class TouchHand:
         self._shared: Any = context.Array("d", SHARED, lock=False)
         self._pipe, far_end = context.Pipe()
         self._process = context.Process(target=work, args=(far_end, self._shared), daemon=True)
-        self._process.start()
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is for the page, not for the process
+        try:
+            self._process.start()
+        finally:
+            signal.signal(signal.SIGINT, before)
         far_end.close()
 
     def begin(self, changes: dict[str, str]) -> None:

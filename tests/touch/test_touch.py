@@ -2,10 +2,12 @@
 
 import contextlib
 import math
+import os
 import signal
 import subprocess
 import sys
 import threading
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -77,7 +79,9 @@ def test_a_scene_for_real_drives_is_refused(capsys: pytest.CaptureFixture[str]) 
 def touch(*words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     command = [sys.executable, "-m", "canhaptic", "touch", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, start_new_session=True
+    ) as process:
         assert process.stdout is not None
         try:
             yield process.stdout.readline().split(" at ")[1].split()[0], process
@@ -88,10 +92,14 @@ def touch(*words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
 def test_ctrl_c_ends_it_with_130_and_a_taken_port_is_said() -> None:
     with touch(str(STIFF), "--port", "0") as (address, process):
         assert address.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(address) as page:  # the first visit starts the drives
+            assert b"bokeh" in page.read()
         taken = address.rstrip("/").rpartition(":")[2]
         assert main(["touch", str(STIFF), "--port", taken]) == 2
-        process.send_signal(signal.SIGINT)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: every process of the command gets it
         assert process.wait(20) == 130
+        assert process.stderr is not None
+        assert process.stderr.read() == "canhaptic: interrupted\n"
 
 
 MODEL = "[...Bokeh.documents[0]._all_models.values()].find(m => m.name == '{}')"
