@@ -90,7 +90,9 @@ class RunMeters:
         self.deadline = deadline
         for axis, meter in enumerate(self.axes):
             balance = balances[axis]
-            if balance.branch != _HELD:
+            if balance.branch == _HELD:
+                meter.lose(balance.torque)
+            else:
                 meter.take(samples[axis].position, samples[axis].torque_applied, deadline, balance)
                 if meter.asked:
                     asked, rendered = self.asked[axis]

@@ -7,11 +7,16 @@ nothing open however long the axis moves.
 **Torque.** A motor that gives f (1 + s) + c for a torque f, |s| <= share and |c| <= offset, leaves open
 sum (share |f_k| + offset) |x_k - x_(k-1)|, if the axis does not turn back within a hold.
 
+**Late and lost.** Where the algorithm does not bound it itself, an estimate: a torque before that acts for a time
+theta into a hold leaves open |f_k - f_(k-1)| theta v, with v twice the largest mean speed of the holds beside it; and
+of holds whose positions were lost the difference of the torques sent, times twice the way of as many such holds.
+
 **Device.** A damping of b at least dissipates b D^2 / t at least in a time t in which the axis moves by D
 (Cauchy-Schwarz), whatever the torque did.
 """
 
 from dataclasses import dataclass
+from math import inf
 from typing import Final
 
 from canhaptic.control.balance import OUT_OF_CONTACT, EnergyBalance
@@ -26,6 +31,8 @@ class Accuracy:
     position: float = 0.0  # error of a position, a constant part left out [m or rad]
     torque_share: float = 0.0  # error of the torque, of the torque
     torque_offset: float = 0.0  # error of the torque [N or N*m]
+    torque_limit: float = inf  # what more is booked of a torque may not have acted [N or N*m]
+    late: float = 0.0  # time after a SYNC for which the torque before may act [s]; below 0: the algorithm counts it
     device_damping: float | None = None  # at least [N*s/m or N*m*s/rad]; None: not declared
 
 
@@ -47,7 +54,8 @@ class AxisMeter:
     """
 
     __slots__ = (
-        "_accuracy", "_booked_at", "_changes", "_environment", "_position", "_torque", "_uneven",
+        "_accuracy", "_booked_at", "_changes", "_environment", "_lost", "_position", "_speed", "_torque",
+        "_uneven",
         "asked", "damping_asked", "dissipated", "resolution",
     )  # fmt: skip
 
@@ -56,13 +64,19 @@ class AxisMeter:
         self._environment = None if environment is None or environment.relaxes else environment
         self.damping_asked = 0.0 if environment is None else environment.damping
         self._booked_at = -1
-        self._position = self._torque = self._changes = self._uneven = 0.0
+        self._position = self._torque = self._changes = self._uneven = self._speed = 0.0
+        self._lost: list[float] = []  # torques sent while positions were lost [N or N*m]
         self.resolution = self.dissipated = self.asked = 0.0
 
     @property
     def is_damped(self) -> bool:
         """Whether a damping of the device is declared."""
         return self._accuracy.device_damping is not None
+
+    def lose(self, torque: float) -> None:
+        """Takes a SYNC whose position was lost, with the torque that was sent all the same [N or N*m]."""
+        if self._accuracy.late >= 0.0:
+            self._lost.append(torque)
 
     def take(self, position: float, torque: float, deadline: int, balance: EnergyBalance) -> None:
         """Takes a hold that was booked.
@@ -88,11 +102,23 @@ class AxisMeter:
             if certain > 0.0:
                 time = (deadline - booked_at) * accuracy.sample_time
                 self.dissipated += accuracy.device_damping * certain * certain / time
-        if torque != 0.0 or self._torque != 0.0:
-            self._leave_open(torque, moved)
+        if torque != 0.0 or self._torque != 0.0 or self._lost:
+            self._leave_open(torque, moved, deadline - booked_at)
+        else:
+            self._speed = moved / (deadline - booked_at)
 
-    def _leave_open(self, torque: float, moved: float) -> None:
+    def _leave_open(self, torque: float, moved: float, holds: int) -> None:
         accuracy, size = self._accuracy, abs(torque)
+        mean, before = moved / holds, self._speed
+        self._speed = mean
+        if accuracy.late >= 0.0 and (accuracy.late or self._lost):
+            fastest = 2.0 * ((mean if mean > before else before) + 2.0 * accuracy.position)
+            self._uneven += abs(torque - self._torque) * accuracy.late / accuracy.sample_time * fastest
+            for sent in (*self._lost, self._torque) if self._lost else ():
+                self._uneven += abs(sent - torque) * fastest
+            self._lost.clear()
+        if size > accuracy.torque_limit:
+            self._uneven += (size - accuracy.torque_limit) * (moved + 2.0 * accuracy.position)
         self._changes += abs(torque - self._torque)
         self._torque = torque
         if accuracy.torque_share or accuracy.torque_offset:

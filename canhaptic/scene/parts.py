@@ -7,7 +7,7 @@ import can
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.axis_meter import Accuracy, AxisMeter
+from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import plain
 from canhaptic.control.mechanisms.kinematics import Kinematics
@@ -23,6 +23,7 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
+from canhaptic.scene.sensor_errors import accuracy_of, loop_as_known
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
@@ -67,9 +68,9 @@ def build_axis_controller(axis: AxisScene) -> Controller:
         )
     environment = cast(Environment, axis.environment.parameters)  # every class of ENVIRONMENTS is one
     if axis.passivity.own is not None:
-        controller: Controller = axis.passivity.own(environment, axis.passivity.parameters, axis.loop)
+        controller: Controller = axis.passivity.own(environment, axis.passivity.parameters, loop_as_known(axis))
         return controller
-    return build_controller(environment, axis.passivity.name, axis.passivity.parameters, axis.loop)
+    return build_controller(environment, axis.passivity.name, axis.passivity.parameters, loop_as_known(axis))
 
 
 def display_properties(axis: AxisScene) -> DisplayProperties:
@@ -117,13 +118,13 @@ def group_places(scene: Scene) -> list[tuple[int, ...]]:
 
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:
-    """Returns the meter of each axis; its position is known to half a count."""
+    """Returns the meter of each axis."""
     return [_axis_meter(axis, scene.bus.sample_time) for axis in scene.axes]
 
 
 def _axis_meter(axis: AxisScene, sample_time: float) -> AxisMeter:
-    loop = axis.loop
-    accuracy = Accuracy(sample_time, 0.5 * loop.encoder_count, device_damping=loop.device_damping)
+    bounds = bool(axis.group) or axis.passivity.name == "guarded"
+    accuracy = accuracy_of(axis, sample_time, bounds_late_torques=bounds)
     is_display = axis.parameters.admittance is not None  # its effort is not that of an environment
     environment = None if axis.group or is_display else plain(cast(Environment, axis.environment.parameters))
     return AxisMeter(accuracy, environment)
@@ -135,7 +136,7 @@ def build_group(scene: Scene, group: GroupScene) -> GroupController:
     Raises:
         ParameterError: Network, kinematics and axes do not fit together, or a value is missing.
     """
-    loops = [scene.axis(name).loop for name in group.axes]
+    loops = [loop_as_known(scene.axis(name)) for name in group.axes]
     kinematics = cast(Kinematics, group.kinematics.parameters)  # every class of KINEMATICS is one
     network = cast(NetworkEnvironment, group.network.parameters)  # every class of NETWORKS is one
     if kinematics.axes != len(loops):

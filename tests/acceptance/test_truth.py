@@ -9,10 +9,6 @@ from tools.truth.judge import Outcome
 SCENES = 150
 KNOWN: dict[str, str] = {
     "effect:current_loop": "the torque lags behind its demand",
-    "effect:torque_quantisation": "the motor gives another torque than its demand",
-    "effect:torque_saturation": "the same",
-    "effect:thermal_derating": "the same",
-    "effect:encoder_noise": "positions are worse than half a count",
     "timing:drop": "losses leave energy open that no figure states",
     "timing:delay": "the torque acts after the SYNC",
 }

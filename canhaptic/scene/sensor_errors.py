@@ -1,0 +1,79 @@
+"""How far position and torque of a simulated axis may be from what is reported: what its effects make of them.
+
+An encoder may be noisy or coarser than its counts, and a motor may give another torque than its demand.
+"""
+
+from collections.abc import Mapping
+from math import inf
+from typing import Any, Final
+
+from canhaptic.control.axis_meter import Accuracy
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.scene.models import AxisScene
+
+_SIGMAS: Final = 6.0
+"""Standard deviations of a noise beyond which no sample is expected: 2e-9 of them."""
+
+
+def loop_as_known(axis: AxisScene) -> LoopProperties:
+    """Returns the loop of an axis, its count as wide as the errors of its encoder, and torques that its motor reaches.
+
+    Certificates and account then count on no more than the encoder tells; a torque beyond what the motor gives is cut
+    before it is certified.
+    """
+    effects, loop = _effects(axis), axis.loop
+    error, limit = _position_error(effects), _largest_torque(effects)
+    changes: dict[str, Any] = {}
+    if error:
+        changes["encoder_count"] = loop.encoder_count + 2.0 * error
+    if limit < (inf if loop.torque_limit is None else loop.torque_limit):
+        changes["torque_limit"] = limit
+    return loop.model_copy(update=changes) if changes else loop
+
+
+def accuracy_of(axis: AxisScene, sample_time: float, *, bounds_late_torques: bool) -> Accuracy:
+    """Returns what is known of the sensors and of the device of an axis.
+
+    Args:
+        axis: Its scene.
+        sample_time: [s]
+        bounds_late_torques: Whether the algorithm bounds itself what late torques and lost positions leave open.
+    """
+    effects, loop = _effects(axis), loop_as_known(axis)
+    late = getattr(loop, "torque_window", None) or 0.0
+    late += getattr(loop, "current_lag", None) or 0.0
+    return Accuracy(
+        sample_time=sample_time * (1.0 + (getattr(loop, "sync_jitter", None) or 0.0)),
+        position=0.5 * loop.encoder_count,
+        torque_share=_share(effects),
+        torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0),
+        torque_limit=_largest_torque(effects),
+        late=-1.0 if bounds_late_torques else late,
+        device_damping=loop.device_damping,
+    )
+
+
+def _effects(axis: AxisScene) -> Mapping[str, Any]:
+    if axis.simulation is None:
+        return {}
+    return {effect.name: effect.parameters for effect in axis.simulation.effects}
+
+
+def _value(effects: Mapping[str, Any], name: str, key: str, otherwise: float) -> float:
+    return float(getattr(effects[name], key)) if name in effects else otherwise
+
+
+def _position_error(effects: Mapping[str, Any]) -> float:
+    count = _value(effects, "encoder_quantisation", "count", 0.0)
+    return 0.5 * count + _SIGMAS * _value(effects, "encoder_noise", "deviation", 0.0)
+
+
+def _largest_torque(effects: Mapping[str, Any]) -> float:
+    return _value(effects, "torque_saturation", "limit", inf)
+
+
+def _share(effects: Mapping[str, Any]) -> float:
+    """Returns the part of a torque that may be lacking or added; a hot winding may give none of it."""
+    if "thermal_derating" in effects:
+        return 1.0
+    return _value(effects, "torque_ripple", "amplitude", 0.0)
