@@ -32,7 +32,8 @@ class Accuracy:
     torque_share: float = 0.0  # error of the torque, of the torque
     torque_offset: float = 0.0  # error of the torque [N or N*m]
     torque_limit: float = inf  # what more is booked of a torque may not have acted [N or N*m]
-    late: float = 0.0  # time after a SYNC for which the torque before may act [s]; below 0: the algorithm counts it
+    late: float = 0.0  # time after a SYNC for which the torque before may act, where the algorithm counts none [s]
+    counts_losses: bool = True  # whether the algorithm leaves what lost positions leave open to this meter
     device_damping: float | None = None  # at least [N*s/m or N*m*s/rad]; None: not declared
 
 
@@ -75,7 +76,7 @@ class AxisMeter:
 
     def lose(self, torque: float) -> None:
         """Takes a SYNC whose position was lost, with the torque that was sent all the same [N or N*m]."""
-        if self._accuracy.late >= 0.0:
+        if self._accuracy.counts_losses:
             self._lost.append(torque)
 
     def take(self, position: float, torque: float, deadline: int, balance: EnergyBalance) -> None:
@@ -111,7 +112,7 @@ class AxisMeter:
         accuracy, size = self._accuracy, abs(torque)
         mean, before = moved / holds, self._speed
         self._speed = mean
-        if accuracy.late >= 0.0 and (accuracy.late or self._lost):
+        if accuracy.late or self._lost:
             fastest = 2.0 * ((mean if mean > before else before) + 2.0 * accuracy.position)
             self._uneven += abs(torque - self._torque) * accuracy.late / accuracy.sample_time * fastest
             for sent in (*self._lost, self._torque) if self._lost else ():

@@ -119,12 +119,11 @@ def group_places(scene: Scene) -> list[tuple[int, ...]]:
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:
     """Returns the meter of each axis."""
-    return [_axis_meter(axis, scene.bus.sample_time) for axis in scene.axes]
+    return [_axis_meter(axis) for axis in scene.axes]
 
 
-def _axis_meter(axis: AxisScene, sample_time: float) -> AxisMeter:
-    bounds = bool(axis.group) or axis.passivity.name == "guarded"
-    accuracy = accuracy_of(axis, sample_time, bounds_late_torques=bounds)
+def _axis_meter(axis: AxisScene) -> AxisMeter:
+    accuracy = accuracy_of(axis)
     is_display = axis.parameters.admittance is not None  # its effort is not that of an environment
     environment = None if axis.group or is_display else plain(cast(Environment, axis.environment.parameters))
     return AxisMeter(accuracy, environment)

@@ -31,24 +31,19 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
     return loop.model_copy(update=changes) if changes else loop
 
 
-def accuracy_of(axis: AxisScene, sample_time: float, *, bounds_late_torques: bool) -> Accuracy:
-    """Returns what is known of the sensors and of the device of an axis.
-
-    Args:
-        axis: Its scene.
-        sample_time: [s]
-        bounds_late_torques: Whether the algorithm bounds itself what late torques and lost positions leave open.
-    """
+def accuracy_of(axis: AxisScene) -> Accuracy:
+    """Returns what is known of the sensors and of the device of an axis."""
     effects, loop = _effects(axis), loop_as_known(axis)
-    late = getattr(loop, "torque_window", None) or 0.0
-    late += getattr(loop, "current_lag", None) or 0.0
+    late = loop.timing.late
+    bounds_late = not axis.group and axis.passivity.name == "guarded"
     return Accuracy(
-        sample_time=sample_time * (1.0 + (getattr(loop, "sync_jitter", None) or 0.0)),
+        sample_time=loop.timing.longest,
         position=0.5 * loop.encoder_count,
         torque_share=_share(effects),
         torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0),
         torque_limit=_largest_torque(effects),
-        late=-1.0 if bounds_late_torques else late,
+        late=0.0 if bounds_late else late,
+        counts_losses=not (bounds_late or axis.group),
         device_damping=loop.device_damping,
     )
 

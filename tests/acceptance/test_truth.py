@@ -6,12 +6,8 @@
 from tools.bench.truth import is_false, outcome_of, table_of
 from tools.truth.judge import Outcome
 
-SCENES = 150
-KNOWN: dict[str, str] = {
-    "effect:current_loop": "the torque lags behind its demand",
-    "timing:drop": "losses leave energy open that no figure states",
-    "timing:delay": "the torque acts after the SYNC",
-}
+SCENES = 200
+KNOWN: dict[str, str] = {}
 """Named by a scene with a false claim, and why. Each is needed: what is mended must go from here."""
 
 

@@ -262,8 +262,7 @@ def end_gap(
         if certain > 0.0:
             bound.dissipated += stiffness * certain * certain / holds
         doubt = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
-    if declared.late > 0.0:
-        bound.resolution += 2.0 * doubt
+    bound.resolution += 2.0 * doubt
     bound.changes += holds * count * largest
     bound.unsure = bound.changes + 0.5 * count * abs(torque)
     bound.displacement, bound.torque = displacement / holds, torque
