@@ -33,7 +33,7 @@ from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
 
 _RECORDS_KEPT: Final = 1000
-_SKIPS_TO_STOP: Final = 10  # times `stop_cycles`: SYNCs skipped, less those sent, since the computer was last in time
+_LONGEST_BEHIND: Final = 1.0  # [s] of SYNCs skipped, less those sent, since the computer was last in time
 _tuple: Final = tuple.__new__  # makes a record at half the cost of calling its class
 
 
@@ -176,7 +176,7 @@ class Rig:
     def _count_skips(self, periods: int) -> None:
         """Stops where more SYNCs were skipped than sent, for long: a drive goes on with its last torque meanwhile."""
         self._behind = max(0, self._behind + periods - 2)
-        limit = _SKIPS_TO_STOP * self.bus.stop_cycles
+        limit = max(self.bus.stop_cycles, round(_LONGEST_BEHIND / self.bus.sample_time))
         if self._behind > limit:
             reason = StopReason.SYNCS_SKIPPED
             rule = STOP_TABLE[reason]

@@ -13,7 +13,7 @@ from canhaptic.result import withdraw_certificates
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 STALLS = "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}"
-GOES_ON = ("axes.0.energy_loss_limit=none", "bus.stop_cycles=1000")  # where a rig would end the run
+GOES_ON = ("axes.0.energy_loss_limit=none", "bus.stop_cycles=5000")  # where a rig would end the run
 THROWN = (  # by a hand that has let go, at a wall
     "simulation.user=null",
     "simulation.plant={mass: 0.2 kg, damping: 0 N*s/m, initial_position: 0.02 m, initial_velocity: -0.3 m/s}",

@@ -224,7 +224,7 @@ def _allowed(name: str, experiment: Experiment) -> int:
     if name in AT_THE_DRIVE:
         return 3
     if name == "host late for 45 of every 50 ms":
-        return round(10 * bus.stop_cycles * 50 / 40) + 50  # 40 more skipped than sent in 50
+        return round(1.0 / bus.sample_time * 50 / 40) + 50  # 40 more skipped than sent in 50
     return bus.stop_cycles + 3 + (_ESCALATION if name == "every RPDO and SDO lost" else 0)
 
 
