@@ -7,7 +7,7 @@ import numpy as np
 
 from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
-from canhaptic.commission.mass_and_friction import Dynamics, estimate
+from canhaptic.commission.mass_and_friction import Dynamics, estimate, estimate_lateness
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
 from canhaptic.units import damping_unit, effort_unit
@@ -133,6 +133,25 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
         session.found(axis, "moving mass", "", "unclear", StepVerdict.UNKNOWN, text)
         return
     _report(session, axis, found)
+    late = estimate_lateness(positions, np.array(law.applied), session.sample_time, max(2, session.cycles(_HALF_BASE)))
+    _report_lateness(session, axis, late)
+
+
+def _report_lateness(session: Session, axis: int, late: tuple[float, float] | None) -> None:
+    """Reports how late the torque acts, and proposes what it is at most."""
+    item = "torque lag"
+    if late is None or late[1] > session.sample_time:
+        session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, "too little motion; raise --travel")
+        return
+    most = max(0.0, late[0]) + _SURE * late[1]
+    declared = (session.axes[axis].loop.torque_window or 0.0) + (session.axes[axis].loop.current_lag or 0.0)
+    good = max(0.0, late[0]) - _SURE * late[1] <= declared
+    text = f"+- {late[1] * 1e6:.2g} us" if good else "declare more, or guarded is not passive (see demand reported too)"
+    verdict = StepVerdict.AGREES if good else StepVerdict.DIFFERS
+    session.found(axis, item, f"at most {declared * 1e6:.3g} us", f"{late[0] * 1e6:.3g} us", verdict, text)
+    window = session.axes[axis].loop.torque_window if session.rig.bus.rpdo == "event" else 0.0
+    session.propose(axis, "passivity.torque_window", (window or 0.0) * 1e6, "us", "by the bus; the rest is in the lag")
+    session.propose(axis, "passivity.current_lag", 1.5 * most * 1e6, "us", "1.5 of what was measured at most")
 
 
 def _report(session: Session, axis: int, found: Dynamics) -> None:
@@ -160,6 +179,11 @@ def _report(session: Session, axis: int, found: Dynamics) -> None:
     )
     text = f"+- {found.friction_error:.2g}; constant load {found.offset:.2g} {unit}, rest {found.residual:.2g} {unit}"
     session.found(axis, "dry friction", "", f"{found.friction:.3g} {unit}", StepVerdict.MEASURED, text)
+    most = max(0.0, found.damping) + _SURE * found.damping_error
+    comment = "twice what was measured at most: an over-estimate is safe"
+    session.propose(axis, "passivity.device_damping_bound", 2.0 * most, damping_unit(motion), comment)
+    most = max(0.0, found.friction) + _SURE * found.friction_error
+    session.propose(axis, "passivity.device_friction_bound", 2.0 * most, unit, comment)
     if sure_damping > 0.0:
         comment = "certain to two deviations here and now; grease and temperature change it"
         session.propose(axis, "passivity.device_damping", 0.5 * sure_damping, damping_unit(motion), comment)

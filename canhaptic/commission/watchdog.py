@@ -10,6 +10,8 @@ from canhaptic.drive.profile.power_states import TORQUE_FREE, drive_state
 from canhaptic.errors import RigError, SdoError
 
 _LOST: Final[tuple[str, ...]] = ("missed_tpdos", "late", "error_frames")
+_LEAST_JITTER: Final = 0.01
+_MARGIN: Final = 2.0
 _SILENCES: Final = 3  # of the longest silence that the drives are configured to bear
 
 
@@ -76,6 +78,7 @@ def time_the_cycle(session: Session, seconds: float) -> None:
     found = f"{cycle.cycles} cycles, " + ("no frame lost" if clean else _words(lost))
     text = "see `canhaptic check` (bus load, host) and `canhaptic preflight`; try bus.realtime"
     session.judged(0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, good=clean, text=text)
+    _propose_jitter(session, cycle.timing["wakeup_lateness"].maximum * 1e-9 / session.sample_time)
     if session.experiment.pace == "free":
         session.found(
             0, "timing", "", "lock-step", StepVerdict.UNKNOWN, "simulated drives without a clock of their own"
@@ -85,6 +88,21 @@ def time_the_cycle(session: Session, seconds: float) -> None:
         p50, p99 = histogram.quantile(0.5) * 1e6, histogram.quantile(0.99) * 1e6
         found = f"p50 {p50:.0f} us, p99 {p99:.0f} us"
         session.found(0, name.replace("_", " "), "", found, StepVerdict.MEASURED)
+
+
+def _propose_jitter(session: Session, latest: float) -> None:
+    """Proposes by how much a hold may differ from the sample time, as a part of it.
+
+    Args:
+        session: Its axes.
+        latest: Largest lateness of a SYNC [sample times]; 0 where time is virtual.
+    """
+    for axis, scene in enumerate(session.axes):
+        jitter = max(_LEAST_JITTER, _MARGIN * latest)
+        if session.experiment.pace == "free":
+            jitter = scene.loop.sync_jitter or _LEAST_JITTER
+        comment = f"at least 1 %, or {_MARGIN:g} times the largest lateness of a SYNC in this run"
+        session.propose(axis, "passivity.sync_jitter", 100.0 * jitter, "%", comment)
 
 
 def _words(counts: dict[str, float]) -> str:

@@ -215,3 +215,19 @@ def test_axes_in_one_mechanism_are_refused() -> None:
     session = Session(scene, Answers(), CommissioningLimits(), lambda: False)
     with pytest.raises(InputError, match="mechanism"):
         commission(session, TIMED)
+
+
+def test_the_lag_of_the_torque_is_measured_and_a_declaration_below_it_differs() -> None:
+    loop = "simulation.effects=[{type: current_loop, time_constant: 300 us}]"
+    report = commissioned(loop)
+    assert row(report, "torque lag").verdict is StepVerdict.AGREES
+    assert 300.0 < float(value(report, "passivity.current_lag")) < 600.0  # [us]
+    assert row(commissioned(loop, "passivity.current_lag=100 us"), "torque lag").verdict is StepVerdict.DIFFERS
+
+
+def test_bounds_of_damping_friction_and_jitter_are_proposed_on_the_safe_side() -> None:
+    report = commissioned("simulation.effects=[{type: coulomb_friction, kinetic: 0.2, static: 0.3}]")
+    assert row(report, "torque lag").verdict is StepVerdict.AGREES  # dry friction is not taken for one
+    assert 0.3 < float(value(report, "passivity.device_friction_bound")) < 0.6
+    assert float(value(report, "passivity.device_damping_bound")) > 0.1
+    assert float(value(report, "passivity.sync_jitter")) >= 1.0  # [%]
