@@ -68,7 +68,7 @@ def no_modes(count: int) -> ContinuousModes:
 
 
 def continuous_modes(
-    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, with_force: bool
+    case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, *, with_force: bool, with_travel: bool
 ) -> ContinuousModes:
     """Returns the continuous environments of some scenes.
 
@@ -78,6 +78,7 @@ def continuous_modes(
         count: Scenes.
         cycles: SYNCs of the whole run.
         with_force: Whether the force is asked for: read as often as `reference.continuous_reference` reads it.
+        with_travel: Whether it is asked how far they go.
     """
     linear = _linear(case, numbers, count)
     period = np.broadcast_to(np.asarray(numbers["loop.sample_time"], dtype=float), (count,))
@@ -92,6 +93,7 @@ def continuous_modes(
     columns = (
         (steps * readings <= _MOST_STEPS).tolist(), linear.lower.tolist(), linear.upper.tolist(),
         linear.stiffness.tolist(), linear.damping.tolist(), [linear.everywhere] * count, [with_force] * count,
+        [with_travel] * count,
         readings.tolist(), steps.astype(np.int64).tolist(), step.tolist(), last_from.tolist(),
     )  # fmt: skip
     settings = [ReferenceSettings(*row) for row in zip(*columns, strict=True)]

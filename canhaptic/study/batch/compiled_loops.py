@@ -16,6 +16,7 @@ from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise
 from canhaptic.study.batch.batch_case import NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes
 from canhaptic.study.batch.closed_loop import MOVED, Place, begin_plant, plant_at, run_loop, states_in, step
+from canhaptic.study.batch.event_plants import CALLS
 from canhaptic.study.batch.meter import Meter
 from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState, length_of
 from canhaptic.study.batch.rows import SceneRow
@@ -93,7 +94,7 @@ def compiled_loops(kind: Any, kernel: Kernel, states: int, length: int, replaced
         new_environment: kind, "WIDTH": len(kind._fields), step: kernel.step, states_in: known_states, "STATES": states,
         length_of: known_length, "LENGTH": length, noise: compiled_noise, **dict(replaced),
     }  # fmt: skip
-    return compiled(run_loops, instead, keep=True)
+    return compiled(run_loops, instead, keep=True, calls=CALLS)
 
 
 class CompiledLoops:

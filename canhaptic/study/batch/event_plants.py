@@ -40,6 +40,9 @@ _PRODUCTS: Final = {
     getattr(stepper, function.__name__): function for function in (move, evaluate, pace, largest_term, stored)
 }
 
+CALLS: Final = (stepper.run, splitting.fixed_point, residual_of_plant)
+"""Long functions, called from several places."""
+
 
 class PlantValues(NamedTuple):
     """One plant of a batch, before it is made."""

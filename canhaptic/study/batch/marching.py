@@ -11,6 +11,7 @@ from canhaptic.study.batch.batch_reference import ContinuousModes, continuous_mo
 from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
 from canhaptic.study.batch.event_loops import loop_replacements, run_event_plants
 from canhaptic.study.batch.interpreted_loops import InterpretedLoops
+from canhaptic.study.batch.meter import BRIEF
 from canhaptic.study.batch.rows import kernel_of, linear_plants, scene_rows
 from canhaptic.study.figures import last_rows, metrics_of, sums_of
 from canhaptic.study.loop import Array
@@ -18,8 +19,9 @@ from canhaptic.study.loop import Array
 _MOST: Final = 8192
 """Scenes whose rows are laid out at a time."""
 _FORCES: Final = ("continuous", "force_squares", "force_worst")
-_COMPARED: Final = ("continuous_travel", "position_squares", "position_worst", *_FORCES)
-"""Sums that need the continuous runs, and those that need their forces."""
+_TRAVELS: Final = ("continuous_travel", "continuous_rest")
+_COMPARED: Final = (*_TRAVELS, "position_squares", "position_worst", *_FORCES)
+"""Sums that need the continuous runs; those that need their forces, and how far they go."""
 
 
 def march(
@@ -46,7 +48,8 @@ def march(
     names = list(metrics)
     failed: dict[int, str] = {}
     found: dict[str, Array] = {name: np.empty(scenes) for name in sums_of(names)}
-    case = replace(case, numbers={**case.numbers, "last_from": _last_from(case, cycles)})
+    brief = float(BRIEF.union(_COMPARED).issuperset(found))
+    case = replace(case, numbers={**case.numbers, "last_from": _last_from(case, cycles), "is_brief": brief})
     chosen = chosen_engine(engine, scenes * cycles >= WORTH_COMPILING)
     for first in range(0, scenes, _MOST):
         part = slice(first, min(first + _MOST, scenes))
@@ -81,7 +84,8 @@ def _part(
         raise NotBatchableError(f"algorithm {case.algorithm} is not written as a kernel")
     modes = no_modes(count)
     if not {*asked}.isdisjoint(_COMPARED) and not why_not_continuous(case):
-        modes = continuous_modes(case, numbers, count, cycles, not {*asked}.isdisjoint(_FORCES))
+        forces, travels = (not {*asked}.isdisjoint(some) for some in (_FORCES, _TRAVELS))
+        modes = continuous_modes(case, numbers, count, cycles, with_force=forces, with_travel=travels)
     rows = list(scene_rows(case, kernel, numbers, count))
     compiles = engine == "numba"
     loops = _loops(compiles)(kernel, rows, modes, cycles, loop_replacements(case.plants))

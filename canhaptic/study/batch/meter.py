@@ -6,11 +6,19 @@ is for.
 
 from dataclasses import dataclass
 from math import inf
+from typing import Final
 
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 
 _FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT = (branch.value for branch in list(Branch)[:7])
+
+
+BRIEF: Final = frozenset((
+    "cycles", "diverged", "true_position", "lost", "least_covered", "interaction", "least_interaction", "margin",
+    "believed", "dissipated", "believed_margin", "believed_error", "surplus", "torque_peak",
+))  # fmt: skip
+"""Sums that need no look at the environment."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +28,7 @@ class MeterSettings:
     last_from: float = 0.0  # SYNC with which the last part of the run begins (`figures.last_rows`)
     damping_per_time: float = 0.0  # b / T of the device [N/m or N*m/rad]
     friction: float = 0.0  # Coulomb friction of the device in motion [N or N*m]
+    is_brief: bool = False  # whether nothing but the sums of `BRIEF` is gathered
 
 
 @dataclass(slots=True)
@@ -94,11 +103,13 @@ def take(
         balance: What the controller booked.
     """
     meter.cycles += 1.0
-    meter.highest, meter.lowest = max(meter.highest, true_position), min(meter.lowest, true_position)
     moved = true_position - meter.true_position if meter.cycles > 1.0 else 0.0
     meter.true_position = true_position
     take_energy(settings, meter, moved, interaction, balance)
     meter.torque_peak = max(meter.torque_peak, abs(torque))
+    if settings.is_brief:
+        return
+    meter.highest, meter.lowest = max(meter.highest, true_position), min(meter.lowest, true_position)
     meter.variation += abs(torque - meter.torque)
     meter.torque = torque
     branch = balance.branch

@@ -31,6 +31,7 @@ class ReferenceSettings:
     damping: float = 0.0  # [N*s/m or N*m*s/rad]
     everywhere: bool = False  # whether the damper acts in every mode
     with_force: bool = False  # whether the force is asked for
+    with_travel: bool = False  # whether it is asked how far it goes
     readings: int = 1  # of the force in a hold
     steps: int = 1  # between two readings
     step: float = 0.0  # [s]
@@ -89,6 +90,8 @@ def follow_hold(settings: ReferenceSettings, reference: ReferenceState, memory: 
             mean += (0.5 / settings.readings) * (torque + reference.torque)
             reference.variation += abs(torque - reference.torque)
             reference.torque = torque
+    if not settings.with_travel:
+        return mean
     position = memory.state[0]
     reference.cycle += 1
     reference.highest, reference.lowest = max(reference.highest, position), min(reference.lowest, position)

@@ -85,10 +85,11 @@ def _varied_loop(case: BatchCase, numbers: Numbers) -> Any:
     counts, quantum = column("counts_per_unit", 0.0), column("torque_quantum", 0.0)
     limit, last_from = column("torque_limit", inf), column("last_from", 0.0)
     damping, friction = column("damping_per_time", 0.0), column("friction", 0.0)
+    brief = numbers.get("is_brief", 0.0) == 1.0
     period, seed = column("loop.sample_time", case.loop.sample_time), column("seed", 0.0)
 
     def at(row: int) -> LoopSettings:
-        meter = MeterSettings(last_from(row), damping(row), friction(row))
+        meter = MeterSettings(last_from(row), damping(row), friction(row), brief)
         signals = case.signals.at(period(row), int(seed(row)))
         return LoopSettings(case.delay, counts(row), quantum(row), limit(row), case.furthest, meter, signals)
 

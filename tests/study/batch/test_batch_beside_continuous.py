@@ -62,7 +62,7 @@ def drawn(world: str, scenes: int, seed: int) -> tuple[dict[str, Any], dict[str,
 
 def followed(batch, scenes: int, cycles: int) -> tuple[Any, Any, Any]:
     """Returns positions and mean torques at every SYNC but the first, (cycles - 1, scenes), and variations."""
-    modes = continuous_modes(batch, batch.numbers, scenes, cycles, with_force=True)
+    modes = continuous_modes(batch, batch.numbers, scenes, cycles, with_force=True, with_travel=True)
     position, torque, variation = np.empty((cycles - 1, scenes)), np.empty((cycles - 1, scenes)), np.empty(scenes)
     for i in range(scenes):
         reference, memory = ReferenceState(), reference_memory_of(modes, i)
