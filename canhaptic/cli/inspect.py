@@ -107,6 +107,12 @@ def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Nam
     with ExitStack() as stack:
         paths = [path for path in (arguments.compare, *arguments.overlay) if path is not None]
         others = [stack.enter_context(EnergyLog.open(path)) for path in paths]
+        for other in others:
+            if not set(other.ports) & set(log.ports):
+                raise InputError(
+                    f"{other.path}: has the ports {', '.join(other.ports)} and none of {', '.join(log.ports)}; nothing "
+                    "of it can lie over this run"
+                )
         for path in pictures:
             draw_energy(log, path, arguments.start, arguments.stop, others)
         if arguments.html is not None:

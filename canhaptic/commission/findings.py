@@ -105,6 +105,8 @@ def _axis_snippet(axis: str, values: Iterable[Value]) -> str:
             lines.append(f"{head}:")
         section = head
         indent, comment = "  " if head else "", f"  # {value.comment}" if value.comment else ""
-        number = value.value if isinstance(value.value, str) else f"{value.value:.6g}"
+        number = (
+            f"{value.value:.6g}" if isinstance(value.value, float) else value.value
+        )  # a number of the drive is whole
         lines.append(f"{indent}{key}: {number} {value.unit}".rstrip() + comment)
     return "\n".join(lines) + "\n"

@@ -9,7 +9,7 @@ import pytest
 
 from canhaptic.commission.dialogue import Unattended
 from canhaptic.commission.find_drives import _scan
-from canhaptic.commission.findings import Report, StepFinding, StepVerdict
+from canhaptic.commission.findings import Report, StepFinding, StepVerdict, Value
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
@@ -231,3 +231,11 @@ def test_bounds_of_damping_friction_and_jitter_are_proposed_on_the_safe_side() -
     assert 0.3 < float(value(report, "passivity.device_friction_bound")) < 0.6
     assert float(value(report, "passivity.device_damping_bound")) > 0.1
     assert float(value(report, "passivity.sync_jitter")) >= 1.0  # [%]
+
+
+def test_a_number_of_the_drive_is_pasted_whole() -> None:
+    report = Report()
+    report.propose(Value("handle", "product_code", 1_699_872_768, ""))
+    report.propose(Value("handle", "passivity.moving_mass", 0.000284654321, "kg*m^2"))
+    assert "product_code: 1699872768\n" in report.snippet()
+    assert "  moving_mass: 0.000284654 kg*m^2\n" in report.snippet()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from canhaptic.audit.extent import contacts
+from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view import html_report
@@ -170,3 +171,11 @@ def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path
         assert ticks == ["0 mm", "50 mm", "100 mm"]
         page.screenshot(tmp_path / "zoomed.png")
         assert page.faults == []
+
+
+def test_a_run_of_other_ports_is_not_laid_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_run(tmp_path / "run.h5", cycles=200)
+    write_run(tmp_path / "other.h5", cycles=200, ports=("knob",))
+    words = ["inspect", str(tmp_path / "run.h5"), "--html", str(tmp_path / "run.html")]
+    assert main([*words, "--overlay", str(tmp_path / "other.h5")]) == 2
+    assert "has the ports knob and none of handle" in capsys.readouterr().err
