@@ -19,6 +19,7 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene.build import require_buildable
+from canhaptic.scene.display_hints import display_hints
 from canhaptic.scene.guesses import TO_SET, Guess, guesses_left, refuses_guesses
 from canhaptic.scene.hints import Hint, group_hints, stability_hints
 from canhaptic.scene.models import AxisScene, Scene
@@ -52,6 +53,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if not scene.unread:
         require_buildable(scene)
     hints = [hint for axis in scene.axes for hint in stability_hints(axis)] + group_hints(scene)
+    hints += display_hints(scene)
     found = _CheckFindings(scene, budgets, findings, hints)
     if arguments.json:
         write_json(_as_json(found))

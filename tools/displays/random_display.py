@@ -57,13 +57,13 @@ def random_display(seed: int, algorithm: str | None = None) -> Display:
     )  # fmt: skip
 
 
-def with_true_bounds(display: Display, cycles: int) -> tuple[Display, Outcome] | None:
+def with_true_bounds(display: Display, cycles: int, *, keeps: bool = False) -> tuple[Display, Outcome] | None:
     """Returns a display whose declared slew and acceleration hold, with its run; None where none was found.
 
     They are what a run shows and half as much again; the next run must then stay within.
     """
     for _ in range(3):
-        found = run(display, cycles)
+        found = run(display, cycles, keeps=keeps)
         properties = display.properties
         if found.slew <= properties.force_slew and found.acceleration <= properties.handle_acceleration:
             return display, found

@@ -257,9 +257,9 @@ def _settle(
     loop, motion, commands = state.loop, state.motion, memory.display.commands
     under_way = loss_under_way(settings.loop, loop.lead, commands, motion)
     squares = 0.0
-    for age in range(min(len(commands), settings.port.latency + settings.loop.delay + 2)):
-        command = sent(motion, commands, age)
-        squares = max(squares, command * command)
+    for command in commands:
+        square = command * command
+        squares = square if square > squares else squares
     kept = 0.5 * environment.mass * squares + environment.potential(state.axis.position)
     ceiling = max(kept, reserve(settings.loop, loop.lead, speed) + under_way)
     lost = environment.damping * before * before * settings.port.sample_time

@@ -198,6 +198,12 @@ def _fastest_by_damping(settings: LoopSettings, commands: Buffer, motion: Motion
     lost. The new one may act in 1 + losses holds; in the first of them an older one may, where it is larger.
     """
     delay, losses = settings.delay, settings.losses
+    if losses == 0:
+        left = 4.0 * budget / (settings.gain * settings.sample_time)
+        for age in range(delay):
+            command = commands[motion.newest - age]
+            left -= command * command
+        return sqrt(left) if left > 0.0 else 0.0
     left = 4.0 * budget / (settings.gain * settings.sample_time)
     for age in range(delay):
         left -= _largest_square(commands, motion, age, age + losses)
@@ -243,6 +249,11 @@ def loss_under_way(settings: LoopSettings, lead: float, commands: Buffer, motion
         for holds in range(1, settings.delay + 2):
             largest = max(largest, sequence_loss(settings, lead, commands, motion, holds, settings.delay))
         return largest
+    if settings.losses == 0:
+        for age in range(settings.delay + 1):
+            command = commands[motion.newest - age]
+            total += command * command
+        return 0.25 * settings.gain * settings.sample_time * total
     for age in range(1, settings.delay + 1):
         total += _largest_square(commands, motion, age, age + settings.losses)
     for hold in range(settings.losses + 1):

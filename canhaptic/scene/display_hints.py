@@ -1,0 +1,66 @@
+"""What a user of an admittance display wants to know before the first touch; see `canhaptic.control.admittance`."""
+
+from math import pi, sqrt
+
+from canhaptic.control.admittance.guarded import GuardedDisplayParameters
+from canhaptic.control.admittance.virtual_mass import VirtualMass
+from canhaptic.scene.hints import Hint
+from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.parts import display_properties
+
+
+def display_hints(scene: Scene) -> list[Hint]:
+    """Returns the figures of every admittance display of a scene; none of them is enforced here."""
+    return [hint for axis in scene.axes if axis.parameters.admittance is not None for hint in _of_axis(axis, scene)]
+
+
+def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
+    given, properties = axis.parameters, display_properties(axis)
+    name, linear = given.name, given.unit == "m"
+    effort, speed_unit = ("N", "m/s") if linear else ("N*m", "rad/s")
+    time = properties.sample_time
+    doubt = properties.force_error + (0.0 if properties.sampling == "mean" else 0.25 * properties.force_slew * time)
+    text = "acts on the account like so much dry friction; slew T / 4 for point samples, and the error of a value"
+    hints = [Hint(name, "force doubt of the account", doubt, None, effort, text)]
+    known = axis.passivity.parameters
+    if isinstance(known, GuardedDisplayParameters):
+        hints += _of_guard(axis, known, speed_unit)
+        hints += _of_faults(axis, known, scene)
+    return hints
+
+
+def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str) -> list[Hint]:
+    properties, name = display_properties(axis), axis.parameters.name
+    asked = axis.environment.parameters.mass if isinstance(axis.environment.parameters, VirtualMass) else None
+    unit = "kg" if axis.parameters.unit == "m" else "kg*m^2"
+    time, gain, mass = properties.sample_time, known.loop_gain, known.drive_mass
+    holds = properties.delay + 1 + known.max_consecutive_losses
+    lag = (properties.delay + 0.5 + properties.latency) * time
+    lag += 1.0 / (2.0 * pi * properties.filter) if properties.filter else 0.0
+    felt = mass + 0.5 * (holds + properties.latency) * time * gain
+    never = mass + gain * lag
+    start = sqrt(4.0 * known.energy_allowance / (gain * time * holds))
+    about = "" if asked is None else f"; asked {asked:g} {unit}"
+    return [
+        Hint(name, "mass felt, at least", felt, None, unit, f"while the guard acts, for every hand{about}"),
+        Hint(name, "mass from which the guard never acts", never, None, unit, "passive without it: M + c tau" + about),
+        Hint(name, "speed at which motion starts", start, None, speed_unit, "by energy_allowance, with nothing stored"),
+    ]
+
+
+def _of_faults(axis: AxisScene, known: GuardedDisplayParameters, scene: Scene) -> list[Hint]:
+    """Returns what a master that stalls and a sensor that freezes give out, until they are noticed."""
+    properties, name = display_properties(axis), axis.parameters.name
+    display, speed = axis.parameters.admittance, properties.speed_limit
+    power = min(0.25 * known.loop_gain * speed * speed, axis.parameters.torque_limit * speed)
+    silence = scene.bus.master_silence_ns * 1e-9
+    noticed = None if display is None or display.force.frozen_after is None else display.force.frozen_after
+    found = "never noticed (admittance.force.frozen_after)"
+    energy = None
+    if noticed is not None:
+        energy = power * noticed * properties.sample_time
+        found = f"{power:.3g} W until it is noticed after {noticed * properties.sample_time:g} s"
+    return [
+        Hint(name, "stalled master", power * silence, None, "J", f"{power:.3g} W at speed_limit for {silence:g} s"),
+        Hint(name, "frozen sensor", energy, None, "J", found),
+    ]

@@ -1,0 +1,324 @@
+"""Do admittance displays keep their promise, and what does it cost? Judged by the plant's own energy at the sensor.
+
+Random displays (account, every effect of the sensor, losses); the mass felt and the energy given out against the mass
+asked, for every algorithm and rate; the borders of the plain virtual mass by the eigenvalues of the sampled loop; the
+paper's algorithm; faults over CAN; what the bus carries.
+"""
+
+import argparse
+from dataclasses import asdict
+from math import pi
+from random import Random
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from scipy.linalg import expm
+
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
+from canhaptic.control.admittance.guarded import GuardedDisplayParameters
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.virtual_mass import VirtualMass
+from canhaptic.cycle import run as run_cycle
+from canhaptic.drive.can.bus_budget import bus_budget
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
+from canhaptic.sim.plant.plant import PlantParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, GripParameters, VelocityLoopParameters
+from tools.bench.report import Row, picture_place, publish
+from tools.displays import faults
+from tools.displays.direct import Display, Outcome
+from tools.displays.judge import false_claims
+from tools.displays.random_display import random_display, with_true_bounds
+
+_PACKAGES = ("canhaptic", "numpy", "scipy")
+_MASS, _BANDWIDTH = 2.0, 50.0
+_GAIN = 2.0 * pi * _BANDWIDTH * _MASS
+_RATES = (250, 500, 1000)
+_ASKED = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
+
+
+def random_rows(runs: int, cycles: int) -> list[Row]:
+    """AD1, AD2, AD3, AD7: random displays, all declarations true."""
+    false = judged = due = said = 0
+    for seed in range(runs):
+        found = with_true_bounds(random_display(seed), cycles)
+        if found is None:
+            continue
+        judged += 1
+        claims = false_claims(*found)
+        false += bool(claims)
+        if claims:
+            print(f"seed {seed}: {'; '.join(claims)}", flush=True)
+        display, outcome = found
+        if display.algorithm == "guarded" and display.allowance == 0.0 and not outcome.uncertified:
+            due += 1
+            said += outcome.is_passive
+    share = said / due if due else 0.0
+    return [
+        Row("random displays judged", judged, "1"),
+        Row("AD1-3, AD7 false claims", false, "1", target="0", met=false == 0),
+        Row("yes where due", share, "1", target=">= 0.8", met=share >= 0.8, note=f"{said} of {due} guarded displays"),
+    ]
+
+
+def _display(rate: int, asked: float, algorithm: str, seed: int, *, damping: float = 5.0) -> Display:
+    """Returns the rig of the figures: 2 kg, a loop of 50 Hz, the force as a mean, and one of many hands."""
+    random = Random(seed)
+    properties = DisplayProperties(
+        sample_time=1.0 / rate, delay=1, sampling="mean", force_slew=5e3, handle_acceleration=20.0, encoder_count=1e-6,
+        speed_limit=2.0, acceleration_limit=500.0,
+    )  # fmt: skip
+    guarded = GuardedDisplayParameters(drive_mass=_MASS, loop_gain=_GAIN, energy_allowance=1e-3, spread=0.1)
+    grip = GripParameters(
+        mass=random.choice([0.05, 0.3, 1.0, 3.0]),
+        stiffness=random.choice([2e3, 1e4, 3e4]),
+        damping=random.choice([0.5, 5.0]),
+    )
+    hand = UserParameters(
+        stiffness=random.choice([100.0, 500.0, 2000.0]), damping=random.choice([0.5, 5.0]),
+        motion=SinusoidMotion(amplitude=random.choice([0.02, 0.05]), frequency=random.uniform(0.5, 3.0)),
+    )  # fmt: skip
+    loop = VelocityLoopParameters(gain=_GAIN)
+    return Display(
+        PlantParameters(mass=_MASS, damping=0.0),
+        AdmittanceSimulation(loop=loop, grip=grip, sensor=SimulatedForceSensor(sampling="mean")), hand,
+        VirtualMass(mass=asked, damping=damping), properties, algorithm, guarded if algorithm == "guarded" else None,
+    )  # fmt: skip
+
+
+def mass_felt(outcome: Outcome, time: float) -> float:
+    """Returns the mass that fits true force and velocity best [kg]: F = m v' + b v + F_0."""
+    force, speed = np.array(outcome.forces[20:]), np.array(outcome.velocities[20:])
+    middle = 0.5 * (speed[2:] + speed[:-2]), (speed[2:] - speed[:-2]) / (2.0 * time)
+    rows = np.stack([middle[1], middle[0], np.ones(len(middle[0]))], axis=1)
+    return float(np.linalg.lstsq(rows, force[1:-1], rcond=None)[0][0])
+
+
+def masses(hands: int, seconds: float) -> list[dict[str, Any]]:
+    """Returns, for rate, mass asked and algorithm: mass felt, least energy, part of the holds that the guard cut."""
+    found = []
+    for rate in _RATES:
+        for asked in _ASKED:
+            for name in DISPLAY_ALGORITHMS:
+                judged = [
+                    with_true_bounds(_display(rate, asked, name, seed), round(seconds * rate), keeps=True)
+                    for seed in range(hands)
+                ]
+                outcomes = [one[1] for one in judged if one is not None]
+                calm = [o for o in outcomes if o.speed < 1.5]
+                moving = sum(o.moving for o in outcomes)
+                found.append(
+                    {
+                        "rate": rate, "asked": asked, "algorithm": name,
+                        "felt": median(mass_felt(o, 1.0 / rate) for o in calm) if calm else None,
+                        "least": min(o.least for o in outcomes), "below": sum(o.least < -2e-3 for o in outcomes),
+                        "cut": sum(o.cut for o in outcomes) / moving if moving else 0.0, "hands": len(outcomes),
+                    }
+                )  # fmt: skip
+    return found
+
+
+def mass_rows(found: list[dict[str, Any]]) -> list[Row]:
+    """AD4 and AD5."""
+    rows = []
+    for rate in _RATES:
+        never = _MASS + _GAIN * 1.5 / rate
+        guard = [f for f in found if f["rate"] == rate and f["algorithm"] == "guarded"]
+        plain = [f for f in found if f["rate"] == rate and f["algorithm"] == "unprotected"]
+        passive = [f for f in guard if f["asked"] >= 1.05 * never]
+        least = min(f["least"] for f in guard)
+        rows.append(Row(f"{rate} Hz: least energy, guarded", least, "J", target=">= -1 mJ", met=least >= -1e-3 - 1e-9))
+        if passive:
+            cut = max(f["cut"] for f in passive)
+            rows.append(Row(f"AD4 {rate} Hz: guard acts above M + c tau", cut, "1", target="<= 0.01", met=cut <= 0.01))
+            off = max(abs(f["felt"] / f["asked"] - 1.0) for f in passive if f["felt"])
+            rows.append(
+                Row(f"AD4 {rate} Hz: mass felt off the mass asked", off, "1", target="<= 0.02", met=off <= 0.02)
+            )
+        light = next(f for f in plain if f["asked"] == _ASKED[0])
+        rows.append(
+            Row(
+                f"AD5 {rate} Hz: 0.5 kg unprotected, least energy",
+                light["least"],
+                "J",
+                note=f"{light['below']} of {light['hands']} hands below 0",
+            )
+        )
+    return rows
+
+
+def _is_stable(rate: int, delay: int, mass: float, damping: float, hand: tuple[float, float, float, float]) -> bool:
+    """Whether the sampled loop of a virtual mass with the mean force of a hold is stable with a hand.
+
+    The hand: grip stiffness and damping, mass behind it, stiffness to ground from there.
+    """
+    k, b, behind, ground = hand
+    time, states = 1.0 / rate, 6  # q, v, x, w, impulse, command
+    a = np.zeros((states, states))
+    a[0, 1], a[2, 3] = 1.0, 1.0
+    pull = np.array([-k, -b, k, b, 0.0, 0.0])
+    a[1] = pull / _MASS
+    a[1, 1] -= _GAIN / _MASS
+    a[1, 5] = _GAIN / _MASS
+    a[3] = -pull / behind
+    a[3, 2] -= ground / behind
+    a[4] = pull
+    flow = expm(a * time)
+    size = states - 1 + 1 + delay  # without the command; model speed; commands under way
+    step = np.zeros((size, size))
+    held = np.zeros(size)
+    held[size - 1 if delay else 5] = 1.0  # the command that acts
+    body = np.zeros((5, size))
+    body[:, :5] = flow[:5, :5]
+    body[:, 4] -= flow[:5, 4] * 1.0  # the impulse begins anew
+    body += np.outer(flow[:5, 5], held)
+    step[:5] = body
+    step[5] = (mass * np.eye(size)[5] + body[4]) / (mass + time * damping)
+    if delay:
+        step[6] = np.eye(size)[5]  # what was computed acts a hold later
+        for place in range(7, size):
+            step[place] = np.eye(size)[place - 1]
+    return bool(np.abs(np.linalg.eigvals(step)).max() < 1.0 + 1e-7)
+
+
+def border_rows() -> list[Row]:
+    """AD6: least virtual mass without damping for many hands, and least damping against a spring to ground."""
+    rows = []
+    hands = [(k, 1e-3, m, 0.0) for k in np.logspace(2, 7, 60) for m in (0.05, 0.3, 2.0, 20.0, 1e6)]
+    for rate, delay in ((1000, 0), (1000, 1), (1000, 3), (250, 1)):
+        tau = (delay + 0.5) / rate
+        low, high = 0.1, 30.0
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            if all(_is_stable(rate, delay, middle, 1e-4, hand) for hand in hands):
+                high = middle
+            else:
+                low = middle
+        said = _MASS + _GAIN * tau
+        rows.append(
+            Row(
+                f"AD6 border {rate} Hz, delay {delay}",
+                high,
+                "kg",
+                "M + c tau",
+                said,
+                high / said,
+                "0.5 %",
+                abs(high / said - 1.0) <= 5e-3,
+            )
+        )
+    for stiffness, rate in ((1000.0, 1000), (5000.0, 1000), (5000.0, 250)):
+        tau, mass = 1.5 / rate, 0.5
+        low, high = 0.0, 500.0
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            low, high = (
+                (low, middle) if _is_stable(rate, 1, mass, middle, (stiffness, 1e-6, 1e6, 0.0)) else (middle, high)
+            )
+        said = stiffness * (tau + (_MASS - mass) / _GAIN)
+        rows.append(
+            Row(
+                f"AD6 damping against {stiffness:g} N/m, {rate} Hz",
+                high,
+                "N*s/m",
+                "K (tau + (M - m) / c)",
+                said,
+                high / said,
+                "0.9..1",
+                0.9 <= high / said <= 1.0 + 1e-6,
+            )
+        )
+    return rows
+
+
+def fault_rows() -> tuple[list[Row], list[dict[str, Any]]]:
+    """AD10: faults over CAN."""
+    found = [faults.outcome(name) for name in faults.FAULTS]
+    rows = [
+        Row(
+            f"AD10 {f.fault}: energy given out",
+            f.given,
+            "J",
+            note=f"{f.stopped_by or 'goes on'}, after {f.stop:.3f} s, still {f.still:.2f} s later, {f.fastest:.2f} m/s",
+        )
+        for f in found
+    ]
+    return rows, [asdict(f) for f in found]
+
+
+def bus_rows() -> list[Row]:
+    """How many axes one bus carries, and the pace of a cycle beside that of the demo."""
+    scene = load_scene(faults.SCENE)
+    with build(scene, "free") as experiment:
+        one = experiment.rig.drives[0].map
+    rows = []
+    for rate in (1000, 500, 250):
+        bus = scene.bus.model_copy(update={"rate": float(rate)})
+        axes = next(n for n in range(1, 40) if not bus_budget(bus, [one] * (n + 1)).fits)
+        rows.append(Row(f"axes on one bus at {rate} Hz, force in the TPDO", axes, "1"))
+    pace = {}
+    for name, path in (("display", faults.SCENE), ("demo", faults.SCENE.parents[1] / "demo.yaml")):
+        times = []
+        for _ in range(3):
+            with build(load_scene(path), "free") as experiment:
+                begin = perf_counter()
+                run_cycle(experiment.cycle, 4000)
+                times.append(perf_counter() - begin)
+        pace[name] = 4000 / min(times)
+    share = pace["display"] / pace["demo"]
+    return [
+        *rows,
+        Row("cycles/s flat out", pace["display"], "1/s", "demo (torque)", pace["demo"], share, ">= 0.9", share >= 0.9),
+    ]
+
+
+def draw(found: list[dict[str, Any]], place: Any) -> None:
+    """Draws mass felt and energy given out against the mass asked, one column for each rate."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, len(_RATES), figsize=(12, 7), sharex=True, sharey="row", layout="constrained")
+    for column, rate in enumerate(_RATES):
+        felt, given = axes[0][column], axes[1][column]
+        felt.plot(_ASKED, _ASKED, color="0.8", linewidth=6, label="asked")
+        for name in DISPLAY_ALGORITHMS:
+            rows = [f for f in found if f["rate"] == rate and f["algorithm"] == name]
+            style = {"marker": "o", "markersize": 3, "linewidth": 2.5 if name == "guarded" else 1.0}
+            felt.plot(
+                [f["asked"] for f in rows if f["felt"]], [f["felt"] for f in rows if f["felt"]], label=name, **style
+            )
+            given.plot([f["asked"] for f in rows], [max(1e-6, -f["least"]) for f in rows], label=name, **style)
+        never = _MASS + _GAIN * 1.5 / rate
+        for axis in (felt, given):
+            axis.axvline(never, color="0.6", linestyle=":")
+        felt.set_title(f"{rate} Hz (dotted: M + c tau = {never:.1f} kg)")
+        felt.set_ylim(0.0, 8.0)
+        given.set_yscale("log")
+        given.set_xlabel("mass asked [kg]")
+    axes[0][0].set_ylabel("mass felt, median of the hands [kg]")
+    axes[1][0].set_ylabel("energy given out, worst hand [J]")
+    axes[0][0].legend(fontsize=8)
+    figure.savefig(place, dpi=110)
+
+
+def main() -> None:
+    """Measures everything, prints the table and writes the result."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=1000, help="random displays")
+    parser.add_argument("--hands", type=int, default=12, help="hands for each mass, rate and algorithm")
+    arguments = parser.parse_args()
+    fault_part, table = fault_rows()
+    found = masses(arguments.hands, 1.5)
+    rows = [*random_rows(arguments.runs, 400), *mass_rows(found), *border_rows(), *fault_part, *bus_rows()]
+    draw(found, picture_place("mass_felt.png"))
+    publish("admittance", rows, _PACKAGES, {"masses": found, "faults": table})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""What an admittance display gives out when something fails, over CAN: energy, speed, and the time to standstill."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from canhaptic.cycle import run
+from canhaptic.errors import CanHapticError
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+
+SCENE = Path(__file__).resolve().parents[2] / "configs" / "admittance" / "virtual_mass.yaml"
+_BEGIN = 0.8  # [s] of every fault
+_SENSOR = "simulation.admittance.sensor"
+_WINDOW = f"during: [{{begin: {_BEGIN}, duration: 5}}]"
+_WATCHED = "axes.0.admittance.force.frozen_after=50"
+
+FAULTS: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "sensor frozen": (f"{_SENSOR}.freeze_at={_BEGIN}", _WATCHED),
+    "sensor frozen, not watched": (f"{_SENSOR}.freeze_at={_BEGIN}",),
+    "sensor 5 N off": (f"{_SENSOR}.fault_at={_BEGIN}", f"{_SENSOR}.fault_offset=5"),
+    "sensor with the wrong sign": (f"{_SENSOR}.gain=-1",),
+    "force one sample later than declared": (f"{_SENSOR}.latency=1",),
+    "every RPDO lost": (f"simulation.bus={{drop: 1.0, direction: to_drive, ids: [0x201], {_WINDOW}}}",),
+    "every TPDO lost": (f"simulation.bus={{drop: 1.0, direction: to_master, ids: [0x181], {_WINDOW}}}",),
+    "TPDOs lost, one in ten": (f"simulation.bus={{drop: 0.1, direction: to_master, ids: [0x181], {_WINDOW}}}",),
+    "master stalled for 0.3 s": (f"simulation.bus={{stall: [{{begin: {_BEGIN}, duration: 0.3}}]}}",),
+    "bus silent": (f"simulation.bus={{drop: 1.0, {_WINDOW}}}",),
+}
+
+
+@dataclass
+class FaultOutcome:
+    """What one fault came to."""
+
+    fault: str
+    stopped_by: str  # reason of the stop; empty where the run went on
+    stop: float  # time from the fault to the stop of the rig [s]
+    still: float  # time from the stop of the rig to standstill [s]; -1 where it did not stand within 2 s
+    given: float  # largest fall of the true energy through the sensor after the fault [J]
+    fastest: float  # after the fault [m/s]
+
+
+def outcome(fault: str, cycles: int = 2000) -> FaultOutcome:
+    """Returns what a fault of `FAULTS` came to."""
+    scene = load_scene(SCENE, FAULTS[fault])
+    period, most, reason = scene.bus.sample_time, [-1e9, 0.0, 0.0], ""
+    with build(scene, "free") as experiment:
+        plant = cast(AdmittancePlant, experiment.plants[0])
+
+        def watch(done: int) -> None:
+            energy = -plant.energy().motor
+            if done * period >= _BEGIN:
+                most[0] = max(most[0], energy)
+                most[1] = max(most[1], most[0] - energy)
+                most[2] = max(most[2], abs(plant.velocity))
+
+        try:
+            run(experiment.cycle, cycles, progress=watch)
+        except CanHapticError:
+            reason = experiment.rig.stop_reason.name
+        drives: Any = experiment.far_side
+        stopped, still = experiment.cycle.cycles * period, _standstill(plant, drives, experiment.clock)
+        watch(cycles)
+    return FaultOutcome(fault, reason, max(0.0, stopped - _BEGIN) if reason else 0.0, still, most[1], most[2])
+
+
+def _standstill(plant: AdmittancePlant, drives: Any, clock: Any) -> float:
+    """Returns how long the handle moves on [s] after the master has left; -1 where that is more than 2 s."""
+    begin = clock.now()
+    for step in range(200):
+        if abs(plant.velocity) < 5e-3 and step:
+            return (step - 1) * 0.01
+        clock.wait_until(begin + (step + 1) * 10_000_000)
+        drives.process(clock.now())
+        plant.advance_to(clock.now(), 0.0)
+    return -1.0
