@@ -139,3 +139,32 @@ def test_what_is_made_for_impedance_displays_refuses_in_words(command: str, caps
     vary = ["--vary", "bus.rate=500,1000"] if command == "sweep" else []
     assert main([command, str(SCENE), *vary]) == 2
     assert "impedance displays" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("dictionary", "analog"), [("maxon_epos4.dcf", "0x3160.1"), ("elmo_gold.dcf", "0x2205.1")])
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+def test_a_vendor_dictionary_serves_with_its_analog_input(
+    vendor_eds: Path, dictionary: str, analog: str, mode: str
+) -> None:
+    account, _ = _run(
+        f"axes.0.eds={vendor_eds / dictionary}",
+        f"axes.0.admittance.force.object={analog}",
+        f"axes.0.admittance.mode={mode}",
+        "axes.0.admittance.velocity_counts=5e4",
+        "simulation.drive.objects={0x6502: 0x3A5}",
+        cycles=800,
+    )
+    assert account["truth"]["handle"]["interaction"] > 0.3
+    assert account["ports"]["handle"]["passive"] == "yes"
+
+
+def test_check_prints_what_a_user_wants_before_the_first_touch(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(SCENE), "--json", "--set", "axes.0.admittance.force.frozen_after=50"]) == 0
+    hints = {hint["what"]: hint["limit"] for hint in json.loads(capsys.readouterr().out)["stability"]}
+    gain, mass, time = 660.0, 2.1, 1e-3
+    assert hints["mass felt, at least"] == pytest.approx(mass + gain * time)
+    assert hints["mass from which the guard never acts"] == pytest.approx(mass + 1.5 * gain * time)
+    assert hints["speed at which motion starts"] == pytest.approx((4e-3 / (2.0 * gain * time)) ** 0.5)
+    assert hints["force doubt of the account"] == pytest.approx(5e3 * time / 4.0 + 0.05)
+    assert hints["stalled master"] == pytest.approx(0.25 * gain * 0.1)
+    assert hints["frozen sensor"] == pytest.approx(0.25 * gain * 0.05)
