@@ -10,14 +10,14 @@ from typing import Any
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.virtual_mass import VirtualMass
-from canhaptic.control.balance import Certificate
+from canhaptic.control.balance import Branch, Certificate
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant, AdmittanceSimulation
 from canhaptic.units import Parameters
 
-_NONE = Certificate.NONE.value
+_NONE, _HELD = Certificate.NONE.value, Branch.HELD.value
 _PARTS = 8
 """Parts of a hold in which slew and acceleration are watched; a power of two."""
 _Motion = tuple[float, float, float]
@@ -127,7 +127,7 @@ def _take(found: Outcome, plant: AdmittancePlant, balance: Any, properties: Disp
     found.believed += balance.h_i
     found.least = min(found.least, true)
     found.least_believed = min(found.least_believed, found.believed)
-    if properties.latency == 0:
+    if properties.latency == 0 and balance.branch != _HELD:  # a lost sample leaves its hold open until the next
         found.overclaimed = max(found.overclaimed, found.believed - true)
     if abs(balance.torque) > 1e-9 or balance.certificate == Certificate.VELOCITY_LOOP.value:
         found.moving += 1
