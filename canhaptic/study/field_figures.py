@@ -27,6 +27,23 @@ def energy_given_out(run: LoopRun) -> float:
     return max(0.0, -run.least_interaction)
 
 
+def energy_beyond_device(run: LoopRun, device_damping: float, sample_time: float) -> float:
+    """Returns the most energy given out beyond what came in and what the device's own damping took, after any hold [J].
+
+    A display is passive where this is 0, also where its environment alone is not: Colgate and Schenkel, "Passivity of a
+    class of sampled-data systems", Journal of Robotic Systems 14, 1997 (its condition was read where others cite it).
+    In a hold that moves D a damping b takes at least b D^2 / T.
+
+    Args:
+        run: Of an axis.
+        device_damping: That is certain [N*s/m or N*m*s/rad].
+        sample_time: [s].
+    """
+    moved = np.diff(run.true_position, prepend=run.true_position[:1])
+    taken = np.cumsum(device_damping / sample_time * moved**2)
+    return max(0.0, -float((run.interaction + taken).min(initial=0.0)))
+
+
 def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) -> float | None:
     """Returns the largest rate of the force after the first contact over the speed at it [N/m or N*m/rad].
 

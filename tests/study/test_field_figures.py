@@ -11,6 +11,7 @@ from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.field_figures import (
     asked_impedance,
     drag,
+    energy_beyond_device,
     energy_given_out,
     rate_hardness,
     rendered_impedance,
@@ -39,6 +40,14 @@ def test_a_stiff_wall_at_a_low_rate_gives_energy_out_and_a_guarded_one_none():
     wall = SpringDamperWall(stiffness=5000.0, damping=0.0)
     assert energy_given_out(run_of(wall, "unprotected", 500.0, 2.0)) > 0.05
     assert energy_given_out(run_of(wall, "guarded", 500.0, 2.0)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_the_device_takes_is_no_fault_of_the_display():
+    rough = run_of(SpringDamperWall(stiffness=5000.0, damping=0.0), "unprotected", 500.0, 2.0)
+    given = energy_given_out(rough)
+    assert energy_beyond_device(rough, 0.0, 2e-3) == given
+    assert 0.0 < energy_beyond_device(rough, 0.1, 2e-3) < given
+    assert energy_beyond_device(rough, 1e4, 2e-3) == 0.0
 
 
 def test_free_motion_has_no_drag():
