@@ -55,10 +55,11 @@ def hard_scenes() -> list[str]:
 
 
 def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
-    """Returns a scene at another rate and delay."""
+    """Returns a scene at another rate and delay; torques act at their SYNC, as in a loop without a bus."""
     scene = at_rate(scene, rate)
+    timing = {"torque_window": 0.0, "sync_jitter": 0.0}
     bus = scene.bus.model_copy(update={"rpdo": "synchronous" if delay else "event"})
-    axes = tuple(replace(a, loop=a.loop.model_copy(update={"delay": bus.delay})) for a in scene.axes)
+    axes = tuple(replace(a, loop=a.loop.model_copy(update={"delay": bus.delay, **timing})) for a in scene.axes)
     return replace(scene, bus=bus, axes=axes)
 
 
