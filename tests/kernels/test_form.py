@@ -107,6 +107,26 @@ def test_the_loop_with_plant_reference_and_figures_keeps_to_the_form() -> None:
     assert [fault for part in parts for fault in faults(part)] == []
 
 
+def with_transcendental_functions() -> set[str]:
+    """Returns the kernels of controllers that call a function of the C library whose last bit is its own."""
+    kernels = [load(table, name, "algorithm").kernel.step for table in (ALGORITHMS, GROUP_ALGORITHMS) for name in table]
+    worlds = [load(ENVIRONMENTS, name, "environment") for name in ENVIRONMENTS]
+    parts = [getattr(world, method) for world in worlds for method in METHODS]
+    parts += [mechanism.locate for mechanism in (IdentityMap, LinearMap, LinkMap, FiveBarMap)]
+    parts += [geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, Body)]
+    every = [part for kernel in (*kernels, *parts) for part in reached(kernel, set())]
+    names = {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "expm1", "log", "tanh", "pow", "hypot"}
+    return {part.__qualname__ for part in every if names.intersection(part.__code__.co_names)}
+
+
+def test_the_kernels_with_transcendental_functions_are_these() -> None:
+    """Elsewhere Python and numba have the same bits on any machine; here if they take the same C library."""
+    assert with_transcendental_functions() == {
+        "Detents.effort", "Detents.state_of_energy", "Detents.stored_energy", "ViscoelasticMedium.relaxed",
+        "FiveBarMap.locate", "LinkMap.locate", "moved_by",
+    }  # fmt: skip
+
+
 def test_a_fault_is_found() -> None:
     def bad(x: float) -> float:
         return sum([x**2])

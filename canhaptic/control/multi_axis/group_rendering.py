@@ -77,16 +77,13 @@ def split(
     What the drives leave of it by their grid is a part of what was certified, axis by axis.
     """
     most, account, found = within_limits(settings, memory.torques), settings.account, memory.sent
+    share = factor / most if most > 0.0 else 0.0  # no share at all of torques that are no numbers
     for i in range(len(found)):
         memory.scaled[i] = most * memory.torques[i]
+        found[i] = share * memory.scaled[i]
     if account.axes.by_hand:
-        raise_inward(
-            account.axes, account.apart, memory.account.apart, memory.account.coming, memory.scaled, factor / most,
-            energy, found,
-        )  # fmt: skip
-    else:
-        for i in range(len(found)):
-            found[i] = factor / most * memory.scaled[i]
+        apart, coming = memory.account.apart, memory.account.coming
+        raise_inward(account.axes, account.apart, apart, coming, memory.scaled, share, energy, found)
     for i in range(len(found)):
         found[i] = towards_zero(found[i], settings.quanta[i])
     take_applied(commands, place, found)

@@ -1,6 +1,7 @@
 """What is not passive, does not fit or cannot be reached: refused with a clear message, or no torque."""
 
 import math
+import random
 
 import numpy as np
 import pytest
@@ -175,6 +176,25 @@ def test_positions_and_torques_that_are_no_numbers_stop_the_group(bad, algorithm
     assert controller.step((0.01, 0.0), (0.0, 0.0)).torques == (0.0, 0.0)
     with pytest.raises(ControlError, match="expected 2 finite numbers"):
         controller.step((0.0, 0.0), bad)
+
+
+@pytest.mark.parametrize("losses", [0, 2])
+def test_numbers_at_the_edge_of_the_range_give_torques_or_a_clear_error(losses):
+    """Squares that vanish or overflow, zeros of both signs: no division by zero, no NaN for an integer."""
+    edge = (0.0, -0.0, 5e-324, -1e-310, 1e-200, 1e-160, -1e3, 1e150, 1e300, 0.012)
+    rng, felt = random.Random(losses), 0
+    known = {"moving_mass": 0.25, "torque_limit": 2.0, "torque_quantum": 1e-3, "encoder_count": 1e-5}
+    for environment in (EXAMPLE, Box(stiffness=2000.0, damping=5.0, lower=(-0.01, -0.01), upper=(0.01, 0.01))):
+        controller = group(environment, known=known, delay=1, max_consecutive_losses=losses)
+        held = [0.0, 0.0]
+        for _ in range(300):
+            try:
+                held = list(controller.step([rng.choice(edge), rng.choice(edge)], held).torques)
+            except ControlError:
+                held = [0.0, 0.0]
+            assert all(abs(torque) <= 2.0 for torque in held)
+            felt += any(held)
+    assert felt > 50
 
 
 class _Unsolvable:
