@@ -115,6 +115,10 @@ class Cycle:
         samples = rig.sync()  # SYNC out, position TPDOs in            [rad or m]
         read = self._truths
         truths = read() if read is not None else None
+        if rig.periods > 1:
+            for controller in self.controllers:
+                if hasattr(controller, "lasted"):
+                    controller.lasted(float(rig.periods))
         if self._grouped is None:
             balances: list[EnergyBalance] = []  # displacement -> energy balance [J]
             for axis in self._axes:

@@ -353,6 +353,11 @@ class Rig:
         return self._is_running
 
     @property
+    def periods(self) -> int:
+        """Sample times between the last two SYNCs; more than 1 where some were skipped."""
+        return self._exchange.periods
+
+    @property
     def skipped_syncs(self) -> int:
         """Deadlines of SYNC that were missed and left out."""
         return self.deadline_index - max(0, self.sync_index)

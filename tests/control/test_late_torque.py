@@ -149,3 +149,16 @@ def test_an_ideal_declaration_changes_no_bit() -> None:
         first, second = (controller.step(position, held) for controller in pair)
         assert first == second
         held, position = first.torque, position + rng.uniform(-2e-4, 1.6e-4)
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_hold_that_lasted_longer_counts_by_its_last_sample_time(delay: int) -> None:
+    """Three sample times of a slow motion inwards are no fast one: taken for that they certify too much."""
+    torques = []
+    for lasted in (1.0, 3.0):
+        controller, held = made(1e-2, delay, 1e4, 0.0, {"hand_force": 5.0}, {}), 0.0
+        controller.step(1e-3, held)
+        controller.lasted(lasted)
+        torques.append(controller.step(-5e-3, held).torque)
+        assert controller.step(-11e-3, held).torque > 0.0  # the next hold is one of the usual length
+    assert torques[0] > 2.0 * torques[1]

@@ -130,6 +130,32 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
     return doubt
 
 
+def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
+    """Takes the last sample time of a hold that lasted longer, with one torque, for the hold that ended.
+
+    In it the axis moved as on average over the whole, give or take what torque and hand gain in half of the rest.
+
+    Args:
+        declared: Of axis and hand.
+        bound: Of the axis, after `end_hold`.
+        lasted: Length of the hold, > 1 [sample times].
+    """
+    response, torque = declared.response, abs(bound.torque)
+    if declared.late > 0.0:
+        torque = max(torque, bound.most, -bound.least)
+    hand = response.push if response.push < inf else response.hand
+    step = (response.before + response.during) * torque + hand
+    excursion = abs(bound.displacement) + declared.encoder_count + lasted * lasted * step
+    bound.displacement /= lasted
+    bound.blur = 0.5 * (lasted - 1.0) * step
+    bound.blur += (1.0 - response.retained + (response.growth - 1.0)) * excursion
+    bound.kept = 0
+    if declared.damping > 0.0:  # the mean speed is known, and its square is no more than the mean of the squares
+        certain = abs(bound.displacement) * lasted - declared.encoder_count
+        if certain > 0.0:
+            bound.dissipated -= declared.damping / declared.sample_time * certain * certain * (1.0 - 1.0 / lasted)
+
+
 def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
     """Takes the torque of the hold that ended, with what acted in it of older ones [N or N*m]."""
     above, below = bound.highest - torque, torque - bound.lowest

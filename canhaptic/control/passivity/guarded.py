@@ -32,6 +32,7 @@ from canhaptic.control.certificates.torque_bound import (
     end_gap,
     end_hold,
     keep,
+    shorten,
     turn,
 )
 from canhaptic.control.environments.environment import Environment
@@ -146,6 +147,9 @@ def end(
         return displacement, 0.0, 0.0, end_several(settings, state, memory, displacement, torque_applied)
     bound.first = oldest - declared.delay
     unsure = end_hold(declared, bound, memory.bound, displacement, torque_applied)
+    if axis.lasted > 1.0:
+        shorten(declared, bound, axis.lasted)
+        axis.lasted = 1.0
     if count > 0.0:
         update(axis.window, memory.axis.samples, count, settings.sample_time, position)
     if commands.torques[oldest] == torque_applied:

@@ -31,6 +31,7 @@ class Axis:
     position: float = 0.0  # [m or rad]
     moved: float = 0.0  # in the last hold [m or rad]
     missed: int = 0  # samples lost since
+    lasted: float = 1.0  # the hold that ends next [sample times]: more where SYNCs were skipped
     oldest: int = 0  # place of the command whose hold ends next
     h_dis: float = 0.0  # surplus still to be dissipated [J]
     window: VelocityWindow = field(default_factory=VelocityWindow)

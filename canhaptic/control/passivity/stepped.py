@@ -45,6 +45,10 @@ class SteppedController:
             branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
         )
 
+    def lasted(self, periods: float) -> None:
+        """Says that the hold that the next `step` ends lasted so many sample times, SYNCs having been skipped."""
+        self._axis.lasted = periods
+
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Accounts for the hold that ended; see `Controller.step`."""
         if not isfinite(position - self._axis.position + torque_applied):
