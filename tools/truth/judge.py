@@ -68,7 +68,7 @@ def judged(scene: TruthScene) -> tuple[TruthScene, Outcome]:
     """Returns the scene with its hand force raised to what the hand really did, and what its run came to."""
     outcome, watch = _run(scene)
     for _ in range(_TRIES):
-        if outcome.declared or watch is None:
+        if outcome.declared or watch is None or not scene.is_true:
             break
         scene = _with_true_hand(scene, watch)
         outcome, watch = _run(scene)
@@ -142,9 +142,9 @@ def _outcome(
     ports = {name: port for name, port in account["ports"].items() if "passive" in port}
     section = scene.passivity
     pull, push = max(watch.pull), max(watch.push)
-    declared = not scene.promises or (
-        pull <= section.get("hand_force", 0.0) and (section.get("hand_push") is None or push <= section["hand_push"])
-    )
+    within = pull <= section.get("hand_force", 0.0)
+    within = within and (section.get("hand_push") is None or push <= section["hand_push"])
+    declared = scene.is_true and (within or not scene.promises)
     claims = [
         claim for name, port in ports.items() for claim in _false_claims(name, port, account["truth"][name], section)
     ]

@@ -1,7 +1,8 @@
 """Random scenes over effect x timing x drive deviation x limit x algorithm, on one axis and on groups of two.
 
-Every declaration is true, with one exception: `hand_force` is a guess, which `judge` raises to what the hand really
-did. What a scene names is in its tags, `dimension:name`; a table and the list of known false claims go by them.
+Every declaration is true but in the scenes tagged `false:`; `hand_force` and `hand_push` are guesses, which `judge`
+raises to what the hand really did. What a scene names is in its tags, `dimension:name`; a table and the list of known
+false claims go by them.
 """
 
 import math
@@ -32,6 +33,11 @@ class TruthScene:
     def promises(self) -> bool:
         """Whether its algorithm certifies torques."""
         return "algorithm:guarded" in self.tags
+
+    @property
+    def is_true(self) -> bool:
+        """Whether all that it declares is true, but for the hand."""
+        return not any(tag.startswith("false:") for tag in self.tags)
 
     @property
     def passivity(self) -> dict[str, Any]:
@@ -87,8 +93,27 @@ def random_scene(seed: int) -> TruthScene:
     values.update(axes=[axis], simulation=simulation)
     _bus_effects(chance, values, 1.0 / rate)
     outward = _group(chance, group, values) if group else _one_axis(chance, values)
+    _declare_falsely(chance, values)
     chance.tags.add(f"rate:{rate}")
     return TruthScene(seed, values, frozenset(chance.tags), outward, values["duration"])
+
+
+def _declare_falsely(chance: _Chance, values: dict[str, Any]) -> None:
+    """Makes one declaration in twenty scenes false; a row of the table says how often a run notices."""
+    if not chance.drawn(0.05):
+        return
+    group = values.get("groups")
+    passivity = group[0]["passivity"] if group else values["passivity"]
+    kind = chance.one_of({"moving_mass": 0.4, "current_lag": 0.3, "counts_per_unit": 0.3})
+    if kind == "moving_mass":
+        passivity["moving_mass"] *= 3.0
+    elif kind == "counts_per_unit":
+        values["simulation"]["drive"]["counts_per_unit"] = 1.2 * values["axes"][0]["counts_per_unit"]
+    elif any(effect["type"] == "current_loop" for effect in values["simulation"].get("effects", ())):
+        passivity["current_lag"] = 0.0
+    else:
+        return
+    chance.tags.add(f"false:{kind}")
 
 
 def _axis(chance: _Chance) -> dict[str, Any]:
@@ -274,6 +299,9 @@ def _one_axis(chance: _Chance, values: dict[str, Any]) -> tuple[int, ...]:
         passivity["device_damping"] = damping
     if algorithm == "guarded":
         passivity["hand_force"] = 0.0 if "hand:press" in chance.tags else chance.decades(1.0, 10.0)
+        if chance.drawn(0.5):
+            chance.tags.add("declares:hand_push")
+            passivity["hand_push"] = chance.decades(5.0, 20.0)
     values["passivity"] = passivity
     return (outward,)
 
