@@ -78,7 +78,11 @@ class PortAccount:
 
 
 class Account(Mapping[str, PortAccount]):
-    """The accounts of all ports by name; `raw` is the whole account as `canhaptic run --json` prints it."""
+    """The accounts of all ports by name; `raw` is the whole account as `canhaptic run --json` prints it.
+
+    Example:
+        >>> {name: port.margin for name, port in result.account.items()}  # doctest: +SKIP
+    """
 
     def __init__(self, raw: Mapping[str, Any]) -> None:
         self.raw: Mapping[str, object] = dict(raw)
@@ -141,7 +145,12 @@ class SimulationResult:
             return log.time
 
     def log(self) -> EnergyLog:
-        """Opens the energy log of the run, for everything that is not here; close it, or use it as a context."""
+        """Opens the energy log of the run, for everything that is not here; close it, or use it as a context.
+
+        Example:
+            >>> with result.log() as log:  # doctest: +SKIP
+            ...     print(log.events)
+        """
         return EnergyLog.open(self._path)
 
     def to_numpy(self) -> dict[str, NDArray[np.float64]]:
@@ -159,6 +168,9 @@ class SimulationResult:
 
         Raises:
             InputError: pandas is not installed.
+
+        Example:
+            >>> result.to_pandas()["handle.position"].plot()  # doctest: +SKIP
         """
         try:
             import pandas
@@ -171,6 +183,9 @@ class SimulationResult:
 
         Raises:
             InputError: xarray is not installed.
+
+        Example:
+            >>> result.to_xarray()["handle.h_i"].cumsum("time").max()  # doctest: +SKIP
         """
         try:
             import xarray
@@ -201,6 +216,9 @@ class SimulationResult:
 
         Raises:
             InputError: The file exists already, or cannot be written.
+
+        Example:
+            >>> result.save("stiff.h5")  # doctest: +SKIP
         """
         target = Path(path)
         try:

@@ -82,7 +82,7 @@ def test_from_python_it_runs_with_permission_alone(folder: Path) -> None:
     assert list(result.scene.own_code) == ["my_wall.py"]
 
 
-COMMANDS = ("run", "compare", "accuracy", "sweep", "design", "drive", "commission")
+COMMANDS = ("run", "compare", "accuracy", "sweep", "design", "drive", "commission", "touch")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
