@@ -17,9 +17,9 @@ import numpy as np
 from scipy.linalg import expm
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
-from canhaptic.control.admittance.guarded import GuardedDisplayParameters
+from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.guarded_display import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.cycle import run as run_cycle
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.scene.build import build
@@ -86,7 +86,7 @@ def _display(rate: int, asked: float, algorithm: str, seed: int, *, damping: flo
     return Display(
         PlantParameters(mass=_MASS, damping=0.0),
         AdmittanceSimulation(loop=loop, grip=grip, sensor=SimulatedForceSensor(sampling="mean")), hand,
-        VirtualMass(mass=asked, damping=damping), properties, algorithm, guarded if algorithm == "guarded" else None,
+        DisplayMass(mass=asked, damping=damping), properties, algorithm, guarded if algorithm == "guarded" else None,
     )  # fmt: skip
 
 

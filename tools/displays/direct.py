@@ -8,8 +8,8 @@ from random import Random
 from typing import Any
 
 from canhaptic.control.admittance import build_display_controller
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import Branch, Certificate
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
@@ -30,7 +30,7 @@ class Display:
     plant: PlantParameters
     simulation: AdmittanceSimulation
     user: UserParameters | None
-    environment: VirtualMass
+    environment: DisplayMass
     properties: DisplayProperties
     algorithm: str
     parameters: Parameters | None = None

@@ -6,9 +6,9 @@ from random import Random
 from typing import Any
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
-from canhaptic.control.admittance.guarded import GuardedDisplayParameters
+from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.guarded_display import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.sim.plant.effects import Effect, read_effect
 from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
 from canhaptic.sim.plant.plant import PlantParameters
@@ -48,7 +48,7 @@ def random_display(seed: int, algorithm: str | None = None) -> Display:
     return Display(
         PlantParameters(mass=mass, damping=random.choice([0.0, 2.0, 10.0])),
         AdmittanceSimulation(loop=loop, grip=grip, sensor=sensor), _hand(random),
-        VirtualMass(
+        DisplayMass(
             mass=random.choice([0.1, 0.5, 1.0, 2.0, 5.0]), damping=random.choice([0.0, 2.0, 10.0]),
             stiffness=random.choice([0.0, 0.0, 200.0]), lower_wall=random.choice([-10.0, -0.03]),
         ),

@@ -10,17 +10,17 @@ from canhaptic.units import Parameters
 _HERE: Final = "canhaptic.control.admittance"
 
 DISPLAY_ENVIRONMENTS: Final[dict[str, str]] = {
-    "virtual_mass": f"{_HERE}.virtual_mass:VirtualMass",
+    "virtual_mass": f"{_HERE}.display_mass:DisplayMass",
 }
 """Name in a scene -> "module:Class"; the class is the parameter model and the environment in one."""
 
 DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
-    "unprotected": f"{_HERE}.unprotected:Unprotected",
-    "internal_dissipation": f"{_HERE}.internal_dissipation:InternalDissipation",
-    "passivity_observer": f"{_HERE}.passivity_observer:PassivityObserver",
-    "energy_tank": f"{_HERE}.energy_tank:EnergyTank",
-    "ultimately_passive": f"{_HERE}.ultimately_passive:UltimatelyPassive",
-    "guarded": f"{_HERE}.guarded:Guarded",
+    "unprotected": f"{_HERE}.unprotected_display:UnprotectedDisplay",
+    "internal_dissipation": f"{_HERE}.dissipating_display:DissipatingDisplay",
+    "passivity_observer": f"{_HERE}.observed_display:ObservedDisplay",
+    "energy_tank": f"{_HERE}.tank_display:TankDisplay",
+    "ultimately_passive": f"{_HERE}.ultimately_passive_display:UltimatelyPassiveDisplay",
+    "guarded": f"{_HERE}.guarded_display:GuardedDisplay",
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""
 

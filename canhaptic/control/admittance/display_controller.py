@@ -7,8 +7,8 @@ sensor shows), and the `torque` of its balance is the velocity commanded [m/s or
 from math import isfinite
 from typing import Any
 
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.errors import ControlError
@@ -19,7 +19,7 @@ _HELD = Branch.HELD.value
 class DisplayController(SteppedController):
     """A kernel with the state of one axis."""
 
-    def __init__(self, environment: VirtualMass, parameters: Any, loop: DisplayProperties) -> None:
+    def __init__(self, environment: DisplayMass, parameters: Any, loop: DisplayProperties) -> None:
         """Prepares a run; `parameters` is of `parameters_type`.
 
         Raises:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from math import copysign, inf
 from typing import Final, NamedTuple
 
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.port import PortSettings, port_positions
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.kernels import Buffer, MakeBuffer
 
 _BACK: Final = 0.125
@@ -14,7 +14,7 @@ _BACK: Final = 0.125
 
 
 @dataclass(frozen=True, slots=True)
-class MotionSettings:
+class DisplayMotionSettings:
     """What limits a command."""
 
     sample_time: float  # [s]
@@ -35,17 +35,17 @@ class DisplayMemory(NamedTuple):
 
 
 @dataclass(slots=True)
-class Motion:
+class DisplayMotion:
     """What is remembered of the virtual mass."""
 
     speed: float = 0.0  # of the last command [m/s or rad/s]
     newest: int = 0  # place of the last command
 
 
-def motion_settings(environment: VirtualMass, properties: DisplayProperties, lag: float = 0.0) -> MotionSettings:
+def motion_settings(environment: DisplayMass, properties: DisplayProperties, lag: float = 0.0) -> DisplayMotionSettings:
     """Returns what is fixed for a run; `lag` is the drive's moving mass over its gain [s]."""
     time = properties.sample_time
-    return MotionSettings(
+    return DisplayMotionSettings(
         time, properties.delay, properties.speed_quantum, properties.speed_limit, properties.acceleration_limit * time,
         max(environment.lower_wall, properties.position_low), min(environment.upper_wall, properties.position_high),
         lag,
@@ -57,20 +57,20 @@ def display_memory(port: PortSettings, kept: int, make_buffer: MakeBuffer) -> Di
     return DisplayMemory(port_positions(port, make_buffer), make_buffer(kept))
 
 
-def send(motion: Motion, commands: Buffer, speed: float) -> None:
+def send(motion: DisplayMotion, commands: Buffer, speed: float) -> None:
     """Keeps a command as the newest."""
     motion.newest = motion.newest + 1 if motion.newest + 1 < len(commands) else 0
     commands[motion.newest] = speed
     motion.speed = speed
 
 
-def sent(motion: Motion, commands: Buffer, age: int) -> float:
+def sent(motion: DisplayMotion, commands: Buffer, age: int) -> float:
     """Returns a command [m/s or rad/s]; age 0 is the newest."""
     return commands[motion.newest - age]
 
 
 def accelerated(
-    environment: VirtualMass, settings: MotionSettings, speed: float, force: float, position: float
+    environment: DisplayMass, settings: DisplayMotionSettings, speed: float, force: float, position: float
 ) -> float:
     """Returns the speed of the virtual mass after another hold under a force [m/s or rad/s]: implicit in the damper."""
     time = settings.sample_time
@@ -79,7 +79,12 @@ def accelerated(
 
 
 def limited(
-    settings: MotionSettings, motion: Motion, commands: Buffer, wish: float, position: float, velocity: float
+    settings: DisplayMotionSettings,
+    motion: DisplayMotion,
+    commands: Buffer,
+    wish: float,
+    position: float,
+    velocity: float,
 ) -> float:
     """Returns the nearest command that speed, acceleration and position limits allow [m/s or rad/s].
 
@@ -101,7 +106,7 @@ def limited(
     return min(max(wish, low), high)
 
 
-def whole(settings: MotionSettings, speed: float) -> float:
+def whole(settings: DisplayMotionSettings, speed: float) -> float:
     """Returns a command in whole quanta, towards zero [m/s or rad/s]."""
     if settings.quantum == 0.0 or abs(speed) == inf:
         return speed

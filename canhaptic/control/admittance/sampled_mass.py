@@ -7,10 +7,11 @@ account closes like every other.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import (
     DisplayMemory,
-    Motion,
-    MotionSettings,
+    DisplayMotion,
+    DisplayMotionSettings,
     accelerated,
     display_memory,
     limited,
@@ -20,7 +21,6 @@ from canhaptic.control.admittance.motion import (
 )
 from canhaptic.control.admittance.port import Port, PortSettings, book, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.kernels import MakeBuffer, new
 
@@ -32,7 +32,7 @@ class DisplaySettings:
     """What is fixed for a run of an algorithm without a certificate."""
 
     port: PortSettings
-    motion: MotionSettings
+    motion: DisplayMotionSettings
     first: float = 0.0  # of the algorithm's own: energy at the start, or damping per energy
     second: float = 0.0  # of the algorithm's own: largest energy, or largest slip
 
@@ -42,7 +42,7 @@ class DisplayState:
     """What is remembered between two SYNCs."""
 
     axis: Port = field(default_factory=Port)
-    motion: Motion = field(default_factory=Motion)
+    motion: DisplayMotion = field(default_factory=DisplayMotion)
     h_s: float = 0.0  # [J]
     energy: float = 0.0  # of the algorithm's own: observed, in the tank, or still to be dissipated [J]
     slip: float = 0.0  # speed in the last command that dissipates [m/s or rad/s]
@@ -59,7 +59,7 @@ class SampledHold(NamedTuple):
 
 
 def display_settings(
-    environment: VirtualMass, properties: DisplayProperties, first: float = 0.0, second: float = 0.0
+    environment: DisplayMass, properties: DisplayProperties, first: float = 0.0, second: float = 0.0
 ) -> DisplaySettings:
     """Returns what is fixed for a run."""
     return DisplaySettings(port_settings(properties), motion_settings(environment, properties), first, second)
@@ -71,7 +71,7 @@ def memory_of(settings: DisplaySettings, make_buffer: MakeBuffer) -> DisplayMemo
 
 
 def follow(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,
@@ -86,7 +86,7 @@ def follow(
 
 
 def command(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,

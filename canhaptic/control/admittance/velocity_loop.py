@@ -25,12 +25,12 @@ bound holds only where the limit is not reached (`may_limit`).
 from dataclasses import dataclass
 from math import sqrt
 
-from canhaptic.control.admittance.motion import Motion, sent
+from canhaptic.control.admittance.motion import DisplayMotion, sent
 from canhaptic.kernels import Buffer
 
 
 @dataclass(frozen=True, slots=True)
-class LoopSettings:
+class VelocityLoopSettings:
     """What is declared of the drive."""
 
     sample_time: float  # [s]
@@ -53,7 +53,7 @@ class LoopState:
     lead: float = 0.0  # way commanded less way moved: f_I = k lead [m or rad]
 
 
-def reserve(settings: LoopSettings, lead: float, speed: float) -> float:
+def reserve(settings: VelocityLoopSettings, lead: float, speed: float) -> float:
     """Returns the largest V at a largest speed [J]."""
     value = 0.5 * settings.mass * speed * speed
     if settings.integral > 0.0:
@@ -62,7 +62,9 @@ def reserve(settings: LoopSettings, lead: float, speed: float) -> float:
     return value
 
 
-def may_limit(settings: LoopSettings, lead: float, velocity: float, command: float, acceleration: float) -> bool:
+def may_limit(
+    settings: VelocityLoopSettings, lead: float, velocity: float, command: float, acceleration: float
+) -> bool:
     """Whether the torque may reach its limit while a command acts: with an integral the bound is then not proved.
 
     Args:
@@ -82,7 +84,7 @@ def may_limit(settings: LoopSettings, lead: float, velocity: float, command: flo
     return torque >= settings.torque_limit
 
 
-def gained(settings: LoopSettings, lead: float, commands: Buffer, motion: Motion, moved: float) -> float:
+def gained(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, moved: float) -> float:
     """Returns by how much W changed over the hold that ended, at least, from encoder and commands [J].
 
     Args:
@@ -100,13 +102,13 @@ def gained(settings: LoopSettings, lead: float, commands: Buffer, motion: Motion
     return least
 
 
-def lost_unseen(settings: LoopSettings, commands: Buffer, motion: Motion) -> float:
+def lost_unseen(settings: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion) -> float:
     """Returns the largest loss of W in the hold that ended, of which no sample came; without an integral [J]."""
     square = _largest_square(commands, motion, settings.delay, settings.delay + settings.losses)
     return 0.25 * settings.gain * settings.sample_time * square
 
 
-def _by_damping(settings: LoopSettings, command: float, moved: float) -> float:
+def _by_damping(settings: VelocityLoopSettings, command: float, moved: float) -> float:
     """Returns the least c D (D / T - r) with D unsure by a count and c by its range [J]."""
     time, count = settings.sample_time, settings.count
     turn = 0.5 * command * time  # D of the least value
@@ -115,7 +117,7 @@ def _by_damping(settings: LoopSettings, command: float, moved: float) -> float:
     return (settings.gain_least if power > 0.0 else settings.gain) * power
 
 
-def _gained_with_integral(settings: LoopSettings, lead: float, command: float, moved: float) -> float:
+def _gained_with_integral(settings: VelocityLoopSettings, lead: float, command: float, moved: float) -> float:
     """Returns the same for a drive with an integral, in which no RPDO may be lost.
 
     Minimum over v(t) with int v = D of int [c v^2 - c r v - f_I r], f_I = f_0 + k (r t - x):
@@ -130,7 +132,7 @@ def _gained_with_integral(settings: LoopSettings, lead: float, command: float, m
     return change - gain * gain * command * command * time * time * time / (48.0 * least)
 
 
-def _turned(settings: LoopSettings, lead: float, way: float) -> float:
+def _turned(settings: VelocityLoopSettings, lead: float, way: float) -> float:
     """Returns the largest f_0 R of a way R [J]."""
     product = lead * way
     share = settings.integral if product > 0.0 else settings.integral_least
@@ -138,7 +140,7 @@ def _turned(settings: LoopSettings, lead: float, way: float) -> float:
 
 
 def sequence_loss(
-    settings: LoopSettings, lead: float, commands: Buffer, motion: Motion, holds: int, oldest: int
+    settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion, holds: int, oldest: int
 ) -> float:
     """Returns the largest loss of W over commands in a row, the first of which has the age `oldest` [J]."""
     time, way, squares, shifts = settings.sample_time, 0.0, 0.0, 0.0
@@ -156,7 +158,12 @@ def sequence_loss(
 
 
 def fastest(
-    settings: LoopSettings, state: LoopState, commands: Buffer, motion: Motion, budget: float, sign: float
+    settings: VelocityLoopSettings,
+    state: LoopState,
+    commands: Buffer,
+    motion: DisplayMotion,
+    budget: float,
+    sign: float,
 ) -> float:
     """Returns the largest speed in a direction that may be commanded now [m/s or rad/s].
 
@@ -191,7 +198,9 @@ def fastest(
     return 2.0 * room / (root + line) if room > 0.0 else 0.0
 
 
-def _fastest_by_damping(settings: LoopSettings, commands: Buffer, motion: Motion, budget: float) -> float:
+def _fastest_by_damping(
+    settings: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion, budget: float
+) -> float:
     """Returns the same without an integral: c T / 4 times the squares of all that may act.
 
     In each hold under way the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
@@ -219,7 +228,7 @@ def _fastest_by_damping(settings: LoopSettings, commands: Buffer, motion: Motion
     return best
 
 
-def _within(commands: Buffer, motion: Motion, speed: float, own: int, losses: int) -> float:
+def _within(commands: Buffer, motion: DisplayMotion, speed: float, own: int, losses: int) -> float:
     """Returns a speed that is the largest in just so many of its holds; 0 where it is not."""
     square = speed * speed
     if own > 1 or losses > 0:
@@ -234,7 +243,7 @@ def _within(commands: Buffer, motion: Motion, speed: float, own: int, losses: in
     return speed
 
 
-def _largest_square(commands: Buffer, motion: Motion, newest: int, oldest: int) -> float:
+def _largest_square(commands: Buffer, motion: DisplayMotion, newest: int, oldest: int) -> float:
     largest = 0.0
     for age in range(newest, oldest + 1):
         command = sent(motion, commands, age)
@@ -242,7 +251,7 @@ def _largest_square(commands: Buffer, motion: Motion, newest: int, oldest: int) 
     return largest
 
 
-def loss_under_way(settings: LoopSettings, lead: float, commands: Buffer, motion: Motion) -> float:
+def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion: DisplayMotion) -> float:
     """Returns the largest loss of W by the commands that may still act, the newest included, at any SYNC [J]."""
     total = largest = 0.0
     if settings.integral > 0.0:

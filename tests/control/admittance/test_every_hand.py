@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.guarded import GuardedDisplayParameters
+from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.guarded_display import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.errors import ParameterError
 from tests.control.admittance import attacked_drive as attack
 
@@ -45,7 +45,7 @@ class _Rig:
         parameters = GuardedDisplayParameters(
             spread=0.0, energy_allowance=self.allowance, max_consecutive_losses=self.losses, **known
         )
-        environment = VirtualMass(mass=self.virtual_mass, damping=self.damping)
+        environment = DisplayMass(mass=self.virtual_mass, damping=self.damping)
         return build_display_controller(environment, "guarded", parameters, properties)
 
     def drive(self) -> attack.AttackedDrive:

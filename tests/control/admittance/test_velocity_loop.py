@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.motion import Motion, send
+from canhaptic.control.admittance.motion import DisplayMotion, send
 from canhaptic.control.admittance.velocity_loop import (
-    LoopSettings,
     LoopState,
+    VelocityLoopSettings,
     fastest,
     gained,
     loss_under_way,
@@ -16,8 +16,10 @@ from canhaptic.control.admittance.velocity_loop import (
 _STEPS = 40  # of the motion in one hold
 
 
-def _settings(gain: float, integral: float, *, delay: int = 1, losses: int = 0, time: float = 1e-3) -> LoopSettings:
-    return LoopSettings(time, delay, losses, 2.0, gain, gain, integral, integral, 0.0, 1e9)
+def _settings(
+    gain: float, integral: float, *, delay: int = 1, losses: int = 0, time: float = 1e-3
+) -> VelocityLoopSettings:
+    return VelocityLoopSettings(time, delay, losses, 2.0, gain, gain, integral, integral, 0.0, 1e9)
 
 
 def _form(commands: list[float], gain: float, integral: float, lead: float, time: float) -> tuple:
@@ -38,8 +40,8 @@ def _worst(commands: list[float], gain: float, integral: float, lead: float, tim
     return float(speed @ quadratic @ speed + linear @ speed + constant)
 
 
-def _sent(commands: list[float]) -> tuple[list[float], Motion]:
-    ring, motion = [0.0] * (len(commands) + 1), Motion()
+def _sent(commands: list[float]) -> tuple[list[float], DisplayMotion]:
+    ring, motion = [0.0] * (len(commands) + 1), DisplayMotion()
     for command in commands:
         send(motion, ring, command)
     return ring, motion
@@ -106,7 +108,7 @@ def test_no_way_of_losing_commands_loses_more_than_is_counted(delay: int, losses
     for _ in range(50):
         settings = _settings(500.0, 0.0, delay=delay, losses=losses)
         sent = random.uniform(-0.3, 0.3, delay + losses + 1).tolist()
-        ring, motion = [0.0] * (delay + losses + 2), Motion()
+        ring, motion = [0.0] * (delay + losses + 2), DisplayMotion()
         for command in sent:
             send(motion, ring, command)
         budget = random.uniform(0.0, 0.2)
@@ -118,7 +120,7 @@ def test_no_way_of_losing_commands_loses_more_than_is_counted(delay: int, losses
             assert most <= budget + 1e-12
 
 
-def _losses_of(sent: list[float], speed: float, delay: int, losses: int, settings: LoopSettings) -> list[float]:
+def _losses_of(sent: list[float], speed: float, delay: int, losses: int, settings: VelocityLoopSettings) -> list[float]:
     """Returns the loss of every pattern of lost RPDOs, up to so many in a row; behind the new command comes 0."""
     everything = [*sent, speed, *[0.0] * losses]
     first = len(sent) - delay  # place of the command of the hold that begins now

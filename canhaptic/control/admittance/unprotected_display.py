@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
 from canhaptic.control.admittance.properties import DisplayProperties
@@ -14,7 +15,6 @@ from canhaptic.control.admittance.sampled_mass import (
     follow,
     memory_of,
 )
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters
@@ -25,14 +25,14 @@ class UnprotectedDisplayParameters(Parameters):
 
 
 def settings_of(
-    environment: VirtualMass, _parameters: UnprotectedDisplayParameters, properties: DisplayProperties
+    environment: DisplayMass, _parameters: UnprotectedDisplayParameters, properties: DisplayProperties
 ) -> DisplaySettings:
     """Returns what is fixed for a run."""
     return display_settings(environment, properties)
 
 
 def step(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,
@@ -47,7 +47,7 @@ def step(
     return command(environment, settings, state, memory, hold, 0.0, hold.wish, 0.0)
 
 
-class Unprotected(DisplayController):
+class UnprotectedDisplay(DisplayController):
     """The virtual mass without protection."""
 
     parameters_type: ClassVar[type[Parameters]] = UnprotectedDisplayParameters

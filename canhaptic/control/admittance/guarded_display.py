@@ -18,10 +18,11 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, NamedTuple
 
 from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import (
     DisplayMemory,
-    Motion,
-    MotionSettings,
+    DisplayMotion,
+    DisplayMotionSettings,
     accelerated,
     display_memory,
     limited,
@@ -33,8 +34,8 @@ from canhaptic.control.admittance.motion import (
 from canhaptic.control.admittance.port import Port, PortSettings, begin_port, book, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.velocity_loop import (
-    LoopSettings,
     LoopState,
+    VelocityLoopSettings,
     fastest,
     gained,
     loss_under_way,
@@ -42,7 +43,6 @@ from canhaptic.control.admittance.velocity_loop import (
     may_limit,
     reserve,
 )
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.passivity.settlement import settle
 from canhaptic.errors import ParameterError
@@ -75,17 +75,17 @@ class _GuardedSettings:
     """What is fixed for a run."""
 
     port: PortSettings
-    motion: MotionSettings
-    loop: LoopSettings
+    motion: DisplayMotionSettings
+    loop: VelocityLoopSettings
     allowance: float  # [J]
 
 
 @dataclass(slots=True)
-class _GuardedState:
+class _GuardedDisplayState:
     """What is remembered between two SYNCs."""
 
     axis: Port = field(default_factory=Port)
-    motion: Motion = field(default_factory=Motion)
+    motion: DisplayMotion = field(default_factory=DisplayMotion)
     loop: LoopState = field(default_factory=LoopState)
     h_s: float = 0.0  # [J]
     surplus: float = 0.0  # [J]
@@ -104,7 +104,7 @@ class GuardedMemory(NamedTuple):
 
 
 def settings_of(
-    environment: VirtualMass, parameters: GuardedDisplayParameters, properties: DisplayProperties
+    environment: DisplayMass, parameters: GuardedDisplayParameters, properties: DisplayProperties
 ) -> _GuardedSettings:
     """Returns what is fixed for a run.
 
@@ -117,7 +117,7 @@ def settings_of(
             "integral_gain: a command that is lost leaves the integral of the drive unknown"
         )
     least = 1.0 - parameters.spread
-    loop = LoopSettings(
+    loop = VelocityLoopSettings(
         properties.sample_time, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
         parameters.loop_gain, parameters.loop_gain * least, parameters.integral_gain, parameters.integral_gain * least,
         properties.encoder_count, properties.torque_limit,
@@ -134,9 +134,9 @@ def memory_of(settings: _GuardedSettings, make_buffer: MakeBuffer) -> GuardedMem
 
 
 def step(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: _GuardedSettings,
-    state: _GuardedState,
+    state: _GuardedDisplayState,
     memory: GuardedMemory,
     position: float,
     torque_applied: float,
@@ -169,7 +169,7 @@ def step(
     ))  # fmt: skip
 
 
-def miss(settings: _GuardedSettings, state: _GuardedState, memory: GuardedMemory) -> float:
+def miss(settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory) -> float:
     """Takes a SYNC of which no sample came; returns the command [m/s or rad/s].
 
     Without an integral the last command goes on as long as it is certified without knowing what it did; with one the
@@ -195,7 +195,7 @@ def miss(settings: _GuardedSettings, state: _GuardedState, memory: GuardedMemory
 
 
 def _take(
-    settings: _GuardedSettings, state: _GuardedState, memory: GuardedMemory, position: float, force: float
+    settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory, position: float, force: float
 ) -> tuple[float, float]:
     """Books the hold that ended and brings W up to date; returns (h_i [J], mean velocity [m/s or rad/s])."""
     port, loop, motion, commands = state.axis, state.loop, state.motion, memory.display.commands
@@ -226,7 +226,7 @@ def _take(
     return max(late, memory.margins[then] - state.taken) - free, hold.moved / hold.elapsed
 
 
-def _keep(state: _GuardedState, memory: GuardedMemory, change: float) -> None:
+def _keep(state: _GuardedDisplayState, memory: GuardedMemory, change: float) -> None:
     """Keeps what is known at this SYNC until its force comes."""
     state.place = state.place + 1 if state.place + 1 < len(memory.changes) else 0
     memory.changes[state.place] = change
@@ -235,9 +235,9 @@ def _keep(state: _GuardedState, memory: GuardedMemory, change: float) -> None:
 
 
 def _settle(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: _GuardedSettings,
-    state: _GuardedState,
+    state: _GuardedDisplayState,
     memory: GuardedMemory,
     h_i: float,
     before: float,
@@ -272,13 +272,13 @@ def _settle(
     return h_s, h_r, deficit, leak, paid
 
 
-class Guarded(DisplayController):
+class GuardedDisplay(DisplayController):
     """A virtual mass with the certificate of the drive's velocity loop."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedDisplayParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _GuardedState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _GuardedDisplayState, memory_of, step)
 
-    def __init__(self, environment: VirtualMass, parameters: GuardedDisplayParameters, loop: DisplayProperties) -> None:
+    def __init__(self, environment: DisplayMass, parameters: GuardedDisplayParameters, loop: DisplayProperties) -> None:
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
 

@@ -12,7 +12,7 @@ from pydantic import model_validator
 from canhaptic.units import Parameters, quantity
 
 
-class VirtualMass(Parameters):
+class DisplayMass(Parameters):
     """A mass that the hand moves."""
 
     display: ClassVar[Literal["admittance"]] = "admittance"
@@ -31,7 +31,7 @@ class VirtualMass(Parameters):
     """Above it the mass does not go."""
 
     @model_validator(mode="after")
-    def _walls_leave_room(self) -> "VirtualMass":
+    def _walls_leave_room(self) -> "DisplayMass":
         if self.lower_wall >= self.upper_wall:
             raise ValueError(f"lower_wall is {self.lower_wall}, expected less than upper_wall ({self.upper_wall})")
         return self

@@ -13,6 +13,7 @@ from math import sqrt
 from typing import ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
 from canhaptic.control.admittance.properties import DisplayProperties
@@ -24,7 +25,6 @@ from canhaptic.control.admittance.sampled_mass import (
     follow,
     memory_of,
 )
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters
@@ -35,14 +35,14 @@ class DisplayDissipationParameters(Parameters):
 
 
 def settings_of(
-    environment: VirtualMass, _parameters: DisplayDissipationParameters, properties: DisplayProperties
+    environment: DisplayMass, _parameters: DisplayDissipationParameters, properties: DisplayProperties
 ) -> DisplaySettings:
     """Returns what is fixed for a run."""
     return display_settings(environment, properties)
 
 
 def step(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,
@@ -64,7 +64,7 @@ def step(
     return command(environment, settings, state, memory, hold, 0.0, wish, 0.0)
 
 
-def next_speed(environment: VirtualMass, time: float, speed: float, impulse: float, risen: float) -> float:
+def next_speed(environment: DisplayMass, time: float, speed: float, impulse: float, risen: float) -> float:
     """Returns the root that keeps the sign of the speed; 0 where there is none [m/s or rad/s].
 
     Args:
@@ -83,7 +83,7 @@ def next_speed(environment: VirtualMass, time: float, speed: float, impulse: flo
     return found if found * speed > 0.0 else 0.0
 
 
-class InternalDissipation(DisplayController):
+class DissipatingDisplay(DisplayController):
     """The paper's balance of energy with force in and velocity out."""
 
     parameters_type: ClassVar[type[Parameters]] = DisplayDissipationParameters

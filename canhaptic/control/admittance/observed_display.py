@@ -8,6 +8,7 @@ Hannaford and Ryu, IEEE Trans. Robotics and Automation 18, 2002, in the form for
 from typing import ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
 from canhaptic.control.admittance.properties import DisplayProperties
@@ -19,7 +20,6 @@ from canhaptic.control.admittance.sampled_mass import (
     follow,
     memory_of,
 )
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters
@@ -30,14 +30,14 @@ class DisplayObserverParameters(Parameters):
 
 
 def settings_of(
-    environment: VirtualMass, _parameters: DisplayObserverParameters, properties: DisplayProperties
+    environment: DisplayMass, _parameters: DisplayObserverParameters, properties: DisplayProperties
 ) -> DisplaySettings:
     """Returns what is fixed for a run."""
     return display_settings(environment, properties)
 
 
 def step(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,
@@ -59,7 +59,7 @@ def step(
     return command(environment, settings, state, memory, hold, h_pas, hold.wish, slip)
 
 
-class PassivityObserver(DisplayController):
+class ObservedDisplay(DisplayController):
     """A virtual mass with observer and series slip."""
 
     parameters_type: ClassVar[type[Parameters]] = DisplayObserverParameters

@@ -8,6 +8,7 @@ Schindlbeck and Haddadin, ICRA 2015.
 from typing import Annotated, ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
 from canhaptic.control.admittance.properties import DisplayProperties
@@ -19,13 +20,12 @@ from canhaptic.control.admittance.sampled_mass import (
     follow,
     memory_of,
 )
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters, quantity
 
 
-class EnergyTankParameters(Parameters):
+class TankDisplayParameters(Parameters):
     """Of an admittance display: the tank."""
 
     initial: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
@@ -35,14 +35,14 @@ class EnergyTankParameters(Parameters):
 
 
 def settings_of(
-    environment: VirtualMass, parameters: EnergyTankParameters, properties: DisplayProperties
+    environment: DisplayMass, parameters: TankDisplayParameters, properties: DisplayProperties
 ) -> DisplaySettings:
     """Returns what is fixed for a run."""
     return display_settings(environment, properties, parameters.initial, parameters.capacity)
 
 
 def step(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,
@@ -63,8 +63,8 @@ def step(
     return command(environment, settings, state, memory, hold, 0.0, wish, 0.0)
 
 
-class EnergyTank(DisplayController):
+class TankDisplay(DisplayController):
     """A virtual mass that moves by what is in its tank."""
 
-    parameters_type: ClassVar[type[Parameters]] = EnergyTankParameters
+    parameters_type: ClassVar[type[Parameters]] = TankDisplayParameters
     kernel: ClassVar[Kernel] = Kernel(settings_of, DisplayState, memory_of, step)

@@ -8,6 +8,7 @@ stability of the slip against the stiffest hand declared (C K T <= 0.5).
 from typing import Annotated, ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
+from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
 from canhaptic.control.admittance.properties import DisplayProperties
@@ -19,7 +20,6 @@ from canhaptic.control.admittance.sampled_mass import (
     follow,
     memory_of,
 )
-from canhaptic.control.admittance.virtual_mass import VirtualMass
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters, quantity
@@ -28,7 +28,7 @@ _STABLE = 0.5
 """Largest C K T of a series slip against a spring, with a whole hold of delay to spare."""
 
 
-class UltimatelyPassiveParameters(Parameters):
+class UltimatelyPassiveDisplayParameters(Parameters):
     """Of an admittance display: how fast the surplus is dissipated."""
 
     alpha: Annotated[float, quantity("m/N/s/J", "rad/N/m/s/J", ge=0.0, le=1e6)] = 1.0
@@ -38,7 +38,7 @@ class UltimatelyPassiveParameters(Parameters):
 
 
 def settings_of(
-    environment: VirtualMass, parameters: UltimatelyPassiveParameters, properties: DisplayProperties
+    environment: DisplayMass, parameters: UltimatelyPassiveDisplayParameters, properties: DisplayProperties
 ) -> DisplaySettings:
     """Returns what is fixed for a run."""
     most = _STABLE / (parameters.hand_stiffness * properties.sample_time)
@@ -46,7 +46,7 @@ def settings_of(
 
 
 def step(
-    environment: VirtualMass,
+    environment: DisplayMass,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,
@@ -68,8 +68,8 @@ def step(
     return balance
 
 
-class UltimatelyPassive(DisplayController):
+class UltimatelyPassiveDisplay(DisplayController):
     """A virtual mass whose surplus is dissipated by and by."""
 
-    parameters_type: ClassVar[type[Parameters]] = UltimatelyPassiveParameters
+    parameters_type: ClassVar[type[Parameters]] = UltimatelyPassiveDisplayParameters
     kernel: ClassVar[Kernel] = Kernel(settings_of, DisplayState, memory_of, step)
