@@ -1,6 +1,7 @@
 """The step of a group compiled by numba, with lists and tuples on the outside; needs the extra `fast`."""
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,17 @@ def compiled_world(world: World) -> tuple[Any, Records]:
     return bare, record_of(world.tables)
 
 
+@cache
+def compiled_step(kernel: GroupKernel, parts: tuple[type, ...]) -> Any:
+    """Returns the step of an algorithm, compiled once in a process for each size of group.
+
+    Args:
+        kernel: Of the algorithm.
+        parts: Classes of mechanism, geometry and functions of the network.
+    """
+    return compiled(step_records, {step: kernel.step}, keep=True, parts=parts)
+
+
 def begin_compiled(kernel: GroupKernel, world: World, settings: Any) -> Callable[[], GroupRun]:
     """Returns what begins a run; compiles first, which takes up to half a minute where it is not kept on disk.
 
@@ -53,8 +65,7 @@ def begin_compiled(kernel: GroupKernel, world: World, settings: Any) -> Callable
         ParameterError: A part of the world is given as functions in Python.
     """
     bare, tables = compiled_world(world)
-    parts = type(world.mechanism), type(world.geometry), type(world.functions)
-    call = compiled(step_records, {step: kernel.step}, keep=True, parts=parts)
+    call = compiled_step(kernel, (type(world.mechanism), type(world.geometry), type(world.functions)))
     fixed, state = record_of(settings), records_of([kernel.state()])
     memory = record_of(kernel.memory(world, settings))
     rows = memory[0]["group"]["commands"]["torques"].shape[1]
