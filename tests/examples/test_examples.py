@@ -27,7 +27,7 @@ SAYS = {
     "room_in_a_plane.py": "stage: in .* passive yes",
 }
 """Script -> what it prints."""
-QUICK = {"stop_when_deep.py", "replay_a_recording.py"}
+QUICK = {"stop_when_deep.py"}
 
 
 def test_the_list_names_every_example() -> None:
