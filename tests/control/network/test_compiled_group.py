@@ -137,7 +137,7 @@ def differences(seed, cycles=300):
 def test_thirty_compiled_groups_have_the_bits_of_the_interpreted_ones():
     found = [differences(seed) for seed in range(30)]
     assert [differ for differ, _ in found] == [0] * 30
-    assert sum(felt > 30 for _, felt in found) >= 20
+    assert sum(felt > 30 for _, felt in found) >= 15
 
 
 def refused(environment, kinematics):
