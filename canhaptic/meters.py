@@ -73,6 +73,7 @@ class RunMeters:
         damped = [all(meter.is_damped for meter in port.meters) for port in self._ports]
         self.least_at_handle: list[float | None] = [0.0 if is_damped else None for is_damped in damped]
         self.contacts, self.silent = [0] * count, [0] * count
+        self._count, self._places, self._lowest = len(self.axes), tuple(range(count)), [0.0] * count
         self.damping = [0.0] * count
         self.asked: list[tuple[float, float]] = [(0.0, 0.0)] * len(self.axes)
 
@@ -88,24 +89,29 @@ class RunMeters:
             deadline: Sample times since the first SYNC.
         """
         self.deadline = deadline
-        for axis, meter in enumerate(self.axes):
-            balance = balances[axis]
-            if balance.branch == _HELD:
-                meter.lose(balance.torque)
-            else:
-                meter.take(samples[axis].position, samples[axis].torque_applied, deadline, balance)
-                if meter.asked:
-                    asked, rendered = self.asked[axis]
-                    self.asked[axis] = asked + meter.asked, rendered - balance.torque
-        for place, (port, balance) in enumerate(zip(self._ports, balances, strict=True)):
-            if balance.branch not in OUT_OF_CONTACT:
+        axes = self._count
+        for place in self._places:  # walked by number, see `Cycle`
+            balance = balances[place]
+            branch = balance.branch
+            if place < axes:
+                meter = self.axes[place]
+                if branch == _HELD:
+                    meter.lose(balance.torque)
+                else:
+                    sample = samples[place]
+                    meter.take(sample.position, sample.torque_applied, deadline, balance)
+                    if meter.asked:
+                        asked, rendered = self.asked[place]
+                        self.asked[place] = asked + meter.asked, rendered - balance.torque
+            if branch not in OUT_OF_CONTACT:
                 self.contacts[place] += 1
                 self.damping[place] += balance.damping_rendered
                 if not balance.torque:
                     self.silent[place] += 1
             least = self.least_at_handle[place]
-            if least is not None:
-                now = ledgers[place].interaction + sum([meter.dissipated for meter in port.meters])
+            if least is not None and ledgers[place].interaction < self._lowest[place]:
+                self._lowest[place] = ledgers[place].interaction
+                now = ledgers[place].interaction + sum([meter.dissipated for meter in self._ports[place].meters])
                 if now < least:
                     self.least_at_handle[place] = now
 
