@@ -21,7 +21,7 @@ FLAT = 1.1
 COMMAND = (
     "from canhaptic.cli.main import main; import sys; sys.exit(main(sys.argv[1:]))",
     "sweep", str(REPOSITORY / "configs" / "demo.yaml"), "--set", "environment.position=0.05 m",
-    "--controllers", "unprotected", "--cycles", str(CYCLES), "--chunk", "5000", "--engine", "numpy", "--json",
+    "--controllers", "unprotected", "--cycles", str(CYCLES), "--chunk", "5000", "--engine", "numba", "--json",
 )  # fmt: skip
 
 
@@ -54,7 +54,7 @@ def main() -> None:
             out = Path(folder) / "sweep.h5"
             seconds, peaks[scenes] = run(stiffnesses, dampings, out)
             size = out.stat().st_size / 1e6
-        name = f"{scenes} scenes x {CYCLES} cycles, unprotected, NumPy, one process"
+        name = f"{scenes} scenes x {CYCLES} cycles, unprotected, numba, one process"
         rows += [Row(f"{name}: time", seconds, "s", note=note), Row(f"{name}: peak memory", peaks[scenes], "MB"),
                  Row(f"{name}: file", size, "MB")]  # fmt: skip
         print(f"{name}: {seconds:.0f} s, {peaks[scenes]:.0f} MB", flush=True)

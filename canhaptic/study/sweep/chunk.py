@@ -128,10 +128,13 @@ class _Chunk:
 
     def _groups(self, keys: set[str], rows: _Rows) -> list[_Rows]:
         """Returns the rows that share the values of some keys, in the order of their first."""
-        found: dict[Row, list[int]] = {}
-        for row in rows.tolist():
-            found.setdefault(self._row(row, keys), []).append(row)
-        return [np.array(group, dtype=np.intp) for group in found.values()]
+        kinds = np.zeros(len(rows), dtype=np.int64)
+        for key in keys:
+            numbers = _numbered(self._columns[key])[rows]
+            kinds = np.unique(kinds * (numbers.max(initial=0) + 1) + numbers, return_inverse=True)[1]
+        _, first, kinds = np.unique(kinds, return_index=True, return_inverse=True)
+        together = np.split(rows[np.argsort(kinds, kind="stable")], np.cumsum(np.bincount(kinds))[:-1])
+        return [together[number] for number in np.argsort(first).tolist()]
 
     def _row(self, row: int, keys: set[str] | None = None) -> Row:
         return tuple(
@@ -239,6 +242,14 @@ class _Chunk:
                 return SLOTS
             self._texts.append(remark if len(self._texts) < SLOTS - 1 else _MORE)
         return self._texts.index(remark) + 1 if remark in self._texts else SLOTS
+
+
+def _numbered(column: Column) -> NDArray[np.int64]:
+    """Returns a whole number for each value of a column, the same for the same value."""
+    if isinstance(column, np.ndarray):
+        return np.unique(column, return_inverse=True)[1]
+    known = {value: number for number, value in enumerate(dict.fromkeys(column))}
+    return np.array([known[value] for value in column], dtype=np.int64)
 
 
 def _alone(built: Built, name: str) -> Scene:

@@ -1,0 +1,136 @@
+"""How fast are sweeps of plants with stops and friction, and how soon is the first row of a second start there?
+
+Beside them MuJoCo moves a slide with dry friction and a limit, in a loop of Python that computes the wall's torque; JAX
+moves a linear plant and an unprotected wall (vmap over scan) where an interpreter that has it is named by JAX_PYTHON.
+"""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from canhaptic.scene.load import load_scene
+from canhaptic.study.batch import run_batch
+from tools.bench.report import Row
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+CONFIG = REPOSITORY / "configs" / "demo.yaml"
+SCENES, CYCLES = 300, 1000
+FIVE = ("diverged", "least_interaction", "margin", "believed_error", "torque_peak")
+MOVING = ("environment.position=0.005", "simulation.user.motion.frequency=3")
+STOP = "{type: hard_stop, side: upper, position: 0.02, stiffness: 1e5, damping: 50}"
+PLANTS = {
+    "stop and Coulomb friction": f"{STOP}, {{type: coulomb_friction, kinetic: 0.3, static: 0.4}}",
+    "stop and Stribeck friction": f"{STOP}, {{type: stribeck_friction, kinetic: 0.3, static: 0.5, "
+    "stribeck_velocity: 0.01}",
+    "current loop and friction": "{type: current_loop, time_constant: 300 us}, "
+    "{type: coulomb_friction, kinetic: 0.3, static: 0.4}",
+    "shaft and backlash": "{type: shaft_compliance, stiffness: 1e4, damping: 1, load_mass: 0.1}, "
+    "{type: backlash, gap: 1e-4}",
+}
+ASKED = "stop and Coulomb friction"
+_JAX = """
+import json, time, jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+flow = jnp.array(FLOW)
+def loop(stiffness, damping):
+    def hold(carry, _):
+        z, before, worst = carry
+        position = z[0]
+        depth = jnp.minimum(position, 0.0)
+        torque = jnp.where(position < 0.0, -stiffness * depth - damping * (position - before) / 1e-3, 0.0)
+        z = flow @ z.at[-2].set(torque)
+        return (z, position, jnp.maximum(worst, jnp.abs(torque))), None
+    start = jnp.array(START)
+    return jax.lax.scan(hold, (start, start[0], 0.0), None, length=CYCLES)[0][2]
+run = jax.jit(jax.vmap(loop))
+a = jnp.asarray(10.0 ** np.linspace(2, 5, SCENES)), jnp.asarray(10.0 ** np.linspace(-1, 2, SCENES))
+run(*a).block_until_ready()
+begin, used = time.perf_counter(), time.process_time()
+run(*a).block_until_ready()
+print(json.dumps([SCENES * CYCLES / (time.process_time() - used) / 1e6, jax.__version__]))
+"""
+
+
+def event_rows() -> list[Row]:
+    """Returns cycles per second of one core's time of `guarded` on plants with events, compiled beforehand."""
+    peer = _mujoco_loop()
+    rows = []
+    for name, effects in PLANTS.items():
+        scene = load_scene(CONFIG, [*MOVING, f"simulation.effects=[{effects}]"])
+        varied = {"environment.stiffness": np.geomspace(300.0, 3000.0, SCENES)}
+        run_batch(scene, varied, 3, "numba", FIVE)
+        begin = process_time()
+        run_batch(scene, varied, CYCLES, "numba", FIVE)
+        rate = SCENES * CYCLES / (process_time() - begin) / 1e6
+        asked, met = (">= 0.5", rate >= 0.5) if name == ASKED else ("", None)
+        ratio = rate / peer if peer else None
+        label = f"{SCENES} scenes x {CYCLES} cycles: guarded, numba, {name}"
+        rows.append(Row(label, rate, "M cycles/s", "MuJoCo loop in Python", peer, ratio, asked, met))
+    return rows
+
+
+def _mujoco_loop() -> float | None:
+    """Returns the cycles per second of one core's time [1e6/s]; None when MuJoCo is absent."""
+    if not importlib.util.find_spec("mujoco"):
+        return None
+    mujoco = import_module("mujoco")
+    model = mujoco.MjModel.from_xml_string("""
+<mujoco><option timestep="0.001" gravity="0 0 0"><flag contact="disable"/></option><worldbody><body>
+<joint name="x" type="slide" axis="1 0 0" frictionloss="0.3" limited="true" range="-1 0.02" stiffness="60" damping="5"/>
+<geom type="sphere" size="0.01" mass="0.25"/></body></worldbody><actuator><motor joint="x"/></actuator></mujoco>""")
+    data, count = mujoco.MjData(model), 20_000
+    push = (9.0 * np.sin(2.0 * np.pi * 3.0 * 1e-3 * np.arange(count))).tolist()
+    before, begin = 0.0, process_time()
+    for k in range(count):
+        position = float(data.qpos[0])
+        wall = -1000.0 * (position - 0.005) - 10.0 * (position - before) * 1e3 if position < 0.005 else 0.0
+        data.ctrl[0], before = wall + push[k], position
+        mujoco.mj_step(model, data)
+    return count / (process_time() - begin) / 1e6
+
+
+def jax_rows() -> list[Row]:
+    """Returns the cycles per second of JAX, where JAX_PYTHON names an interpreter that has it."""
+    python = os.environ.get("JAX_PYTHON")
+    name = "JAX, vmap over scan: unprotected, linear plant, peak torque alone"
+    if not python:
+        return [Row(f"{name}: peer absent (JAX_PYTHON names no interpreter)", float("nan"), "M cycles/s")]
+    from canhaptic.scene.parts import build_plant
+
+    scene = load_scene(CONFIG)
+    simulation: Any = scene.axes[0].simulation
+    plant = build_plant(simulation, scene.bus.sample_time_ns)
+    program = _JAX.replace("FLOW", repr(plant.whole_flow().tolist())).replace(
+        "START", repr(plant.initial_state().tolist())
+    )
+    program = program.replace("SCENES", "2000").replace("CYCLES", str(CYCLES))
+    found = subprocess.run([python, "-c", program], capture_output=True, text=True, check=True)
+    rate, version = json.loads(found.stdout.splitlines()[-1])
+    return [Row(f"{name}, JAX {version}", rate, "M cycles/s", note="processor time of all its threads together")]
+
+
+def second_start_rows() -> list[Row]:
+    """Returns the time from the command to the end of a small sweep, its machine code on disk."""
+    command = [
+        sys.executable, "-m", "canhaptic", "sweep", str(CONFIG), "--vary", "environment.stiffness=1e2:1e5:log:40",
+        "--vary", "environment.damping=0:10:40", "--cycles", "1000", "--engine", "numba", "--json",
+    ]  # fmt: skip
+    times = []
+    for _ in range(2):
+        before, begin = os.times(), perf_counter()
+        subprocess.run(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True)
+        after = os.times()
+        used = after.children_user + after.children_system - before.children_user - before.children_system
+        times.append((perf_counter() - begin, used))
+    wall, used = times[1]
+    note = f"{wall:.2f} s by the clock; 1,600 scenes of 1,000 cycles, all of them in one chunk"
+    return [Row("second start: command to the end of a sweep, processor time", used, "s", target="<= 2",
+                met=used <= 2.0, note=note)]  # fmt: skip
