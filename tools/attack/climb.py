@@ -77,6 +77,8 @@ def worst(
             left = found / most
         balance = step(environment, settings, state, memory, measured(plant[X], count), acting)
         torque = cut(rig, balance.torque, plant[BEFORE])
+        if abs(torque) > start[2]:
+            start[2] = abs(torque)
         if rig.delay > 0:
             acting, waiting = waiting, torque
         else:
@@ -187,6 +189,9 @@ class Attack:
         declared: Of the loop.
         parameters: Of `guarded`.
         hand: What the hand may do; within what is declared, if that is to be true.
+
+    Attributes:
+        strongest: Largest torque that was rendered in any run [N]; a wall without torque proves nothing.
     """
 
     def __init__(
@@ -216,6 +221,7 @@ class Attack:
         self._climb = _compiled(kind)
         self._rig, self._hand, self._count = rig, hand, declared.encoder_count
         self._at_handle = bool(declared.device_damping)
+        self.strongest = 0.0
 
     @property
     def is_ideal(self) -> bool:
@@ -225,11 +231,12 @@ class Attack:
 
     def run(self, seed: int, evaluations: int = EVALUATIONS, holds: int = HOLDS) -> float:
         """Returns the least sum of energy that the hand of one seed reached [J]; 0 where none was below it."""
-        room = np.zeros(8), np.zeros(holds), np.ones(holds), np.zeros(2), np.ones(2 * holds + 2)
+        room = np.zeros(8), np.zeros(holds), np.ones(holds), np.zeros(3), np.ones(2 * holds + 2)
         found = float(
             self._climb(
                 self._numbers, self._settings, self._rest, self._states, self._memory, self._zeros, self._rig,
                 self._hand, seed, evaluations, self._count, self._at_handle, *room,
             )
         )  # fmt: skip
+        self.strongest = max(self.strongest, float(room[3][2]))
         return min(0.0, found)

@@ -22,10 +22,10 @@ _LEAST: Final = -1e-9
 _HANDS_OF_A_LOOP: Final = 20
 
 
-def least_of(hole: int, hands: int, *, mended: bool) -> float:
-    """Returns the least sum of energy [J] that some hands reached through a known way out."""
+def least_of(hole: int, hands: int, *, mended: bool) -> tuple[float, float]:
+    """Returns the least sum of energy [J] that some hands reached by a known way out, and the largest torque [N]."""
     attack = attack_on(HOLES[hole], mended=mended)
-    return min(attack.run(seed) for seed in range(hands))
+    return min(attack.run(seed) for seed in range(hands)), attack.strongest
 
 
 def table_of_holes(hands: int) -> list[dict[str, Any]]:
@@ -33,12 +33,14 @@ def table_of_holes(hands: int) -> list[dict[str, Any]]:
     rows = []
     for number, hole in enumerate(HOLES):
         missing = keys_missing(hole)
+        least, strongest = (None, None) if missing else least_of(number, hands, mended=True)
         rows.append(
             {
                 "": hole.name,
                 "loop": hole.what,
-                "not declared [J]": least_of(number, hands, mended=False),
-                "declared [J]": None if missing else least_of(number, hands, mended=True),
+                "not declared [J]": least_of(number, hands, mended=False)[0],
+                "declared [J]": least,
+                "largest torque, declared [N]": strongest,
                 "by": ", ".join(hole.mend),
             }
         )
