@@ -129,7 +129,7 @@ class RigUnderStress(RuleBasedStateMachine):
         self.trouble, self.most_cycles = None, MOST_CYCLES
         self.lost, self.not_following = dict.fromkeys(self.lost, 0), 0
         self.enabled_by_operator = True
-        loop = LoopProperties(sample_time=1e-3, delay=1, moving_mass=1.0, torque_limit=LIMIT)
+        loop = LoopProperties(sample_time=1e-3, delay=1, moving_mass=1.0, device_damping_bound=0.0, torque_limit=LIMIT)
         wall = SpringDamperWall(stiffness=300.0, damping=1.0)
         parameters = GuardedParameters(max_consecutive_losses=16)
         try:

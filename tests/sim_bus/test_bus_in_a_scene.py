@@ -41,7 +41,7 @@ def test_a_scene_says_what_its_bus_does_with_units(tmp_path: Path) -> None:
     [
         ("    dorp: 0.01\n", ":5: simulation.bus.dorp: unknown key; did you mean 'drop'?"),
         ("    drop: 1.5\n", ":11: simulation.bus.drop: got 1.5, expected 0 <= drop <= 1"),
-        ("    drop: 5 %\n", ":11: simulation.bus.drop: got '5 %', "),
+        ("    drop: 5 V\n", ":11: simulation.bus.drop: got '5 V', "),
         ("    delay: 5 m\n", ":12: simulation.bus.delay: got '5 m', unit 'm' does not fit; expected [s]"),
         ("    delay: -1 ms\n", ":12: simulation.bus.delay: got '-1 ms', expected 0 <= delay <= 10 [s]"),
         ("    drop: 0.8\n    drop_burst: 2\n", "drop is 0.8, expected at most 0.666667 with a drop_burst of 2 frames"),

@@ -27,7 +27,11 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.sim_bus.bus_bench import virtual_bus
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
-GUARDED = "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N, max_consecutive_losses: 4}"
+GUARDED = (
+    "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N, device_damping_bound: 0.1 N*s/m, "
+    "sync_jitter: 0, torque_window: 0 s, "  # declared: what the bus makes of them would leave no torque
+    "max_consecutive_losses: 4}"
+)
 PAPER = "passivity={algorithm: internal_dissipation}"
 AFTER_THE_START = "during: [{begin: 0.1 s, duration: 1000 s}]"
 WITHIN = "during: [{begin: 0.1 s, duration: 0.25 s}]"  # neither in the start nor in the stop of 400 cycles
