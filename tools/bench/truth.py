@@ -3,8 +3,9 @@
 Effects, timing, deviations of the drive, limits and algorithms in any combination, on one axis and on groups of two,
 all declarations true (`tools/truth`). `--runs N` runs N seeds from `--seed` on, in all processors; what has run is kept
 in `truth_runs.jsonl`, so that the same command goes on where it was stopped. `--only SEED` runs one seed, says what is
-false of it and leaves it, made smaller, as a scene file. A run counts when it lasted 1 s and something pushed or asked
-for 0.5 N.
+false of it and leaves it, made smaller, as a scene file. Faults that no frame can show are left out: a stuck encoder, a
+TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A run counts when it lasted 1 s and
+something pushed or asked for 0.5 N.
 """
 
 import argparse
