@@ -41,13 +41,18 @@ def refuses_guesses(scene: Scene, run: Runner | None = None) -> bool:
     return not scene.simulated and not all_links_are_virtual(scene, run)
 
 
+def _is_simulated_elsewhere(scene: Scene) -> bool:
+    """Returns whether a scene with simulated drives reaches them over UDP, which carries no real CAN bus."""
+    return scene.simulation is not None and all(bus.parameters.interface == "udp_multicast" for bus in scene.buses)
+
+
 def require_no_guesses(scene: Scene) -> None:
     """Returns when no value of a scene for real drives is marked as a guess.
 
     Raises:
         InputError: Some are; names their lines.
     """
-    if scene.guessed_timing and refuses_guesses(scene):
+    if scene.guessed_timing and refuses_guesses(scene) and not _is_simulated_elsewhere(scene):
         raise InputError(
             f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter, torque_window, current_lag: "
             "not all are declared, and the drives are real; measure them (canhaptic commission) and put them there"
