@@ -304,7 +304,7 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--beyond-bus", action="store_true", help="judge rates that the bus could not carry, too")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", metavar="N", type=_count, default=1, help="processes on this machine")
+    where.add_argument("--workers", metavar="N", type=_count, help="processes on this machine (1, or one a core)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, as in tcp://10.0.0.5:8786")
     parser.add_argument("--chunk", metavar="N", type=_count, help="scenes that are finished together")
     parser.add_argument("--out", metavar="FILE.h5", type=Path, help="results; each chunk is there once it is finished")

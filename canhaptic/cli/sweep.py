@@ -45,6 +45,7 @@ def execute(arguments: argparse.Namespace) -> int:
                 resume=arguments.resume,
                 force=arguments.force,
                 in_flight=in_flight,
+                pool_if_long=arguments.workers is None,
                 progress=progress,
                 stop_requested=stop.requested,
                 **_options(arguments),
@@ -63,7 +64,7 @@ def execute(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is None and (arguments.resume or arguments.force):
         raise InputError("--resume and --force are about a file; name it with --out FILE.h5")
-    if arguments.workers > _MOST_WORKERS:
+    if (arguments.workers or 1) > _MOST_WORKERS:
         raise InputError(f"--workers: got {arguments.workers}, expected 1 to {_MOST_WORKERS}")
 
 
@@ -72,7 +73,7 @@ def _workers(arguments: argparse.Namespace, stack: ExitStack) -> tuple[Any, int]
     if arguments.dask is not None:
         executor, threads = stack.enter_context(dask_executor(arguments.dask))
         return executor, 2 * threads
-    if arguments.workers == 1:
+    if arguments.workers in (None, 1):
         return None, 1
     pool = Pool(arguments.workers)
     stack.callback(pool.close)

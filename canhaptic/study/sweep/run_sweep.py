@@ -7,8 +7,10 @@ bits; only the order in which chunks become ready differs.
 import hashlib
 import json
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import ExitStack
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +27,7 @@ from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
 from canhaptic.study.scenes import cycles_of
 from canhaptic.study.sweep.chunk import FIGURES, USUAL, ChunkResult, is_batch_key, run_chunk
 from canhaptic.study.sweep.points import Points, make_points
-from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe
+from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe, scene_of
 from canhaptic.study.sweep.sweep_table import Columnset, SweepTable, create
 from canhaptic.study.sweep.vary import Varied, parse_vary
 from canhaptic.study.sweep.workers import Pool, SerialExecutor
@@ -36,6 +38,8 @@ _SCALAR_CHUNK: Final = (1, 50)
 _WORTH_COMPILING: Final = 1e4
 """Batches times cycles from which "auto" compiles, too: each cycle of a batch costs NumPy some hundred calls, however
 few its scenes, and compiling takes 1 to 10 s in each worker."""
+_WORTH_A_POOL: Final = 1e6
+"""Scenes times cycles that Python runs, from which a pool of processes pays: some 10 s on one core."""
 _FEWEST_CHUNKS: Final = 16
 _FEWEST_TOGETHER: Final = 8
 """Scenes of one kind in a sweep, below which making their batch costs more than running them."""
@@ -71,6 +75,7 @@ def sweep(
     resume: bool = False,
     force: bool = False,
     in_flight: int = 4,
+    pool_if_long: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
     **options: Any,
@@ -84,6 +89,7 @@ def sweep(
         executor: Any `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
         resume: Whether to go on with a file that is there; one that is not there is made.
         force: Whether to replace a file that is there.
+        pool_if_long: Whether a long sweep that Python runs gets a process on each core where no executor is given.
         in_flight: Chunks submitted and not yet written, at most.
         progress: Told now and then how far it is.
         stop_requested: Asked now and then; True ends the sweep after the chunks under way.
@@ -100,7 +106,13 @@ def sweep(
             _check_same(table, asked)
     else:
         create(path, asked.points, asked.chunk, _columns(scene, asked), replace=force)
-    with SweepTable(path, writable=True) as table:
+    with ExitStack() as stack:
+        table = stack.enter_context(SweepTable(path, writable=True))
+        cores = os.cpu_count() or 1
+        if executor is None and pool_if_long and cores > 1 and _is_long(asked):
+            pool = Pool(cores)
+            executor, in_flight = pool, 2 * cores
+            stack.callback(pool.close)
         run = _Run(asked, table, progress)
         run.run(executor or SerialExecutor(), 1 if executor is None else in_flight, stop_requested)
         return run.state
@@ -169,6 +181,12 @@ def _make_sweep(
     pays = count * per_scene >= WORTH_COMPILING or batches * per_scene >= _WORTH_COMPILING
     recipe = replace(recipe, engine=chosen_engine(engine, pays))
     return _Sweep(recipe, points, chunk, _identity(scene, recipe, points))
+
+
+def _is_long(asked: _Sweep) -> bool:
+    """Returns whether Python runs so many cycles that starting processes is a small part of the time."""
+    cycles = asked.recipe.cycles or cycles_of(scene_of(asked.recipe, ()).permitted(), asked.recipe.duration)
+    return asked.recipe.engine == "python" and len(asked.points) * cycles >= _WORTH_A_POOL
 
 
 class _Run:

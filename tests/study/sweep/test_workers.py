@@ -99,3 +99,21 @@ def test_an_address_where_no_scheduler_answers_is_named(monkeypatch):
     monkeypatch.setattr("canhaptic.study.sweep.workers._CONNECT", 0.5)
     with pytest.raises(InputError, match="no scheduler answers"), dask_executor("tcp://127.0.0.1:9"):
         pass
+
+
+def test_a_long_sweep_that_python_runs_gets_a_process_a_core(demo, tmp_path, serial, monkeypatch):
+    made = []
+
+    class Watched(Pool):
+        def __init__(self, workers):
+            made.append(workers)
+            super().__init__(workers)
+
+    monkeypatch.setattr("canhaptic.study.sweep.run_sweep.Pool", Watched)
+    monkeypatch.setattr("canhaptic.study.sweep.run_sweep.os.cpu_count", lambda: 2)
+    sweep(demo, VARY, tmp_path / "short.h5", pool_if_long=True, **OPTIONS)
+    assert made == []
+    monkeypatch.setattr("canhaptic.study.sweep.run_sweep._WORTH_A_POOL", 32 * 40.0)
+    sweep(demo, VARY, tmp_path / "long.h5", pool_if_long=True, **OPTIONS)
+    assert made == [2]
+    assert (tmp_path / "long.h5").read_bytes() == serial
