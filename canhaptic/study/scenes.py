@@ -65,14 +65,18 @@ def _of_group(scene: Scene, group: GroupScene) -> Scene:
 def at_rate(scene: Scene, rate: float) -> Scene:
     """Returns the scene at another rate [Hz], without asking whether its bus could carry it.
 
+    Nor is it asked whether a torque could come so early: it acts in the first half of its hold at the latest.
+
     Raises:
         ParameterError: The rate is out of range.
     """
     bus = BusParameters(**{**scene.bus.model_dump(), "rate": rate})
-    axes = tuple(
-        replace(axis, loop=axis.loop.model_copy(update={"sample_time": bus.sample_time})) for axis in scene.axes
-    )
-    return replace(scene, bus=bus, axes=axes)
+    axes = []
+    for axis in scene.axes:
+        window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * bus.sample_time)
+        update = {"sample_time": bus.sample_time, "torque_window": window}
+        axes.append(replace(axis, loop=axis.loop.model_copy(update=update)))
+    return replace(scene, bus=bus, axes=tuple(axes))
 
 
 def environment_of(axis: AxisScene) -> Environment:

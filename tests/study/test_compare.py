@@ -37,7 +37,7 @@ axes:
   - {{name: handle, node_id: 1, eds: {REPOSITORY}/eds/cia402_servo.eds, unit: m, counts_per_unit: 1e9,
      rated_torque: 10 kN, torque_limit: 30 N}}
 environment: {{type: spring_damper_wall, stiffness: 1000, damping: 5}}
-passivity: {{algorithm: guarded, moving_mass: 0.25, device_damping: 0.1}}
+passivity: {{algorithm: guarded, moving_mass: 0.25, device_damping: 0.1, device_damping_bound: 0.1, torque_window: 0}}
 simulation:
   plant: {{mass: 0.25, damping: 0.1}}
   user: {{stiffness: 300, damping: 3, motion: {{amplitude: 0.03, frequency: 1}}}}
@@ -74,7 +74,7 @@ def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, del
     chosen = scene("bus.rpdo=" + ("synchronous" if delay else "event"))
     found = account(chosen, algorithm)
     axis = chosen.axes[0]
-    loop = LoopProperties(sample_time=1e-3, delay=delay, moving_mass=0.25, device_damping=0.1)
+    loop = LoopProperties(sample_time=1e-3, delay=delay, moving_mass=0.25, device_damping=0.1, device_damping_bound=0.1)
     controller = build_controller(axis.environment.parameters, algorithm, None, loop)
     run = sampled(USER_S, controller, 1e-3, 1.499, delay)
     position, torque = continuous(USER_S, 1000.0, 5.0, 0.0, np.arange(0.0, 1.49905, 1e-4))

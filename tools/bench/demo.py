@@ -16,7 +16,8 @@ PERIOD = 1_000_000  # [ns]
 COUNT = 1e-6  # [m]
 IN_CONTACT = (
     "environment.position=0",
-    "passivity={algorithm: guarded, moving_mass: 0.2 kg, hand_force: 0 N, max_consecutive_losses: 4}",
+    "passivity={algorithm: guarded, moving_mass: 0.2 kg, device_damping_bound: 0.2 N*s/m, hand_force: 0 N, "
+    "max_consecutive_losses: 4}",
 )
 """Overrides for a run in which the hand is in the wall half of the time, and frames may be lost."""
 _FELT = -0.01  # [J] that the motor of a rendered wall has done on the hand, and less

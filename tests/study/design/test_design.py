@@ -20,7 +20,7 @@ DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
 RIG = [
     "bus.rate=100",
     "simulation.plant.damping=1",
-    "passivity={algorithm: guarded, moving_mass: 0.2, device_damping: 0.9}",
+    "passivity={algorithm: guarded, moving_mass: 0.2, device_damping: 0.9, device_damping_bound: 0.9}",
 ]
 
 
