@@ -252,6 +252,8 @@ def largest_torques(
     if losses:
         take_sizes(declared, bound, memory, delay)
         torques, first = memory.held_on, 0
+    if declared.damping == 0.0 and declared.hand_speed == 0.0:
+        return force, damping, speed
     hold, tail, tail_square = acting_time(declared, bound)
     if declared.damping > 0.0:
         squares = 0.0

@@ -299,10 +299,11 @@ def render(
     if size == 0.0:
         return torque, damper, modulated, rendered, _UNBOUNDED
     sign = 1.0 if torque > 0.0 else -1.0
-    most = within_limits(settings, memory.axis.commands.torques[state.axis.oldest - 1], sign, moved)
-    if size > most:
-        share, torque, size = most / size, sign * most, most
-        damper, modulated, rendered = damper * share, modulated * share, rendered * share
+    if size > settings.least_limit:
+        most = within_limits(settings, memory.axis.commands.torques[state.axis.oldest - 1], sign, moved)
+        if size > most:
+            share, torque, size = most / size, sign * most, most
+            damper, modulated, rendered = damper * share, modulated * share, rendered * share
     force, damping, speed = largest_torques(settings.declared, bound, memory.bound, sign, energy)
     largest = force if force > damping else damping
     if speed > largest:

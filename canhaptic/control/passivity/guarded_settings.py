@@ -54,6 +54,7 @@ class GuardedSettings:
     credit: float  # [J]
     alpha: float  # [s/m^2 or s/rad^2]
     torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
+    least_limit: float  # torque up to which no limit cuts [N or N*m]
     torque_step: float  # by which it may rise from SYNC to SYNC [N or N*m]
     power_limit: float  # that the torque may put into the user's side [W]
     quantum: float  # of the torque command; 0: ideal [N or N*m]
@@ -88,6 +89,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
         credit=parameters.energy_allowance,
         alpha=parameters.alpha,
         torque_limit=loop.torque_limit or inf,
+        least_limit=0.0 if loop.torque_rate_limit or loop.power_limit else loop.torque_limit or inf,
         torque_step=(loop.torque_rate_limit or inf) * sample_time,
         power_limit=loop.power_limit or inf,
         quantum=loop.torque_quantum,
