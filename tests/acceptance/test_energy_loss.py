@@ -46,15 +46,16 @@ def ran(capsys: pytest.CaptureFixture[str], *values: str, scene: Path = DEMO, se
 
 
 @pytest.mark.parametrize(
-    ("limit", "error", "least"), [("10 mJ", "EnergyLostError", -0.2), ("none", "SyncsSkippedError", -10.0)]
+    ("limit", "errors", "least"),
+    [("10 mJ", ("EnergyLostError", "SyncsSkippedError"), -0.2), ("none", ("SyncsSkippedError",), -10.0)],
 )
 def test_a_host_that_is_late_for_more_syncs_than_it_sends_is_stopped(
-    limit: str, error: str, least: float, capsys: pytest.CaptureFixture[str]
+    limit: str, errors: tuple[str, ...], least: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without an end 16,376 SYNCs are skipped, and 67 J given out."""
+    """Without an end 16,376 SYNCs were skipped, and 67 J given out."""
     result = ran(capsys, stalls(0.045, 0.05), f"axes.0.energy_loss_limit={limit}", seconds=20.0)
     assert result["exit"] == 3
-    assert f"{error}: " in result["message"]
+    assert result["message"].startswith(errors)
     assert result["link"]["skipped_syncs"] < 1300
     assert result["truth"]["handle"]["least_interaction"] > least
 
