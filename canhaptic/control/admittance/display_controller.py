@@ -43,6 +43,12 @@ class DisplayController(SteppedController):
             torque=speed, branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
         )
 
+    def lasted(self, periods: float) -> None:
+        """Counts the SYNCs that were skipped as samples that were lost; a run with one is not certified."""
+        if self._axis.started:
+            for _ in range(round(periods) - 1):
+                self._command_unseen()
+
     def _command_unseen(self) -> float:
         """Returns the command of a SYNC without a sample [m/s or rad/s]: 0, unless an algorithm can do better."""
         self._axis.missed += 1

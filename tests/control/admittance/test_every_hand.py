@@ -173,3 +173,15 @@ def test_losses_are_not_declared_with_an_integral() -> None:
     rig = _Rig(corner=20.0, losses=1)
     with pytest.raises(ParameterError, match="max_consecutive_losses"):
         rig.controller()
+
+
+def test_a_skipped_sync_costs_what_its_hold_may_have_cost() -> None:
+    rig = replace(_SHARP, allowance=1e-3)
+    loop = _Loop(rig, rig.controller(), np.random.default_rng(2))
+    for _ in range(50):
+        loop.sync(_steady(lambda _drive, _command: 12.0, loop.drive.substeps))
+    before = loop.controller._state.loop.margin
+    loop.controller.lasted(3.0)
+    assert loop.controller._state.loop.margin < before
+    loop.sync(attack.greedy(1e9, 0.5))
+    assert math.isfinite(loop.queue[-1])
