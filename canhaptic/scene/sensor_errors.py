@@ -34,10 +34,10 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
 def accuracy_of(axis: AxisScene) -> Accuracy:
     """Returns what is known of the sensors and of the device of an axis."""
     effects, loop = _effects(axis), loop_as_known(axis)
-    late = loop.timing.late
+    late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
     bounds_late = not axis.group and axis.passivity.name == "guarded"
     return Accuracy(
-        sample_time=loop.timing.longest,
+        sample_time=loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)),
         position=0.5 * loop.encoder_count,
         torque_share=_share(effects),
         torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0),

@@ -71,12 +71,13 @@ def at_rate(scene: Scene, rate: float) -> Scene:
         ParameterError: The rate is out of range.
     """
     bus = BusParameters(**{**scene.bus.model_dump(), "rate": rate})
-    axes = []
-    for axis in scene.axes:
-        window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * bus.sample_time)
-        update = {"sample_time": bus.sample_time, "torque_window": window}
-        axes.append(replace(axis, loop=axis.loop.model_copy(update=update)))
-    return replace(scene, bus=bus, axes=tuple(axes))
+    return replace(scene, bus=bus, axes=tuple(axis_at(axis, bus.sample_time) for axis in scene.axes))
+
+
+def axis_at(axis: AxisScene, sample_time: float) -> AxisScene:
+    """Returns an axis at another sample time [s]; its torques act in the first half of a hold at the latest."""
+    window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * sample_time)
+    return replace(axis, loop=axis.loop.model_copy(update={"sample_time": sample_time, "torque_window": window}))
 
 
 def environment_of(axis: AxisScene) -> Environment:

@@ -26,8 +26,13 @@ for name in ("posix_fallocate", "O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "sched_
 import canhaptic
 
 for module in pkgutil.walk_packages(canhaptic.__path__, "canhaptic."):
-    if not module.name.endswith("__main__"):
+    if module.name.endswith("__main__"):
+        continue
+    try:
         importlib.import_module(module.name)
+    except ModuleNotFoundError as error:  # of an extra that is not installed here
+        if error.name.split(".")[0] not in ("bokeh", "tornado", "matplotlib", "numba", "dask", "distributed", "scipy"):
+            raise
 from canhaptic.cli.host import host_settings
 
 host_settings()

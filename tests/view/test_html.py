@@ -174,6 +174,7 @@ def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path
 
 
 def test_a_run_of_other_ports_is_not_laid_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     write_run(tmp_path / "run.h5", cycles=200)
     write_run(tmp_path / "other.h5", cycles=200, ports=("knob",))
     words = ["inspect", str(tmp_path / "run.h5"), "--html", str(tmp_path / "run.html")]

@@ -19,11 +19,12 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.errors import ParameterError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.timing import with_timing
 from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.study.accuracy.continuous_loop import ContinuousLoop
 from canhaptic.study.algorithms import able_under
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
-from canhaptic.study.scenes import loop_case
+from canhaptic.study.scenes import axis_at, loop_case
 from canhaptic.units import effort_unit
 
 FINEST: Final = 4
@@ -85,8 +86,7 @@ def _rates(base: Variant, scene: Scene) -> list[Variant]:
         if not 1.0 <= rate <= 20_000.0 or (factor > 1.0 and base.bus.sample_time_ns % int(factor)):
             continue
         bus = BusParameters(**{**base.bus.model_dump(), "rate": rate})
-        loop = base.axis.loop.model_copy(update={"sample_time": bus.sample_time})
-        axis = _with_substeps(replace(base.axis, loop=loop), factor)
+        axis = _with_substeps(axis_at(base.axis, bus.sample_time), factor)
         case = loop_case(axis, replace(scene, bus=bus))
         found.append(Variant("sample rate", _hertz(rate), axis, bus, case, fineness=factor))
     return found
@@ -99,8 +99,14 @@ def _hertz(rate: float) -> str:
 def _delays(base: Variant, scene: Scene) -> list[Variant]:
     other = "event" if base.bus.rpdo == "synchronous" else "synchronous"
     bus = base.bus.model_copy(update={"rpdo": other})
-    axis = replace(base.axis, loop=base.axis.loop.model_copy(update={"delay": bus.delay}))
-    return [Variant("RPDO", other, axis, bus, loop_case(axis, replace(scene, bus=bus)))]
+    loop = base.axis.loop.model_copy(update={"delay": bus.delay, "torque_window": None})
+    name = base.axis.parameters.name
+    axes = (replace(base.axis, loop=loop) if each.parameters.name == name else each for each in scene.axes)
+    timed = with_timing(replace(scene, bus=bus, axes=tuple(axes)))
+    axis = next(each for each in timed.axes if each.parameters.name == name)
+    if (axis.loop.torque_window or 0.0) >= bus.sample_time:  # the torque would come behind the next SYNC
+        return []
+    return [Variant("RPDO", other, axis, bus, loop_case(axis, timed))]
 
 
 def _algorithms(base: Variant, scene: Scene) -> list[Variant]:

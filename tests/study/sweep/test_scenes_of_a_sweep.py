@@ -195,8 +195,13 @@ def test_medians_and_extremes_of_a_column_read_in_blocks_are_those_of_the_whole(
 
 
 def test_the_margin_of_guarded_is_short_by_no_more_than_the_counts_of_the_encoder_can_hide(tmp_path):
-    """Booked with true positions it is kept exactly: half a count of error costs that times the torque's travel."""
-    scene = load_scene(DEMO, ["bus.rate=250", "environment.stiffness=450", "environment.position=0.05"])
+    """Booked with true positions it is kept exactly: half a count of error costs that times the torque's travel.
+
+    Without a bus every torque acts at its SYNC.
+    """
+    scene = load_scene(
+        DEMO, ["bus.rate=250", "environment.stiffness=450", "environment.position=0.05", "passivity.torque_window=0"]
+    )
     metrics = ["margin", "believed_margin", "believed_error", "force_variation", "torque_peak"]
     counts = "axes.0.counts_per_unit=1e5,1e6,1e8"
     with run(scene, [counts, "bus.rpdo=synchronous,event"], tmp_path / "a.h5", cycles=500, metrics=metrics) as table:
