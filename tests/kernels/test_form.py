@@ -19,7 +19,7 @@ from canhaptic.control.mechanisms.planar_2r import LinkMap
 from canhaptic.control.mechanisms.transmission import LinearMap
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.control.port_hamiltonian.shapes.box import Body
+from canhaptic.control.port_hamiltonian.shapes.box import BoxInside
 from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry
 from canhaptic.control.port_hamiltonian.shapes.guided_path import FromPath
 from canhaptic.control.port_hamiltonian.shapes.sphere import Round
@@ -86,7 +86,7 @@ def test_an_algorithm_of_groups_keeps_to_the_form_of_kernels(algorithm: str) -> 
     "method",
     [
         *(mechanism.locate for mechanism in (IdentityMap, LinearMap, LinkMap, FiveBarMap)),
-        *(geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, Body)),
+        *(geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, BoxInside)),
     ],
     ids=lambda method: method.__qualname__,
 )
@@ -113,7 +113,7 @@ def with_transcendental_functions() -> set[str]:
     worlds = [load(ENVIRONMENTS, name, "environment") for name in ENVIRONMENTS]
     parts = [getattr(world, method) for world in worlds for method in METHODS]
     parts += [mechanism.locate for mechanism in (IdentityMap, LinearMap, LinkMap, FiveBarMap)]
-    parts += [geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, Body)]
+    parts += [geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, BoxInside)]
     every = [part for kernel in (*kernels, *parts) for part in reached(kernel, set())]
     names = {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "expm1", "log", "tanh", "pow", "hypot"}
     return {part.__qualname__ for part in every if names.intersection(part.__code__.co_names)}

@@ -20,7 +20,7 @@ from canhaptic.control.certificates.torque_bound import (
 from canhaptic.kernels import Buffer, new
 
 
-class Motion(NamedTuple):
+class LateMotion(NamedTuple):
     """How far the axis can have moved along the torque by the end of a hold, and what acts in it."""
 
     displacement: float  # in that hold [m or rad]
@@ -29,17 +29,17 @@ class Motion(NamedTuple):
     lowest: float  # at least, >= 0; 0 where one acts against
 
 
-def motion_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> Motion:
+def motion_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> LateMotion:
     """Returns the motion along `sign` in the hold that ended."""
     highest, lowest = (bound.highest, bound.lowest) if sign > 0.0 else (-bound.lowest, -bound.highest)
     displacement = outward(declared, bound, memory, sign)
     counted = max(0.0, acted(declared, bound, sign))
-    return new(Motion, (displacement, counted, max(0.0, highest), max(0.0, lowest)))
+    return new(LateMotion, (displacement, counted, max(0.0, highest), max(0.0, lowest)))
 
 
 def pass_hold(
-    declared: Declared, hand: float, motion: Motion, torque: float, least: float
-) -> tuple[Motion, float, float]:
+    declared: Declared, hand: float, motion: LateMotion, torque: float, least: float
+) -> tuple[LateMotion, float, float]:
     """Returns the motion in the next hold, and the most energy that older torques and its own give out in it [J].
 
     Args:
@@ -66,10 +66,10 @@ def pass_hold(
         oldest -= declared.left * lacking
         if displacement < 0.0:
             own -= lacking * response.behind * displacement
-    return new(Motion, (following, counted, newest, oldest)), early, own
+    return new(LateMotion, (following, counted, newest, oldest)), early, own
 
 
-def tail_of(declared: Declared, hand: float, motion: Motion) -> float:
+def tail_of(declared: Declared, hand: float, motion: LateMotion) -> float:
     """Returns the most energy that the torques along give out after a hold that is the last of all [J]."""
     if motion.highest == 0.0:
         return 0.0
@@ -112,7 +112,7 @@ def by_hand_force_late(
     return min(motion.highest, below_older(declared, hand, motion, energy))
 
 
-def above_older(declared: Declared, hand: float, motion: Motion, energy: float) -> float:
+def above_older(declared: Declared, hand: float, motion: LateMotion, energy: float) -> float:
     """Returns the largest torque as if it were no smaller than the older ones [N or N*m].
 
     It gives out F D + (F - l) x and its tail F X, with D = base + during F the displacement in its hold.
@@ -134,7 +134,7 @@ def above_older(declared: Declared, hand: float, motion: Motion, energy: float) 
     return largest if base >= 0.0 else min(largest, hand_force_bound(energy, start, gain))
 
 
-def below_older(declared: Declared, hand: float, motion: Motion, energy: float) -> float:
+def below_older(declared: Declared, hand: float, motion: LateMotion, energy: float) -> float:
     """Returns the largest torque as if it were smaller than the older ones [N or N*m].
 
     With g the largest of these it gives out F D + (g - F) X_0 + (F - l) x and the tail G X, where
@@ -164,7 +164,7 @@ def below_older(declared: Declared, hand: float, motion: Motion, energy: float) 
 
 def any_late(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, holds: int
-) -> tuple[float, Motion]:
+) -> tuple[float, LateMotion]:
     """Returns what any mix of torques along `sign` may give out in so many holds [J], and the motion in the last.
 
     What one of them would take in is not counted: another, or none, may act in its place.
@@ -172,7 +172,7 @@ def any_late(
     motion, hand = motion_along(declared, bound, memory, sign), hand_along(declared, bound, sign)
     total = 0.0
     for hold in range(1, holds + 1):
-        motion = new(Motion, (motion.displacement, motion.counted, motion.highest, 0.0))
+        motion = new(LateMotion, (motion.displacement, motion.counted, motion.highest, 0.0))
         along = may_act(declared, bound, memory, sign, hold)
         motion, early, own = pass_hold(declared, hand, motion, along, 0.0)
         total += early

@@ -14,7 +14,7 @@ _WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
 
 class FiveBarMap(NamedTuple):
-    """Two motors and four links; see `FiveBar` and `Mechanism`."""
+    """Two motors and four links; see `FiveBar` and `KinematicsKernel`."""
 
     base: float
     proximal_1: float

@@ -8,7 +8,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class IdentityMap(NamedTuple):
-    """x = q; see `Mechanism`."""
+    """x = q; see `KinematicsKernel`."""
 
     axes: int
 

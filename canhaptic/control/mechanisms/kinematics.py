@@ -29,7 +29,7 @@ class Pose(NamedTuple):
     limit: int = 0  # Limit.NONE, WORKSPACE or SINGULAR
 
 
-class Mechanism(Protocol):
+class KinematicsKernel(Protocol):
     """A mechanism as the kernels ask it; a NamedTuple of numbers and buffers where it can be compiled."""
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:

@@ -14,7 +14,7 @@ _WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
 
 class LinkMap(NamedTuple):
-    """Two links; see `Planar2R` and `Mechanism`."""
+    """Two links; see `Planar2R` and `KinematicsKernel`."""
 
     first: float
     second: float

@@ -22,7 +22,7 @@ _WORKSPACE = Limit.WORKSPACE.value
 
 
 class LinearMap(NamedTuple):
-    """x = A q + offset; see `Mechanism`."""
+    """x = A q + offset; see `KinematicsKernel`."""
 
     matrix: Matrix
     offset: Buffer

@@ -5,7 +5,7 @@ from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 
-from canhaptic.control.mechanisms.kinematics import Kinematics, Limit, Mechanism, Pose
+from canhaptic.control.mechanisms.kinematics import Kinematics, KinematicsKernel, Limit, Pose
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
@@ -49,7 +49,7 @@ class FromPose:
 class FromMechanism(FromPose):
     """Pose of a mechanism that is written as a kernel; it has `axes` and `dimensions`, see `Kinematics`."""
 
-    def mechanism(self) -> Mechanism:
+    def mechanism(self) -> KinematicsKernel:
         """Returns it as the kernels ask it."""
         raise NotImplementedError
 
@@ -62,7 +62,7 @@ class FromMechanism(FromPose):
 
 
 class PoseAsked(NamedTuple):
-    """A mechanism of which only the pose is known, in Python; see `Mechanism`."""
+    """A mechanism of which only the pose is known, in Python; see `KinematicsKernel`."""
 
     kinematics: Kinematics
 
@@ -76,7 +76,7 @@ class PoseAsked(NamedTuple):
         return pose.limit
 
 
-def mechanism_of(kinematics: Kinematics) -> Mechanism:
+def mechanism_of(kinematics: Kinematics) -> KinematicsKernel:
     """Returns a mechanism as the kernels ask it."""
     return kinematics.mechanism() if isinstance(kinematics, FromMechanism) else PoseAsked(kinematics)
 

@@ -13,7 +13,7 @@ from canhaptic.control.multi_axis.group_commands import (
     no_group_holds,
 )
 from canhaptic.control.multi_axis.group_motion import (
-    Motion,
+    GroupMotion,
     MotionMemory,
     MotionSettings,
     World,
@@ -45,7 +45,7 @@ class Group:
 
     started: bool = False
     oldest: int = 0  # place of the command whose hold ends next
-    motion: Motion = field(default_factory=Motion)
+    motion: GroupMotion = field(default_factory=GroupMotion)
 
 
 class GroupMemory(NamedTuple):

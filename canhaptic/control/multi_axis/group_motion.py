@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from canhaptic.control.mechanisms.kinematics import Kinematics, Limit, Mechanism
+from canhaptic.control.mechanisms.kinematics import Kinematics, KinematicsKernel, Limit
 from canhaptic.control.mechanisms.workspace import mechanism_of
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.passivity.controller import LoopProperties
@@ -33,7 +33,7 @@ _LONGEST_WINDOW: Final = 0.02
 class World(NamedTuple):
     """What a group renders, and through what."""
 
-    mechanism: Mechanism
+    mechanism: KinematicsKernel
     geometry: Geometry
     mover: Mover
     tables: NetworkTables
@@ -50,7 +50,7 @@ class MotionSettings(NamedTuple):
 
 
 @dataclass(slots=True)
-class Motion:
+class GroupMotion:
     """Where a group is."""
 
     located: bool = False  # whether the mechanism is inside its limits
@@ -132,7 +132,7 @@ def motion_memory(world: World, settings: MotionSettings) -> MotionMemory:
 
 
 def begin_motion(
-    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, positions: Buffer
+    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
     """Takes the first positions, of a state at rest."""
     motion.elapsed = settings.sample_time
@@ -146,7 +146,7 @@ def begin_motion(
 
 
 def follow(
-    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, positions: Buffer,
+    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
     """Takes positions and the motion since the last ones, and lets the network follow them."""
@@ -171,7 +171,7 @@ def follow(
 
 
 def move(
-    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, positions: Buffer,
+    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
     """Takes positions and the motion since the last ones, over one hold or several; the network stays.
@@ -199,13 +199,15 @@ def move(
         memory.displacement[j] = memory.coordinates[j] + memory.displacement[j] if is_step else 0.0
 
 
-def settle_motion(motion: Motion) -> None:
+def settle_motion(motion: GroupMotion) -> None:
     """Takes energy and engagement of the network."""
     motion.energy = motion.network.energy
     motion.engaged = motion.network.engaged and motion.limit == _NONE
 
 
-def locate(world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, positions: Buffer) -> None:
+def locate(
+    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
+) -> None:
     """Takes pose and coordinates, the mover's motion taken off."""
     motion.limit = world.mechanism.locate(positions, memory.place, memory.jacobian)
     motion.located = motion.limit == _NONE
@@ -253,7 +255,7 @@ def mover_motion(world: World, settings: MotionSettings, first: int, last: int) 
 
 
 def write_carried(
-    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, after: int, into: Buffer
+    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, after: int, into: Buffer
 ) -> None:
     """Writes the mover's motion in one hold as the least motion of the motors that moves the ports so, at this pose.
 
@@ -279,7 +281,12 @@ def write_carried(
 
 
 def write_efforts(
-    world: World, settings: MotionSettings, motion: Motion, memory: MotionMemory, lead: float, wish: RequestedEfforts
+    world: World,
+    settings: MotionSettings,
+    motion: GroupMotion,
+    memory: MotionMemory,
+    lead: float,
+    wish: RequestedEfforts,
 ) -> float:
     """Writes what the network would have the motors do, with its springs `lead` holds ahead.
 
@@ -299,7 +306,7 @@ def write_efforts(
     return internal_motion(tables, network.room) / (holds * settings.sample_time)
 
 
-def write_port_motion(settings: MotionSettings, motion: Motion, memory: MotionMemory, into: Buffer) -> None:
+def write_port_motion(settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, into: Buffer) -> None:
     """Writes the motion of the ports in one hold, from the smoothed velocity where an encoder is coarse."""
     holds = motion.holds
     for j in range(len(into)):

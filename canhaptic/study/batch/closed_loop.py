@@ -22,7 +22,7 @@ from canhaptic.study.batch.reference_kernel import (
 )
 
 MOVED: Final = 0
-"""What `move_plant` returns of a hold that is over; else the run stops there, to go on from its `Place` or not."""
+"""What `move_plant` returns of a hold that is over; else the run stops there and may go on from its `Interruption`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class LoopSettings:
 
 
 @dataclass(slots=True)
-class Place:
+class Interruption:
     """Where a loop is when it is interrupted, and what of it is not in the plant."""
 
     cycle: int = 0
@@ -128,7 +128,7 @@ def commanded(loop: LoopSettings, torque: float) -> float:
     return torque if loop.torque_quantum == 0.0 else round(torque / loop.torque_quantum) * loop.torque_quantum
 
 
-def acting(signals: Signals, place: Place, torque: float) -> float:
+def acting(signals: Signals, place: Interruption, torque: float) -> float:
     """Returns what reaches the motor of a torque during the hold to come [N or N*m], and warms the winding."""
     winding = signals.winding
     if not signals.saturates_last:
@@ -157,7 +157,7 @@ def run_loop(
     memory: Any,
     meter: Meter,
     plant: Any,
-    place: Place,
+    place: Interruption,
     continuous: ReferenceSettings,
     reference: ReferenceState,
     reference_memory: ReferenceMemory,

@@ -15,7 +15,7 @@ from canhaptic.kernels.records import Records, records_of
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise
 from canhaptic.study.batch.batch_case import NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes
-from canhaptic.study.batch.closed_loop import MOVED, Place, begin_plant, plant_at, run_loop, states_in, step
+from canhaptic.study.batch.closed_loop import MOVED, Interruption, begin_plant, plant_at, run_loop, states_in, step
 from canhaptic.study.batch.event_plants import CALLS
 from canhaptic.study.batch.meter import Meter
 from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState, length_of
@@ -110,7 +110,7 @@ class CompiledLoops:
         self._kernel, self._rows, self._modes, self._cycles = kernel, rows, modes, cycles
         self._settings, self._loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
         self._continuous = records_of(modes.settings)
-        self._rest, self._place = records_of([kernel.state()]), records_of([Place()])
+        self._rest, self._place = records_of([kernel.state()]), records_of([Interruption()])
         self.meters, self.references = (np.repeat(records_of([kind()]), len(rows)) for kind in (Meter, ReferenceState))
         self._kind = tuple_type(rows[0].environment)
         numbers = attrgetter(*self._kind._fields)

@@ -7,7 +7,7 @@ from typing import Any
 from canhaptic.kernels import Kernel, list_of_zeros
 from canhaptic.kernels.binding import bound
 from canhaptic.study.batch.batch_reference import ContinuousModes
-from canhaptic.study.batch.closed_loop import MOVED, Place, begin_plant, plant_at, run_loop, step
+from canhaptic.study.batch.closed_loop import MOVED, Interruption, begin_plant, plant_at, run_loop, step
 from canhaptic.study.batch.meter import Meter
 from canhaptic.study.batch.reference_kernel import TERMS, ReferenceMemory, ReferenceState
 from canhaptic.study.batch.rows import SceneRow
@@ -36,7 +36,7 @@ class InterpretedLoops:
         self.meters = [Meter() for _ in rows]
         self.references = [ReferenceState() for _ in rows]
 
-    def run(self, some: Sequence[int], plants: Any, interrupted: Callable[[Any, int, Place, int], Any]) -> None:
+    def run(self, some: Sequence[int], plants: Any, interrupted: Callable[[Any, int, Interruption, int], Any]) -> None:
         """Runs some of the scenes.
 
         Args:
@@ -46,7 +46,7 @@ class InterpretedLoops:
         """
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel
-            place = Place(temperature=row.loop.signals.winding.ambient)
+            place = Interruption(temperature=row.loop.signals.winding.ambient)
             state, memory = kernel.state(), kernel.memory(row.settings, list_of_zeros)
             reference = reference_memory_of(self._modes, i)
             self._begin(plants, number)

@@ -38,7 +38,7 @@ class Box(Surface):
         """Returns the box; see `NetworkEnvironment`."""
         check_length("box", "lower", len(self.lower), dimensions)
         if self.side == "outside":
-            return self.behind(Body(list(self.lower), list(self.upper)))
+            return self.behind(BoxInside(list(self.lower), list(self.upper)))
         springs = [
             Spring(stiffness=self.stiffness, hardening=self.hardening, lower=low, upper=high)
             for low, high in zip(self.lower, self.upper, strict=True)
@@ -48,7 +48,7 @@ class Box(Surface):
         return Rendered(Network(springs, dampers, gain=rows), linear_geometry(rows, [0.0] * dimensions))
 
 
-class Body(NamedTuple):
+class BoxInside(NamedTuple):
     """Distance from the nearest face; inside the body it is continuous, and the face changes on its ridges."""
 
     lower: Buffer
