@@ -193,7 +193,8 @@ class RigUnderStress(RuleBasedStateMachine):
         self._check_rate()
         if self.rig.records[-1].samples[0].fresh:
             believed, true = self.cycle.ledgers[0].interaction, self.work_before - self.mass.work
-            assert believed <= true + ROUNDING, "more was booked than came in"
+            unsure = self.cycle.meters.measured(0).energy_resolution  # a lost position hides when a torque ended
+            assert believed <= true + unsure + ROUNDING, "more was booked than came in"
             # after a lost sample the booked energy is a worst case and may fall below what came in; the true one not
             assert true >= -ROUNDING, "more was given out than came in"
 

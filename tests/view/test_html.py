@@ -153,7 +153,7 @@ def test_the_page_zooms_to_the_worst_margin_and_hovers_with_units(tmp_path: Path
         models = "[...Bokeh.documents[0]._all_models.values()]"
         time = f"{models}.filter(m => m.type == 'Figure')[0].x_range"
         ranges = f"new Set({models}.filter(m => m.type == 'Figure').map(m => m.x_range.id)).size"
-        assert page.value(ranges) == 1  # one time axis for all panels
+        assert page.value(ranges) == 1 + 2  # one time axis for all panels over time; one of position for each port
         assert page.value(f"{time}.end - {time}.start") == pytest.approx(3.999)
         click = f"{models}.find(m => m.type == 'Button' && m.label.endsWith('worst margin')).trigger_event"
         assert page.value(f"typeof ({click})") == "function"
