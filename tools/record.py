@@ -23,7 +23,7 @@ from canhaptic.errors import CanHapticError
 from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
-from canhaptic.scene.build import build_drive_group
+from canhaptic.scene.build import build, build_drive_group
 from canhaptic.scene.bus import private_channel
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
@@ -54,6 +54,13 @@ def _lost(number: int) -> bool:
     return number % 37 == 30 or 200 <= number < 208 or number >= 330
 
 
+_AT_A_BOUND: Final = (  # a hand that knocks twice a second on a wall stiffer than 250 Hz can hold
+    "bus.rate=250",
+    "environment={type: spring_damper_wall, stiffness: 5000, damping: 5, position: 0}",
+    "simulation.user.motion={type: sinusoid, amplitude: 30 mm, frequency: 2 Hz}",
+)
+_WITHOUT_FORCE: Final = ("passivity.hand_force=null", "passivity.hand_push=null")
+
 RECORDINGS: Final = {
     "demo": Plan("configs/demo.yaml", 1.6),
     "paper_fig4_40hz": Plan("configs/paper_fig4_40hz.yaml", 4.0),
@@ -63,6 +70,38 @@ RECORDINGS: Final = {
     "two_axes": Plan("tests/recordings/two_axes.yaml", 0.8),
     "emergency": Plan("configs/demo.yaml", 0.4, _IN_CONTACT, fault_cycle=_EMCY_CYCLE),
     "lost_frames": Plan("configs/demo.yaml", 0.6, _IN_CONTACT, loses=_lost),
+    "bound_hand_force": Plan("configs/demo.yaml", 0.8, (*_AT_A_BOUND, "passivity.hand_force=2")),
+    "bound_late_torque": Plan(
+        "configs/demo.yaml",
+        0.8,
+        (
+            *_AT_A_BOUND,
+            "bus.rpdo=event",
+            "passivity.sync_jitter=0.02",
+            "passivity.torque_window=400 us",
+            "passivity.current_lag=300 us",
+        ),
+    ),
+    "bound_device_damping": Plan(
+        "configs/demo.yaml", 0.8, (*_AT_A_BOUND, *_WITHOUT_FORCE, "passivity.device_damping=0.1")
+    ),
+    "bound_hand_speed": Plan(
+        "configs/demo.yaml",
+        0.8,
+        (*_AT_A_BOUND, *_WITHOUT_FORCE, "passivity.hand_speed=0.4", "passivity.energy_allowance=2 mJ"),
+    ),
+    "bound_lost_frames": Plan(
+        "configs/demo.yaml",
+        0.8,
+        (*_AT_A_BOUND, "passivity.hand_force=2", "passivity.max_consecutive_losses=2"),
+        loses=lambda number: number % 23 in (11, 12),
+    ),
+    "bound_group": Plan(
+        "configs/xy_box.yaml",
+        1.4,
+        ("bus.rate=250", "groups.0.network.stiffness=6000", "groups.0.passivity.hand_force=1"),
+    ),
+    "bound_group_of_handles": Plan("configs/two_handles.yaml", 0.4),
 }
 
 
@@ -86,6 +125,10 @@ class LossyBus(VirtualBus):
 def record(plan: Plan, path: Path) -> str:
     """Runs a scene with simulated drives in lock-step, records its bus, and returns how it ended."""
     scene = load_scene(ROOT / plan.config, plan.overrides)
+    if scene.groups:
+        with build(scene, "free", bus_log=path) as experiment:
+            run(experiment.cycle, round(plan.duration / scene.bus.sample_time))
+        return "completed"
     channel = private_channel()
     writer = BusLogWriter(path, "vcan0", pace="free")
     with LossyBus(channel, plan.loses) as far_bus, VirtualBus(channel=channel, preserve_timestamps=True) as near_bus:

@@ -1,4 +1,5 @@
 import contextlib
+import importlib
 import json
 import random
 import re
@@ -53,6 +54,28 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
     frames = result["frames"]
     assert frames["compared"] == sum(line.endswith("T\n") and " 77E#" not in line for line in lines_of(name))
     assert frames["compared"] + frames["played"] == frames["recorded"]
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("bound_hand_force", "certificates.certified_torque.hand_force_bound"),
+        ("bound_late_torque", "certificates.late_torque.hand_force_bound"),
+        ("bound_lost_frames", "certificates.certified_torque.by_hand_force_if_held_on"),
+        ("bound_device_damping", "certificates.certified_torque.device_damping_bound"),
+        ("bound_hand_speed", "certificates.certified_torque.hand_speed_bound"),
+        ("bound_group", "multi_axis.group_account.hand_force_bound"),
+        ("bound_group_of_handles", "multi_axis.per_axis_certificates.hand_force_bound"),
+    ],
+)
+def test_a_certificate_that_permits_a_little_more_changes_its_recording(
+    name: str, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is recorded where its torques are at the bound."""
+    module, _, function = f"canhaptic.control.{place}".rpartition(".")
+    bound = getattr(importlib.import_module(module), function)
+    monkeypatch.setattr(f"{module}.{function}", lambda *arguments: 1.05 * bound(*arguments))
+    assert replay_bus_log(FOLDER / f"{name}.log", scene_of(name))["status"] == "different"
 
 
 @pytest.mark.parametrize("name", ["paper_fig8_100hz", "two_axes", "emergency", "lost_frames"])
