@@ -92,6 +92,7 @@ def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
         assert damping == pytest.approx(dampings[:first][passed[:first]].max(), rel=0.03)
 
 
+@pytest.mark.slow  # compiles a loop of its own: 20 s of a processor
 def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own():
     trial = Trial(load_scene(DEMO, RIG), 0.05, "numba")
     verdict = trial.verdict(np.array([300.0, 600.0]), np.array([2.0, 0.0]))
