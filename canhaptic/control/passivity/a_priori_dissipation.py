@@ -27,7 +27,7 @@ from typing import ClassVar, Literal
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldAccount, axis_memory, begin, open_hold
+from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldAccount, begin, hold_memory, open_hold
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.passivity.storage import (
     UNTOUCHED,
@@ -92,7 +92,7 @@ def settings_of(
 
 def memory_of(settings: _APrioriDissipationSettings, make_buffer: MakeBuffer) -> AxisMemory:
     """Returns the buffers of one axis."""
-    return axis_memory(settings.model.hold.delay, settings.model.hold.longest_window, make_buffer)
+    return hold_memory(settings.model, make_buffer)
 
 
 def step(

@@ -20,8 +20,6 @@ from canhaptic.control.passivity.hold_account import (
     Axis,
     AxisMemory,
     HoldAccount,
-    axis_memory,
-    begin,
     close_hold,
     open_hold,
 )
@@ -29,11 +27,12 @@ from canhaptic.control.passivity.passivity_observer import (
     ObserverSettings,
     PassivityObserverParameters,
     controlling_damping,
+    observer_memory,
     observer_settings,
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.kernels import Kernel, MakeBuffer, new
+from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 
 
@@ -74,12 +73,6 @@ def settings_of(
     return _AdaptiveReferenceSettings(observer, parameters.least_speed)
 
 
-def memory_of(settings: _AdaptiveReferenceSettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    hold = settings.observer.hold
-    return axis_memory(hold.delay, hold.longest_window, make_buffer)
-
-
 def step(
     environment: Environment,
     settings: _AdaptiveReferenceSettings,
@@ -91,8 +84,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings.observer.hold, axis, memory, position, torque_applied)
     observed = add(state.observed, hold.h_i)
@@ -130,4 +122,4 @@ class AdaptiveReference(SteppedController):
     """A passivity controller with an adaptive reference energy around the sampled environment."""
 
     parameters_type: ClassVar[type[Parameters]] = AdaptiveReferenceParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _AdaptiveReferenceState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _AdaptiveReferenceState, observer_memory, step)

@@ -27,16 +27,15 @@ from canhaptic.control.passivity.hold_account import (
     Hold,
     HoldAccount,
     HoldSettings,
-    axis_memory,
-    begin,
     close_hold,
+    hold_memory,
     hold_settings,
     open_hold,
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
-from canhaptic.kernels import Kernel, MakeBuffer, new
+from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 
 
@@ -81,11 +80,6 @@ def settings_of(
     return _BoundedObserverSettings(parameters.speed_offset, parameters.integral_holds, limit, hold)
 
 
-def memory_of(settings: _BoundedObserverSettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
-
-
 def step(
     environment: Environment,
     settings: _BoundedObserverSettings,
@@ -97,8 +91,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings.hold, axis, memory, position, torque_applied)
     observed = add(state.observed, hold.h_i)
@@ -143,4 +136,4 @@ class BoundedObserver(SteppedController):
     """Time-domain passivity control of bounded force around the sampled environment."""
 
     parameters_type: ClassVar[type[Parameters]] = BoundedObserverParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _BoundedObserverState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _BoundedObserverState, hold_memory, step)

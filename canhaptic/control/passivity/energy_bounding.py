@@ -18,9 +18,8 @@ from canhaptic.control.passivity.hold_account import (
     AxisMemory,
     HoldAccount,
     HoldSettings,
-    axis_memory,
-    begin,
     close_hold,
+    hold_memory,
     hold_settings,
     open_hold,
 )
@@ -28,7 +27,7 @@ from canhaptic.control.passivity.sampled_model import SampledModel, begin_model,
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, Kernel, MakeBuffer, new
+from canhaptic.kernels import Buffer, Kernel, new
 from canhaptic.units import Parameters
 
 
@@ -69,11 +68,6 @@ def settings_of(
     return _EnergyBoundingSettings(loop.device_damping, hold_settings(parameters, loop, Certificate.DEVICE_DAMPING))
 
 
-def memory_of(settings: _EnergyBoundingSettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
-
-
 def step(
     environment: Environment,
     settings: _EnergyBoundingSettings,
@@ -85,8 +79,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings.hold, axis, memory, position, torque_applied)
     certain = settings.device_damping * (hold.displacement * hold.displacement) / hold.elapsed
@@ -124,4 +117,4 @@ class EnergyBounding(SteppedController):
     """The sampled environment, its torque bounded by certain device damping."""
 
     parameters_type: ClassVar[type[Parameters]] = EnergyBoundingParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _EnergyBoundingState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _EnergyBoundingState, hold_memory, step)

@@ -28,9 +28,8 @@ from canhaptic.control.passivity.hold_account import (
     Hold,
     HoldAccount,
     HoldSettings,
-    axis_memory,
-    begin,
     close_hold,
+    hold_memory,
     hold_settings,
     open_hold,
 )
@@ -93,7 +92,7 @@ def settings_of(
 
 def memory_of(settings: _EnergyTankSettings, make_buffer: MakeBuffer) -> _EnergyTankMemory:
     """Returns the buffers of one axis."""
-    axis = axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
+    axis = hold_memory(settings, make_buffer)
     return _EnergyTankMemory(axis, make_buffer(settings.hold.delay + 1))
 
 
@@ -108,8 +107,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory.axis, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory.axis, position)
         return AT_REST
     missed = axis.missed
     hold = open_hold(settings.hold, axis, memory.axis, position, torque_applied)

@@ -24,16 +24,15 @@ from canhaptic.control.passivity.hold_account import (
     AxisMemory,
     HoldAccount,
     HoldSettings,
-    axis_memory,
-    begin,
     close_hold,
+    hold_memory,
     hold_settings,
     open_hold,
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.velocity import DamperVelocity
-from canhaptic.kernels import Kernel, MakeBuffer, new
+from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 
 
@@ -82,11 +81,6 @@ def settings_of(
     return _ForceAugmentationSettings(given.feedback_stiffness, given.increment, given.reach, given.coarse, hold)
 
 
-def memory_of(settings: _ForceAugmentationSettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
-
-
 def step(
     environment: Environment,
     settings: _ForceAugmentationSettings,
@@ -98,8 +92,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings.hold, axis, memory, position, torque_applied)
     zone = model.zone
@@ -150,4 +143,4 @@ class ForceAugmentation(SteppedController):
     """The sampled environment by a soft spring and an offset."""
 
     parameters_type: ClassVar[type[Parameters]] = ForceAugmentationParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _ForceAugmentationState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _ForceAugmentationState, hold_memory, step)

@@ -21,8 +21,6 @@ from canhaptic.control.passivity.hold_account import (
     Axis,
     AxisMemory,
     HoldAccount,
-    axis_memory,
-    begin,
     close_hold,
     open_hold,
 )
@@ -30,11 +28,12 @@ from canhaptic.control.passivity.passivity_observer import (
     ObserverSettings,
     PassivityObserverParameters,
     controlling_damping,
+    observer_memory,
     observer_settings,
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.kernels import Kernel, MakeBuffer, new
+from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 
 
@@ -77,12 +76,6 @@ def settings_of(
     return _ForceGradientSettings(observer, parameters.least_force)
 
 
-def memory_of(settings: _ForceGradientSettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    hold = settings.observer.hold
-    return axis_memory(hold.delay, hold.longest_window, make_buffer)
-
-
 def step(
     environment: Environment,
     settings: _ForceGradientSettings,
@@ -94,8 +87,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings.observer.hold, axis, memory, position, torque_applied)
     observed = add(state.observed, hold.h_i)
@@ -134,4 +126,4 @@ class ForceGradient(SteppedController):
     """The sampled environment by changes of its force, with a passivity controller."""
 
     parameters_type: ClassVar[type[Parameters]] = ForceGradientParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _ForceGradientState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _ForceGradientState, observer_memory, step)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from math import inf
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from canhaptic.control.balance import Certificate, EnergyBalance, interaction_energy
 from canhaptic.control.passivity.controller import LoopProperties
@@ -86,6 +86,18 @@ def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> Axi
         make_buffer: List or array.
     """
     return AxisMemory(make_buffer(longest_window + 1 if longest_window else 0), no_commands(delay, make_buffer))
+
+
+class _WithHold(Protocol):
+    """Settings of an algorithm whose holds are those of this module."""
+
+    @property
+    def hold(self) -> HoldSettings: ...
+
+
+def hold_memory(settings: _WithHold, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis of an algorithm that needs no others."""
+    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
 
 
 def begin(axis: Axis, memory: AxisMemory, position: float) -> None:

@@ -25,7 +25,7 @@ from typing import ClassVar, Final
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldAccount, begin, open_hold
+from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldAccount, begin, hold_memory, open_hold
 from canhaptic.control.passivity.root import Balance, solve_balance, solve_balance_nonlinear
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.passivity.storage import (
@@ -46,7 +46,6 @@ from canhaptic.control.passivity.stored_model import (
     StoredModelSettings,
     close,
     dissipation,
-    memory_of,
     stored_model_settings,
 )
 from canhaptic.kernels import Kernel, new
@@ -148,4 +147,4 @@ class InternalDissipation(SteppedController):
     """The paper's algorithm for one axis."""
 
     parameters_type: ClassVar[type[Parameters]] = InternalDissipationParameters
-    kernel: ClassVar[Kernel] = Kernel(stored_model_settings, _InternalDissipationState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(stored_model_settings, _InternalDissipationState, hold_memory, step)

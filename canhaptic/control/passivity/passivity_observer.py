@@ -8,7 +8,7 @@ says.
 """
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Protocol
 
 from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, RunningSum, add
 from canhaptic.control.environments.environment import Environment
@@ -19,9 +19,8 @@ from canhaptic.control.passivity.hold_account import (
     Hold,
     HoldAccount,
     HoldSettings,
-    axis_memory,
-    begin,
     close_hold,
+    hold_memory,
     hold_settings,
     open_hold,
 )
@@ -89,9 +88,16 @@ def observer_settings(
     return ObserverSettings(limit, hold_settings(parameters, loop, Certificate.NONE))
 
 
-def memory_of(settings: ObserverSettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
+class _WithObserver(Protocol):
+    """Settings of an algorithm with a passivity controller."""
+
+    @property
+    def observer(self) -> ObserverSettings: ...
+
+
+def observer_memory(settings: _WithObserver, make_buffer: MakeBuffer) -> AxisMemory:
+    """Returns the buffers of one axis of an algorithm with a passivity controller that needs no others."""
+    return hold_memory(settings.observer, make_buffer)
 
 
 def step(
@@ -105,8 +111,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings.hold, axis, memory, position, torque_applied)
     observed = add(state.observed, hold.h_i)
@@ -131,4 +136,4 @@ class PassivityObserver(SteppedController):
     """Time-domain passivity control around the sampled environment."""
 
     parameters_type: ClassVar[type[Parameters]] = PassivityObserverParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _PassivityObserverState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _PassivityObserverState, hold_memory, step)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from canhaptic.control.balance import Branch
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.hold_account import Hold
+from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, begin
 from canhaptic.kernels import new
 
 _FREE, _START, _EXACT, _EXIT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value, Branch.EXIT.value
@@ -35,8 +35,9 @@ class ModelStep(NamedTuple):
     damper: float  # effort of the damper for the next hold [N or N*m]
 
 
-def begin_model(environment: Environment, model: SampledModel, position: float) -> None:
-    """Takes the first position; a state that is displaced there stores energy that never came in."""
+def begin_model(environment: Environment, axis: Axis, model: SampledModel, memory: AxisMemory, position: float) -> None:
+    """Takes the first position [m or rad]; a state that is displaced there stores energy that never came in."""
+    begin(axis, memory, position)
     model.zone = environment.contact(position)
     model.true = environment.true_state(position, 0.0, 0.0) if model.zone else 0.0
     model.state = model.h_s = 0.0

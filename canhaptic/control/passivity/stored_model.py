@@ -14,7 +14,6 @@ from canhaptic.control.passivity.hold_account import (
     Hold,
     HoldAccount,
     HoldSettings,
-    axis_memory,
     close_hold,
     hold_settings,
     surplus_after,
@@ -22,7 +21,6 @@ from canhaptic.control.passivity.hold_account import (
 from canhaptic.control.passivity.storage import Storage, is_deadlocked
 from canhaptic.control.recovery import Alpha, damping_cap, modulated_damping
 from canhaptic.control.velocity import DamperVelocity
-from canhaptic.kernels import MakeBuffer
 
 
 class StoredModelParameters(DamperVelocity):
@@ -66,11 +64,6 @@ def stored_model_settings(
         stores=stiffness != 0.0,
         hold=hold_settings(parameters, loop, Certificate.NONE),
     )
-
-
-def memory_of(settings: StoredModelSettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    return axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
 
 
 def dissipation(settings: StoredModelSettings, hold: Hold) -> float:

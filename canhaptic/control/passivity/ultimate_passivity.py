@@ -23,19 +23,18 @@ from canhaptic.control.passivity.hold_account import (
     Axis,
     AxisMemory,
     HoldAccount,
-    axis_memory,
-    begin,
     close_hold,
     open_hold,
 )
 from canhaptic.control.passivity.passivity_observer import (
     ObserverSettings,
     PassivityObserverParameters,
+    observer_memory,
     observer_settings,
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
 from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.kernels import Kernel, MakeBuffer, new
+from canhaptic.kernels import Kernel, new
 from canhaptic.units import Parameters, quantity
 
 
@@ -93,12 +92,6 @@ def settings_of(
     return _UltimatePassivitySettings(observer, given.lower, given.upper, damping, given.counted_holds)
 
 
-def memory_of(settings: _UltimatePassivitySettings, make_buffer: MakeBuffer) -> AxisMemory:
-    """Returns the buffers of one axis."""
-    hold = settings.observer.hold
-    return axis_memory(hold.delay, hold.longest_window, make_buffer)
-
-
 def step(
     environment: Environment,
     settings: _UltimatePassivitySettings,
@@ -110,8 +103,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings.observer.hold, axis, memory, position, torque_applied)
     switch(settings, state, hold.h_i)
@@ -140,4 +132,4 @@ class UltimatePassivity(SteppedController):
     """The sampled environment, with damping added between two levels of observed energy."""
 
     parameters_type: ClassVar[type[Parameters]] = UltimatePassivityParameters
-    kernel: ClassVar[Kernel] = Kernel(settings_of, _UltimatePassivityState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, _UltimatePassivityState, observer_memory, step)

@@ -12,7 +12,6 @@ from canhaptic.control.passivity.hold_account import (
     HoldAccount,
     HoldSettings,
     axis_memory,
-    begin,
     close_hold,
     hold_settings,
     open_hold,
@@ -57,8 +56,7 @@ def step(
     """Torque = -effort(x) - d v with x and v straight from the position; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings, axis, memory, position, torque_applied)
     branch, h_r, contact, spring, damper = follow(environment, model, position, hold)

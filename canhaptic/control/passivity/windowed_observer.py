@@ -21,8 +21,6 @@ from canhaptic.control.passivity.hold_account import (
     Axis,
     AxisMemory,
     HoldAccount,
-    axis_memory,
-    begin,
     close_hold,
     open_hold,
 )
@@ -30,6 +28,7 @@ from canhaptic.control.passivity.passivity_observer import (
     ObserverSettings,
     PassivityObserverParameters,
     controlling_damping,
+    observer_memory,
     observer_settings,
 )
 from canhaptic.control.passivity.sampled_model import SampledModel, begin_model, follow, settle
@@ -84,9 +83,7 @@ def settings_of(
 
 def memory_of(settings: _WindowedObserverSettings, make_buffer: MakeBuffer) -> _WindowedObserverMemory:
     """Returns the buffers of one axis."""
-    hold = settings.observer.hold
-    axis = axis_memory(hold.delay, hold.longest_window, make_buffer)
-    return _WindowedObserverMemory(axis, make_buffer(settings.window))
+    return _WindowedObserverMemory(observer_memory(settings, make_buffer), make_buffer(settings.window))
 
 
 def step(
@@ -100,8 +97,7 @@ def step(
     """Accounts for the hold that ended; see `Controller.step`."""
     axis, model = state.axis, state.model
     if not axis.started:
-        begin(axis, memory.axis, position)
-        begin_model(environment, model, position)
+        begin_model(environment, axis, model, memory.axis, position)
         return AT_REST
     hold = open_hold(settings.observer.hold, axis, memory.axis, position, torque_applied)
     remember(state, memory.recent, hold.h_i)
