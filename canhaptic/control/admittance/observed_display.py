@@ -11,29 +11,18 @@ from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
-from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import (
     DisplaySettings,
     DisplayState,
+    NothingToChoose,
     command,
-    display_settings,
     follow,
     memory_of,
+    settings_of,
 )
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters
-
-
-class DisplayObserverParameters(Parameters):
-    """Of an admittance display: nothing to choose."""
-
-
-def settings_of(
-    environment: DisplayMass, _parameters: DisplayObserverParameters, properties: DisplayProperties
-) -> DisplaySettings:
-    """Returns what is fixed for a run."""
-    return display_settings(environment, properties)
 
 
 def step(
@@ -62,5 +51,5 @@ def step(
 class ObservedDisplay(DisplayController):
     """A virtual mass with observer and series slip."""
 
-    parameters_type: ClassVar[type[Parameters]] = DisplayObserverParameters
+    parameters_type: ClassVar[type[Parameters]] = NothingToChoose
     kernel: ClassVar[Kernel] = Kernel(settings_of, DisplayState, memory_of, step)

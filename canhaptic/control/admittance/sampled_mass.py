@@ -23,8 +23,13 @@ from canhaptic.control.admittance.port import Port, PortSettings, book, port_set
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.kernels import MakeBuffer, new
+from canhaptic.units import Parameters
 
 _EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.value
+
+
+class NothingToChoose(Parameters):
+    """Of an admittance display: nothing to choose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +38,6 @@ class DisplaySettings:
 
     port: PortSettings
     motion: DisplayMotionSettings
-    first: float = 0.0  # of the algorithm's own: energy at the start, or damping per energy
-    second: float = 0.0  # of the algorithm's own: largest energy, or largest slip
 
 
 @dataclass(slots=True)
@@ -58,11 +61,9 @@ class SampledHold(NamedTuple):
     wish: float  # speed of the mass after another hold [m/s or rad/s]
 
 
-def display_settings(
-    environment: DisplayMass, properties: DisplayProperties, first: float = 0.0, second: float = 0.0
-) -> DisplaySettings:
-    """Returns what is fixed for a run."""
-    return DisplaySettings(port_settings(properties), motion_settings(environment, properties), first, second)
+def settings_of(environment: DisplayMass, _parameters: Parameters, properties: DisplayProperties) -> DisplaySettings:
+    """Returns what is fixed for a run of an algorithm without settings of its own."""
+    return DisplaySettings(port_settings(properties), motion_settings(environment, properties))
 
 
 def memory_of(settings: DisplaySettings, make_buffer: MakeBuffer) -> DisplayMemory:

@@ -5,18 +5,18 @@ is in it is scaled down. As the observer, it takes the drive for perfect. Franke
 Schindlbeck and Haddadin, ICRA 2015.
 """
 
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.motion import DisplayMemory
-from canhaptic.control.admittance.port import begin_port
+from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
+from canhaptic.control.admittance.port import begin_port, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import (
     DisplaySettings,
     DisplayState,
     command,
-    display_settings,
     follow,
     memory_of,
 )
@@ -34,16 +34,26 @@ class TankDisplayParameters(Parameters):
     """It holds no more."""
 
 
+@dataclass(frozen=True, slots=True)
+class TankSettings(DisplaySettings):
+    """What is fixed for a run."""
+
+    initial: float  # [J]
+    capacity: float  # [J]
+
+
 def settings_of(
     environment: DisplayMass, parameters: TankDisplayParameters, properties: DisplayProperties
-) -> DisplaySettings:
+) -> TankSettings:
     """Returns what is fixed for a run."""
-    return display_settings(environment, properties, parameters.initial, parameters.capacity)
+    return TankSettings(
+        port_settings(properties), motion_settings(environment, properties), parameters.initial, parameters.capacity
+    )
 
 
 def step(
     environment: DisplayMass,
-    settings: DisplaySettings,
+    settings: TankSettings,
     state: DisplayState,
     memory: DisplayMemory,
     position: float,
@@ -53,10 +63,10 @@ def step(
     force = -torque_applied
     if not state.axis.started:
         begin_port(state.axis, memory.positions, position, force)
-        state.energy = settings.first
+        state.energy = settings.initial
         return AT_REST
     hold = follow(environment, settings, state, memory, position, force)
-    state.energy = min(settings.second, state.energy + force * hold.before * hold.elapsed)
+    state.energy = min(settings.capacity, state.energy + force * hold.before * hold.elapsed)
     wish, taken = hold.wish, -force * hold.wish * settings.port.sample_time
     if taken > 0.0 and taken > state.energy:
         wish *= max(0.0, state.energy) / taken

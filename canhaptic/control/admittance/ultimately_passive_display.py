@@ -5,18 +5,18 @@ each hold, so that the sum becomes passive in the end, not at each instant. C is
 stability of the slip against the stiffest hand declared (C K T <= 0.5).
 """
 
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.motion import DisplayMemory
-from canhaptic.control.admittance.port import begin_port
+from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
+from canhaptic.control.admittance.port import begin_port, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import (
     DisplaySettings,
     DisplayState,
     command,
-    display_settings,
     follow,
     memory_of,
 )
@@ -37,17 +37,25 @@ class UltimatelyPassiveDisplayParameters(Parameters):
     """Stiffest hand, an over-estimate: bounds the slip."""
 
 
+@dataclass(frozen=True, slots=True)
+class SlipSettings(DisplaySettings):
+    """What is fixed for a run."""
+
+    slip_per_energy: float  # slip per force, per surplus [m/(N*s*J) or rad/(N*m*s*J)]
+    slip_most: float  # slip per force [m/(N*s) or rad/(N*m*s)]
+
+
 def settings_of(
     environment: DisplayMass, parameters: UltimatelyPassiveDisplayParameters, properties: DisplayProperties
-) -> DisplaySettings:
+) -> SlipSettings:
     """Returns what is fixed for a run."""
     most = _STABLE / (parameters.hand_stiffness * properties.sample_time)
-    return display_settings(environment, properties, parameters.alpha, most)
+    return SlipSettings(port_settings(properties), motion_settings(environment, properties), parameters.alpha, most)
 
 
 def step(
     environment: DisplayMass,
-    settings: DisplaySettings,
+    settings: SlipSettings,
     state: DisplayState,
     memory: DisplayMemory,
     position: float,
@@ -62,7 +70,7 @@ def step(
     hold = follow(environment, settings, state, memory, position, force)
     h_pas = force * slipped * hold.elapsed
     state.energy = max(0.0, state.energy - h_pas)
-    slip = min(settings.first * state.energy, settings.second) * force
+    slip = min(settings.slip_per_energy * state.energy, settings.slip_most) * force
     balance = command(environment, settings, state, memory, hold, h_pas, hold.wish, slip)
     state.energy = max(0.0, state.energy + balance.gen - balance.leak)
     return balance

@@ -6,29 +6,18 @@ from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
-from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import (
     DisplaySettings,
     DisplayState,
+    NothingToChoose,
     command,
-    display_settings,
     follow,
     memory_of,
+    settings_of,
 )
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters
-
-
-class UnprotectedDisplayParameters(Parameters):
-    """Of an admittance display: nothing to choose."""
-
-
-def settings_of(
-    environment: DisplayMass, _parameters: UnprotectedDisplayParameters, properties: DisplayProperties
-) -> DisplaySettings:
-    """Returns what is fixed for a run."""
-    return display_settings(environment, properties)
 
 
 def step(
@@ -50,5 +39,5 @@ def step(
 class UnprotectedDisplay(DisplayController):
     """The virtual mass without protection."""
 
-    parameters_type: ClassVar[type[Parameters]] = UnprotectedDisplayParameters
+    parameters_type: ClassVar[type[Parameters]] = NothingToChoose
     kernel: ClassVar[Kernel] = Kernel(settings_of, DisplayState, memory_of, step)

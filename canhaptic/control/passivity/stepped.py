@@ -1,11 +1,9 @@
 """A passivity algorithm in the cycle: the class that keeps what the kernel remembers, and refuses what is no number."""
 
 from math import isfinite
-from typing import Any, ClassVar
+from typing import ClassVar, NamedTuple
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import ControlError
 from canhaptic.kernels import Kernel, list_of_zeros, with_quick_fields
 from canhaptic.units import Parameters
@@ -13,13 +11,28 @@ from canhaptic.units import Parameters
 _HELD = Branch.HELD.value
 
 
+class Wording(NamedTuple):
+    """What a controller takes and gives, for its messages."""
+
+    effort: str  # beside the position
+    command: str
+    sensors: str  # to check where what it takes is no number
+    values: str  # to check where what it computes is none
+
+
 class SteppedController:
     """A kernel with the state of one axis; see `Controller`."""
 
     parameters_type: ClassVar[type[Parameters]]
     kernel: ClassVar[Kernel]
+    wording: ClassVar[Wording] = Wording(
+        "applied torque",
+        "torque",
+        "the encoder and its scaling",
+        "stiffness and damping against the size of the motion",
+    )
 
-    def __init__(self, environment: Environment, parameters: Any, loop: LoopProperties) -> None:
+    def __init__(self, environment: object, parameters: Parameters, loop: Parameters) -> None:
         """Prepares a run; `parameters` is of `parameters_type`.
 
         Raises:
@@ -38,12 +51,16 @@ class SteppedController:
         self._last = AT_REST
 
     def hold(self) -> EnergyBalance:
-        """Repeats the last command for want of a position; see `Controller.hold`."""
-        if self._axis.started:
-            self._axis.missed += 1
+        """Answers a SYNC whose position was lost; nothing is booked. See `Controller.hold`."""
+        command = self._command_unseen() if self._axis.started else self._last.torque
         return self._last._replace(
-            branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
+            torque=command, branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
         )
+
+    def _command_unseen(self) -> float:
+        """Returns the command of a SYNC without a sample: the last one."""
+        self._axis.missed += 1
+        return self._last.torque
 
     def lasted(self, periods: float) -> None:
         """Says that the hold that the next `step` ends lasted so many sample times, SYNCs having been skipped."""
@@ -52,19 +69,21 @@ class SteppedController:
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Accounts for the hold that ended; see `Controller.step`."""
         if not isfinite(position - self._axis.position + torque_applied):
+            effort, command, sensors, _ = self.wording
             self.reset()
             raise ControlError(
-                f"controller: got position {position!r} and applied torque {torque_applied!r}, expected finite "
-                "numbers; torque is zero and the controller is to be reset, check the encoder and its scaling"
+                f"controller: got position {position!r} and {effort} {torque_applied!r}, expected finite numbers; "
+                f"{command} is zero and the controller is to be reset, check {sensors}"
             )
         balance: EnergyBalance = self._step(
             self._environment, self._settings, self._state, self._memory, position, torque_applied
         )
         if not isfinite(balance[0]):
+            _, command, _, values = self.wording
             self.reset()
             raise ControlError(
-                f"controller: computed torque {balance.torque!r}, expected a finite number; torque is zero and the "
-                "controller is to be reset, check stiffness and damping against the size of the motion"
+                f"controller: computed {command} {balance.torque!r}, expected a finite number; {command} is zero and "
+                f"the controller is to be reset, check {values}"
             )
         self._last = balance
         return balance
