@@ -85,6 +85,7 @@ class Cycle:
         self.rig = rig
         self.controllers = tuple(controllers)
         self.groups = tuple(groups)
+        self._lasted = [controller.lasted for controller in self.controllers if hasattr(controller, "lasted")]
         self._grouped = GroupedControllers(self.controllers, self.groups) if groups else None
         axes = self._grouped.axes if self._grouped else len(self.controllers)
         if axes != len(rig.drives):
@@ -116,9 +117,8 @@ class Cycle:
         read = self._truths
         truths = read() if read is not None else None
         if rig.periods > 1:
-            for controller in self.controllers:
-                if hasattr(controller, "lasted"):
-                    controller.lasted(float(rig.periods))
+            for lasted in self._lasted:
+                lasted(float(rig.periods))
         if self._grouped is None:
             balances: list[EnergyBalance] = []  # displacement -> energy balance [J]
             for axis in self._axes:
