@@ -13,14 +13,14 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
-from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import emcy_remedy
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
-from canhaptic.drive.can.bus_budget import BusBudget, has_room_for_sdo, require_budget
+from canhaptic.drive.can.bus_budget import has_room_for_sdo
 from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.display_bring_up import DisplayBringUp
 from canhaptic.drive.can.display_drive import DisplayDrive
+from canhaptic.drive.can.drives_on_a_bus import budget_of, own_frames
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -82,7 +82,7 @@ class Rig:
         self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if groups else []
         self.bus = bus
         self.clock = self.links[0].clock
-        self.budgets = [_budget([d for d in self.drives if d.link is link], bus) for link in self.links]
+        self.budgets = [budget_of([d for d in self.drives if d.link is link], bus) for link in self.links]
         self._exchange = Exchange(self.links, self.drives, bus)
         self._sdo_lines = tuple(
             SdoLine(link, has_room=has_room_for_sdo(budget, bus))
@@ -112,7 +112,7 @@ class Rig:
         """
         self._reset()
         for link in self.links:
-            link.reserve(_own_frames(link, self.drives, self.bus))
+            link.reserve(own_frames(link, self.drives, self.bus))
         self.realtime.begin()
         try:
             rig_start.start(self._exchange, [_bring_up(drive) for drive in self.drives])
@@ -384,28 +384,3 @@ class Rig:
 
 def _bring_up(drive: ServoDrive) -> CanBringUp:
     return DisplayBringUp(drive) if isinstance(drive, DisplayDrive) else CanBringUp(drive)
-
-
-def _own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> dict[int, str]:
-    """Returns the COB-IDs that this master alone sends on a bus, with their names."""
-    names = {
-        od.NMT_COB_ID: "NMT",
-        od.SYNC_FRAME_COB_ID: "SYNC",
-        od.HEARTBEAT_BASE + bus.master_id: "heartbeat of the master",
-    }
-    for drive in drives:
-        if drive.link is link:
-            names[drive.map.rpdo.cob_id] = f"RPDO of {drive.axis.name}"
-            names[od.SDO_REQUEST_BASE + drive.axis.node_id] = f"SDO request to {drive.axis.name}"
-    return names
-
-
-def _budget(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
-    """Returns the budget of one bus, which has a bit rate of its own, after checking that its node IDs differ."""
-    names = {bus.master_id: "the master's heartbeat (bus.master_id)"}
-    for drive in drives:
-        node_id, name = drive.axis.node_id, drive.axis.name
-        if node_id in names:
-            raise InputError(f"{name}: node_id {node_id} is that of {names[node_id]} on the same bus; give it its own")
-        names[node_id] = name
-    return require_budget(drives[0].bus if drives else bus, [drive.map for drive in drives])

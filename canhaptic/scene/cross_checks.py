@@ -38,6 +38,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     _check_effects(scene, sections, faults)
     _check_interfaces(scene, sections, faults)
     _check_loss_limits(scene, sections["axes"], faults)
+    _check_demand_reported(scene, sections["axes"], faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         _check_loop(axis, _passivity_section(axis, entry, sections, scene), scene, faults)
@@ -81,6 +82,18 @@ def _check_loss_limits(scene: Scene, entries: list[MarkedMapping], faults: Diagn
                 "energy again and again must end"
             )
             faults.add(entry.value_at("energy_loss_limit"), message)
+
+
+def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
+    """Notes axes whose TPDO shows a torque that no RPDO has carried yet: with `event` the RPDO follows the SYNC."""
+    for axis, entry in zip(scene.axes, entries, strict=True):
+        bus = next(bus.parameters for bus in scene.buses if bus.name == axis.bus)
+        if axis.parameters.demand_reported == "after" and bus.rpdo == "event":
+            faults.add(
+                entry.value_at("demand_reported"),
+                "got 'after', but with bus.rpdo: event no torque changes at SYNC: the TPDO shows that of the hold "
+                "that ended; leave it out, or set rpdo: synchronous",
+            )
 
 
 def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:

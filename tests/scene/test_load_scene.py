@@ -221,6 +221,12 @@ def test_a_claimed_delay_or_sample_time_must_agree_with_the_bus(tmp_path: Path) 
     assert load_scene(tmp_path / "scene.yaml", ["passivity.delay=2"]).axes[0].loop.delay == 2
 
 
+def test_a_torque_that_begins_at_sync_needs_torques_that_change_at_sync(tmp_path: Path) -> None:
+    [line] = faults(tmp_path, overrides=("bus.rpdo=event", "axes.0.demand_reported=after"))
+    assert line.endswith("leave it out, or set rpdo: synchronous")
+    assert "demand_reported: got 'after', but with bus.rpdo: event no torque changes at SYNC" in line
+
+
 def test_a_bus_that_is_too_slow_is_refused_with_the_arithmetic(tmp_path: Path) -> None:
     [line] = faults(tmp_path, overrides=("bus.bitrate=125 kbit/s",))
     assert line.startswith("scene.yaml:2:33: bus.rate: the cycle does not fit the bus: 1 SYNC x 55 + 1 TPDO x 135")

@@ -174,7 +174,7 @@ def simulated(folder: Path, *lines: str, simulation: str = "") -> Any:
     pieces = [(AXIS, f"{own}{AXIS}")]
     if simulation:
         pieces.append(("simulation:\n", f"simulation:\n  drive: {simulation}\n"))
-    scene = load_scene(scene_file(folder, *pieces))
+    scene = load_scene(scene_file(folder, *pieces), ["bus.rpdo=synchronous"])
     assert scene.axes[0].simulation is not None
     return scene.axes[0].simulation.drive
 

@@ -1,0 +1,50 @@
+"""What the drives of one bus need: COB-IDs that no other master sends, node IDs that differ, time on the wire."""
+
+from collections.abc import Sequence
+
+from canhaptic.canopen import objects as od
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.bus_budget import BusBudget, require_budget
+from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.errors import InputError
+
+
+def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> dict[int, str]:
+    """Returns the COB-IDs that this master alone sends on a bus, with their names.
+
+    Args:
+        link: The bus.
+        drives: Of the rig; those on other buses are left out.
+        bus: With the node ID of the master.
+    """
+    names = {
+        od.NMT_COB_ID: "NMT",
+        od.SYNC_FRAME_COB_ID: "SYNC",
+        od.HEARTBEAT_BASE + bus.master_id: "heartbeat of the master",
+    }
+    for drive in drives:
+        if drive.link is link:
+            names[drive.map.rpdo.cob_id] = f"RPDO of {drive.axis.name}"
+            names[od.SDO_REQUEST_BASE + drive.axis.node_id] = f"SDO request to {drive.axis.name}"
+    return names
+
+
+def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
+    """Returns the budget of one bus, which has a bit rate of its own.
+
+    Args:
+        drives: On this bus.
+        bus: With the node ID of the master; the rates of the bus where it has no drive.
+
+    Raises:
+        InputError: Two nodes have one node ID.
+        BusBudgetError: The frames of one cycle do not fit the bus.
+    """
+    names = {bus.master_id: "the master's heartbeat (bus.master_id)"}
+    for drive in drives:
+        node_id, name = drive.axis.node_id, drive.axis.name
+        if node_id in names:
+            raise InputError(f"{name}: node_id {node_id} is that of {names[node_id]} on the same bus; give it its own")
+        names[node_id] = name
+    return require_budget(drives[0].bus if drives else bus, [drive.map for drive in drives])
