@@ -8,7 +8,7 @@ since the plant's epoch, so that k whole sample times are exactly k steps.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Final
 
 import numpy as np
@@ -202,11 +202,20 @@ class Plant:
             position = encoder.read(position, self._tick, self.seed)
         return position
 
-    def move_hand(self, place: float) -> None:
-        """Puts a `PointerHand` at a place [m or rad] for the holds to come; between two holds only."""
-        self._machine.state[self.scene.names.index(PLACE)] = place
+    def set_states(self, values: Mapping[str, float]) -> None:
+        """Sets states of the hand for the holds to come; between two holds only.
+
+        Args:
+            values: By name of state, of a `GuidedHand` or a `PointerHand`.
+        """
+        for name, value in values.items():
+            self._machine.state[self.scene.names.index(name)] = value
         if self._looks_ahead:
             self._free_torque = -1.0  # what was known ahead rested on the old place
+
+    def move_hand(self, place: float) -> None:
+        """Puts a `PointerHand` at a place [m or rad] for the holds to come; between two holds only."""
+        self.set_states({PLACE: place})
 
     @property
     def begun(self) -> bool:

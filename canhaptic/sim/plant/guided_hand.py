@@ -1,0 +1,47 @@
+"""A hand that is guided from outside: its place and its push go on at rates that are set between two holds.
+
+Place, speed, push and its rate are states that change linearly, so that the plant stays as exact as with any other
+hand, whatever effects it has; `Plant.set_states` changes them at a SYNC.
+"""
+
+from typing import Annotated, Final
+
+from canhaptic.sim.plant.assembly import PlantModel, Rows
+from canhaptic.sim.plant.user import Hand, UserParameters
+from canhaptic.units import quantity
+
+PLACE: Final = "hand_place"
+"""State that is the place of the hand [m or rad]."""
+SPEED: Final = "hand_speed"
+"""State that is the speed of the place [m/s or rad/s]."""
+PUSH: Final = "hand_push"
+"""State that is the force of the hand besides its grip [N or N*m]."""
+PUSH_RATE: Final = "hand_push_rate"
+"""State that is the rate of that force [N/s or N*m/s]."""
+
+
+class GuidedHand(UserParameters):
+    """A grip on the handle, and a push, that go on as they are told."""
+
+    place: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
+    """Where the hand is at the start."""
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Adds the hand and its states."""
+        _GuidedPart(self).add_to(scene)
+        for name, initial in ((PLACE, self.place), (SPEED, 0.0), (PUSH, 0.0), (PUSH_RATE, 0.0)):
+            scene.add_state(name, initial)
+        scene.deflection[PLACE] = -1.0
+
+
+class _GuidedPart(Hand):
+    def assemble(self, rows: Rows, mode: str) -> None:
+        """Adds the force on the handle, its work, and the course of place and push."""
+        stiffness, damping = self.grasp(mode)
+        super().assemble(rows, mode)
+        rows.set_rate(PLACE, rows.row(**{SPEED: 1.0}))
+        rows.set_rate(PUSH, rows.row(**{PUSH_RATE: 1.0}))
+        handle = len(rows.forces) - 1
+        force = rows.row(**{PLACE: stiffness, SPEED: damping, PUSH: 1.0})
+        rows.forces[handle] += force
+        rows.add_power(self.name, force, rows.velocity(handle))

@@ -1,0 +1,235 @@
+"""What does a hand feel of a wall? `python -m tools.bench.feel [ALGORITHM ...]`: every algorithm, or some.
+
+One plant (0.25 kg, 0.5 N*s/m at 1 kHz and 0.1 below) moved exactly, an ideal encoder, energies of the plant.
+
+    held       largest stiffness within 5 % at rest, ripple below 5 %, at least -1 uJ, under a push of 5 N that rises in
+               0.3 s from 0.5 mm in front of the wall; by bisection, beside what the hand-force certificate holds
+    slow hand  a spring of 300 N/m whose far end goes 50 mm through free space and 30 mm into the wall: depth at rest
+               beside that at the certified stiffness, and the largest force in front of the wall
+    entry      1e4 N/m, 20 N*s/m, 1 kHz, one sample late, user S: largest rise of the torque from hold to hold within 5
+               holds of a contact's beginning (of the continuous wall: of its mean over a hold), largest torque towards
+               the wall (of the continuous wall: at any instant), and total variation
+    friction   a device with 0.5 N of Coulomb friction for certain, and no assumption about the hand
+
+Algorithms that rest on the damping of the device are told it; `guarded` is told the mass and the hand's force alone.
+"""
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
+from canhaptic.sim.plant.plant import PlantParameters
+from canhaptic.study.felt.held import Bench, Leaning, largest_held, settling_time
+from canhaptic.study.felt.slow_hand import SlowHand, certified_rest, enter
+from canhaptic.study.loop import Array, LoopCase, LoopRun, render
+from tools.bench.report import Row, publish
+from tools.bench.standard_cases import USER_S, standard_case, standard_reference
+
+MASS: Final = 0.25  # [kg]
+PUSH: Final = 5.0  # [N]
+SOFTEST: Final = 15.0  # [N/m]
+BEYOND: Final = 1.3  # stiffest wall tried, over what the certificate holds
+LOOPS: Final = {
+    "1 kHz, one late, b 0.5": (1000.0, 1, 0.5),
+    "100 Hz, delay 0, b 0.1": (100.0, 0, 0.1),
+    "100 Hz, one late, b 0.1": (100.0, 1, 0.1),
+    "40 Hz, delay 0, b 0.1": (40.0, 0, 0.1),
+}
+REACH: Final = {
+    ("1 kHz, one late, b 0.5", 0.0): 38_000.0,
+    ("1 kHz, one late, b 0.5", 20.0): 7_900.0,
+    ("100 Hz, one late, b 0.1", 0.0): 390.0,
+    ("100 Hz, one late, b 0.1", 5.0): 198.0,
+    ("100 Hz, one late, b 0.1", 20.0): 70.0,
+}
+"""Stiffness to be held [N/m]."""
+EARNED: Final = {("1 kHz, one late, b 0.5", 20.0): 10_000.0, ("100 Hz, one late, b 0.1", 5.0): 250.0}
+"""The same with energy that was earned before."""
+DRAG: Final[dict[str, Any]] = {"drag": 0.1}
+"""Parameters of `guarded` with which a contact is begun on energy earned in free space."""
+HAND_FORCES: Final = (0.0, 5.0, 20.0)  # [N]
+STIFF_WALL: Final = SpringDamperWall(stiffness=1e4, damping=20.0)
+PRESS: Final = 20.0  # largest push of the hand that is declared [N]
+PUSHES: Final[tuple[dict[str, Any], ...]] = ({}, {"hand_push": PRESS})
+ENTRY_HOLDS: Final = 5
+FRICTION: Final = 0.5  # [N]
+
+
+def bench_of(algorithm: str, loop: str, *, hand_force: float = 0.0, **options: Any) -> Bench:
+    """Returns a device under an algorithm in one of `LOOPS`."""
+    rate, delay, damping = LOOPS[loop]
+    return Bench(
+        _case(algorithm, rate, delay, damping, hand_force, options), PlantParameters(mass=MASS, damping=damping)
+    )
+
+
+def _case(
+    algorithm: str, rate: float, delay: int, damping: float, hand_force: float, options: dict[str, Any]
+) -> LoopCase:
+    declared = None if algorithm == "guarded" else damping
+    plant = PlantParameters(mass=MASS, damping=damping)
+    return standard_case(
+        STIFF_WALL, algorithm, rate, USER_S, delay=delay, plant=plant, hand_force=hand_force,
+        declared_damping=declared, **options,
+    )  # fmt: skip
+
+
+def certified(loop: str, hand_force: float, push: float = PUSH) -> float:
+    """Returns the stiffness [N/m] that the hand-force certificate holds at a push [N]: m F / (2 T^2 (F + F_h)), ..."""
+    rate, delay, damping = LOOPS[loop]
+    response = displacement_response(1.0 / rate, MASS, hand_force, 0.0, damping)
+    return renderable_by_hand_force(response, delay, push)
+
+
+def held_rows(algorithms: Sequence[str]) -> Iterator[Row]:
+    """Static stiffness of every algorithm in every loop."""
+    for loop, (_, _, damping) in LOOPS.items():
+        leaning = Leaning(push=PUSH, duration=settling_time(MASS, damping))
+        stiffest = BEYOND * certified(loop, 0.0)
+        for algorithm in algorithms:
+            for hand_force in HAND_FORCES if algorithm == "guarded" else (0.0,):
+                yield from _held_rows(algorithm, loop, hand_force, leaning, stiffest)
+            for (with_drag, hand_force), reach in EARNED.items() if algorithm == "guarded" and knows_drag() else ():
+                if with_drag == loop:
+                    row, uneven = _held_rows(algorithm, loop, hand_force, leaning, stiffest, **DRAG)
+                    yield replace(row, target=f">= {reach:g}", met=row.value >= reach)
+                    yield uneven
+
+
+def _held_rows(
+    algorithm: str, loop: str, hand_force: float, leaning: Leaning, stiffest: float, **options: Any
+) -> tuple[Row, Row]:
+    found = largest_held(bench_of(algorithm, loop, hand_force=hand_force, **options), leaning, SOFTEST, stiffest)
+    limit, reach = certified(loop, hand_force), REACH.get((loop, hand_force)) if algorithm == "guarded" else None
+    words = f", F_h {hand_force:g} N" if algorithm == "guarded" else ""
+    name = f"{loop}: {algorithm}{words}" + "".join(f", {key} {value:g}" for key, value in options.items())
+    target, met = (f">= {reach:g}", found.stiffness >= reach) if reach else ("", None)
+    certificate = ("certificate", limit, found.stiffness / limit)
+    uneven = ("0", found.failing == 0) if algorithm == "guarded" else ("", None)
+    return (
+        Row(f"held, {name}", found.stiffness, "N/m", *certificate, target=target, met=met),
+        Row(f"softer and not held, {name}", found.failing, f"of {found.softer}", target=uneven[0], met=uneven[1]),
+    )
+
+
+def knows_drag() -> bool:
+    """Returns whether `guarded` can earn energy before a contact."""
+    from canhaptic.control.passivity.guarded_settings import GuardedParameters
+
+    return "drag" in GuardedParameters.model_fields
+
+
+def slow_rows(algorithms: Sequence[str]) -> Iterator[Row]:
+    """The slow hand, and what drags it at 0.15 m/s."""
+    if "guarded" not in algorithms:
+        return
+    for loop, (rate, delay, damping) in list(LOOPS.items())[:3]:
+        for options in ({}, DRAG) if knows_drag() else ({},):
+            words = "".join(f", {name} {value:g}" for name, value in options.items())
+            for hand_force in HAND_FORCES[1:]:
+                bench = bench_of("guarded", loop, hand_force=hand_force, **options)
+                response = displacement_response(1.0 / rate, MASS, hand_force, 0.0, damping)
+                where = f"{loop}, F_h {hand_force:g} N{words}"
+                for speed in (0.02, 0.19):
+                    yield from _slow_row(bench, SlowHand(speed), response, delay, f"{where}, {speed:g} m/s")
+                drag = enter(bench, SpringDamperWall(stiffness=certified(loop, hand_force)), SlowHand(0.15)).drag
+                yield Row(f"drag, {where}, 0.15 m/s", drag, "N", target="<= 0.1", met=drag <= 0.1)
+
+
+def _slow_row(bench: Bench, hand: SlowHand, response: Any, delay: int, where: str) -> Iterator[Row]:
+    depth, stiffness = certified_rest(response, delay, hand)
+    wall = SpringDamperWall(stiffness=stiffness or renderable_by_hand_force(response, delay, 1e9))
+    found = enter(bench, wall, hand)
+    note = f"asked {wall.stiffness:.4g} N/m" if stiffness else "a hand this weak is not held by the certificate"
+    yield Row(
+        f"slow hand, {where}: depth", 1e3 * found.depth, "mm", "certificate", 1e3 * depth, found.depth / depth,
+        target="<= 1.1 times", met=found.depth <= 1.1 * depth, note=note,
+    )  # fmt: skip
+    yield Row(f"slow hand, {where}: least sum(h_i)", found.least, "J", target=">= 0", met=found.least >= -1e-12)
+
+
+def entry_rows(algorithms: Sequence[str]) -> Iterator[Row]:
+    """Entry step, sticky spike and variation of the force at a stiff wall."""
+    cycles = 2000
+    reference = standard_reference(STIFF_WALL, USER_S, 1000.0, cycles)
+    step, spike = largest_rise(reference.torque, reference.position), -float(reference.fine_torque.min())
+    for algorithm in algorithms:
+        judged = algorithm == "guarded"
+        for hand_force, options in ((f, o) for f in HAND_FORCES for o in PUSHES) if judged else ((0.0, {}),):
+            run = render(_case(algorithm, 1000.0, 1, 0.1, hand_force, options), cycles)
+            words = f", F_h {hand_force:g} N" + (", any push" if not options else f", push {PRESS:g} N")
+            name = algorithm + (words if judged else "")
+            rise, stuck = _stiff(run)
+            yield _over(f"entry step: {name}", rise, step, 1.5, judged=judged)
+            yield _over(f"sticky spike: {name}", stuck, spike, 1.5, judged=judged)
+            yield _over(f"force variation: {name}", run.variation, reference.variation, 1.2, judged=judged)
+
+
+def _stiff(run: LoopRun) -> tuple[float, float]:
+    if run.ended:
+        return float("inf"), float("inf")
+    return largest_rise(run.torque, run.true_position), max(0.0, -float(run.torque.min()))
+
+
+def largest_rise(torque: Array, position: Array) -> float:
+    """Returns the largest rise of the torque from hold to hold within `ENTRY_HOLDS` of a contact's beginning."""
+    begins = np.flatnonzero((position[1:] < 0.0) & (position[:-1] >= 0.0)) + 1
+    rises = np.diff(torque, append=torque[-1])
+    return max((float(rises[k : k + ENTRY_HOLDS].max()) for k in begins.tolist()), default=0.0)
+
+
+def _over(name: str, value: float, continuous: float, limit: float, *, judged: bool) -> Row:
+    ratio = value / continuous
+    target, met = (f"<= {limit:g} times", ratio <= limit) if judged else ("", None)
+    return Row(name, value, "N", "continuous wall", continuous, ratio, target=target, met=met)
+
+
+def friction_rows(algorithms: Sequence[str]) -> Iterator[Row]:
+    """A certificate by dry friction alone: stiffness rendered to a hand at a speed, and what the device covers."""
+    if "guarded" not in algorithms or "device_friction" not in LoopProperties.model_fields:
+        return
+    case = _case("guarded", 1000.0, 1, 0.5, 0.0, {"hand_force": None})
+    loop = case.loop.model_copy(update={"device_friction": FRICTION})
+    bench = Bench(
+        replace(case, loop=loop, device_friction=FRICTION, device_damping=0.0),
+        PlantParameters(mass=MASS, damping=0.5),
+        (CoulombFriction(kinetic=FRICTION, static=FRICTION),),
+    )
+    for speed in (0.02, 0.1, 0.3):
+        for stiffness in (2500.0, 10_000.0):
+            run = enter(bench, SpringDamperWall(stiffness=stiffness), SlowHand(speed)).run
+            moving = (run.true_position < 0.0) & (np.gradient(run.true_position) < 0.0)
+            share = float(run.torque[moving].sum() / (stiffness * -run.true_position[moving].sum()))
+            path = np.cumsum(np.abs(np.diff(run.true_position, prepend=run.true_position[0])))
+            least = float((run.interaction + FRICTION * path).min())
+            name = f"friction {FRICTION:g} N, {stiffness:g} N/m, {speed:g} m/s"
+            slow = speed <= 0.1 and stiffness <= 2500.0
+            yield Row(
+                f"{name}: rendered",
+                share,
+                "of asked",
+                target=">= 0.95" if slow else "",
+                met=share >= 0.95 if slow else None,
+            )
+            yield Row(f"{name}: least sum(h_i) + f_c path", least, "J", target=">= 0", met=least >= -1e-12)
+
+
+FIGURES: Final = (held_rows, slow_rows, entry_rows, friction_rows)
+
+
+def main(words: Sequence[str]) -> None:
+    """Measures all of them and publishes the table."""
+    algorithms = list(words) or list(ALGORITHMS)
+    publish("feel", [row for figure in FIGURES for row in figure(algorithms)], ["canhaptic", "numpy"])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
