@@ -5,7 +5,7 @@ from typing import cast
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can.bus_budget import require_budget
+from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.profile.fitness import Verdict
@@ -43,7 +43,10 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         _check_loop(axis, _passivity_section(axis, entry, sections, scene), scene, faults)
         check_display(axis, entry, scene, faults)
-        maps[axis.bus].append(_check_parts(axis, entry, sections, scene, faults))
+        axis_map = _check_parts(axis, entry, sections, scene, faults)
+        maps[axis.bus].append(axis_map)
+        if axis_map is not None and not scene.simulated:
+            _check_window(axis, axis_map, _passivity_section(axis, entry, sections, scene), scene, faults)
     _check_groups(scene, sections, faults)
     _check_mechanisms(scene, sections, faults)
     for index, bus in enumerate(scene.buses):
@@ -152,6 +155,20 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
             passivity.value_at("sample_time"),
             f"got {axis.loop.sample_time:g} s, but bus.rate of {scene.bus.rate:g} Hz makes it "
             f"{scene.bus.sample_time:g} s; leave it out",
+        )
+
+
+def _check_window(
+    axis: AxisScene, axis_map: AxisMap, passivity: MarkedMapping, scene: Scene, faults: Diagnostics
+) -> None:
+    """Notes a window that no bus keeps: it is true of a simulation in lock-step, and was carried over from there."""
+    bus, window = next(bus.parameters for bus in scene.buses if bus.name == axis.bus), axis.loop.torque_window
+    least = shortest_answer(bus.bitrate, axis_map)
+    if bus.rpdo == "event" and window is not None and window < least:
+        faults.add(
+            passivity.value_at("torque_window"),
+            f"got {window:g} s, but SYNC, TPDO and RPDO take {least:.3g} s at least at {bus.bitrate:g} bit/s; measure "
+            "it (canhaptic commission), or set rpdo: synchronous",
         )
 
 

@@ -18,7 +18,7 @@ from canhaptic.errors import CanHapticError
 from canhaptic.scene.models import AxisScene, NamedBus, Scene
 
 GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
-"""Taken for real drives until it is declared; no real drive runs on them."""
+"""Taken for real drives until it is declared, with the time that event RPDOs take; no real drive runs on them."""
 _MOST_JITTER: Final = 0.5
 """Part of a sample time: a SYNC later than that is a SYNC skipped."""
 
@@ -47,10 +47,14 @@ def with_timing(scene: Scene) -> Scene:
 def _with_guesses(scene: Scene) -> Scene:
     """Returns the scene with guesses where the timing of real holds is not declared, and with the names of the axes."""
     guesses = {axis.parameters.name: undeclared(axis.loop) for axis in scene.axes}
-    axes = [
-        replace(axis, loop=axis.loop.model_copy(update={key: GUESSES[key] for key in undeclared(axis.loop)}))
-        for axis in scene.axes
-    ]
+    windows = {bus.name: GUESSES["torque_window"] + _window(scene, bus) for bus in scene.buses}
+    if any(axis.bus not in windows for axis in scene.axes):  # noted where buses are checked
+        return scene
+    axes = []
+    for axis in scene.axes:
+        values = {**GUESSES, "torque_window": windows[axis.bus]}
+        missing = {key: values[key] for key in undeclared(axis.loop)}
+        axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)))
     guessed = tuple(
         axis.parameters.name for axis in axes if guesses[axis.parameters.name] and _is_certified(scene, axis)
     )

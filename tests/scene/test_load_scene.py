@@ -227,6 +227,16 @@ def test_a_torque_that_begins_at_sync_needs_torques_that_change_at_sync(tmp_path
     assert "demand_reported: got 'after', but with bus.rpdo: event no torque changes at SYNC" in line
 
 
+def test_a_window_shorter_than_the_frames_is_refused_where_drives_may_be_real(tmp_path: Path) -> None:
+    """47 bits for SYNC, 47 + 64 each for a TPDO and 47 + 32 for an RPDO of 4 bytes, at 1 Mbit/s; no stuff bits."""
+    real = ("bus.interface=socketcan", "bus.channel=can0", "simulation=null")
+    [line] = faults(tmp_path, overrides=(*real, "passivity.torque_window=100 us"))
+    assert "torque_window: got 0.0001 s, but SYNC, TPDO and RPDO take 0.000237 s at least at 1e+06 bit/s" in line
+    for kept in (("passivity.torque_window=240 us",), ("passivity.torque_window=0 s", "bus.rpdo=synchronous")):
+        assert load_scene(tmp_path / "scene.yaml", [*real, *kept]).axes[0].loop.torque_window is not None
+    assert load_scene(tmp_path / "scene.yaml", ["passivity.torque_window=0 s"]).simulated
+
+
 def test_a_bus_that_is_too_slow_is_refused_with_the_arithmetic(tmp_path: Path) -> None:
     [line] = faults(tmp_path, overrides=("bus.bitrate=125 kbit/s",))
     assert line.startswith("scene.yaml:2:33: bus.rate: the cycle does not fit the bus: 1 SYNC x 55 + 1 TPDO x 135")

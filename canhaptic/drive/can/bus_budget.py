@@ -14,6 +14,7 @@ from canhaptic.drive.can.pdo_map import TORQUE_DEMAND, AxisMap
 from canhaptic.errors import BusBudgetError
 
 _LONGEST_DATA: Final = 8
+_FRAME_BITS: Final = 47  # without data and stuff bits, with the interframe space
 _HEARTBEAT_LENGTH: Final = 1
 _BIT_RATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
 _ROUND_RATES: Final = tuple(m * 10**e for e in range(5) for m in (1, 1.25, 2, 2.5, 4, 5, 8))
@@ -21,7 +22,7 @@ _ROUND_RATES: Final = tuple(m * 10**e for e in range(5) for m in (1, 1.25, 2, 2.
 
 def _worst_case_bits(length: int) -> int:
     """Returns the most bits that a frame of `length` data bytes can take on the wire, interframe space included."""
-    return 47 + 8 * length + (34 + 8 * length - 1) // 4
+    return _FRAME_BITS + 8 * length + (34 + 8 * length - 1) // 4
 
 
 def worst_frame() -> int:
@@ -99,6 +100,15 @@ def torque_latency(bus: BusParameters, maps: Sequence[AxisMap]) -> float:
     """
     rows = [row for row in bus_budget(bus, maps).rows if row.what in ("TPDO", "RPDO")]
     return (sum(row.bits for row in rows) + 2 * worst_frame()) / bus.bitrate + bus.compute_latency
+
+
+def shortest_answer(bitrate: float, axis: AxisMap) -> float:
+    """Returns the least time [s] from a SYNC until the torque of an axis that answers it can have come.
+
+    SYNC, TPDOs and RPDO of this axis alone, without a stuff bit and without the host.
+    """
+    lengths = [0, axis.rpdo.length, *[tpdo.length for tpdo in axis.tpdos]]
+    return sum([_FRAME_BITS + 8 * length for length in lengths]) / bitrate
 
 
 def round_rate(limit: float) -> float:
