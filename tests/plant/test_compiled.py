@@ -60,6 +60,7 @@ def compiled(*effects):
     return interpreted, plant
 
 
+@pytest.mark.slow  # 6 s of a processor, most of it compilation
 def test_compiled_holds_agree_with_interpreted_ones():
     """Without events to 1e-12; a rounding may move an event by one tick, 6e-11 s, whose effect is below 1e-11 m.
 

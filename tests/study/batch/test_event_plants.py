@@ -121,14 +121,6 @@ def both(scene, varied, cycles=CYCLES):
     return (run_batch(scene, varied, cycles, engine) for engine in ("python", "numba"))
 
 
-def test_numba_gives_the_bits_of_python():
-    pytest.importorskip("numba")
-    scene = demo(PLANTS["stop and friction"], algorithm="unprotected")
-    first, second = both(scene, {"environment.stiffness": np.geomspace(100.0, 5000.0, 5)})
-    for name in METRICS:
-        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("plant", PLANTS)

@@ -118,6 +118,7 @@ def test_numba_gives_the_bits_of_python(algorithm, world):
     assert diverged < 100.0
 
 
+@pytest.mark.slow  # compiles the loop of another algorithm
 def test_what_is_no_number_ends_a_compiled_loop_as_it_ends_an_interpreted_one():
     pytest.importorskip("numba")
     case, _ = many("unprotected", 4)
@@ -149,7 +150,7 @@ def test_a_scene_does_not_depend_on_the_scenes_beside_it(monkeypatch):
         np.testing.assert_array_equal(found[name], whole[name], err_msg=name)
 
 
-@pytest.mark.parametrize("engine", ["python", "numba"])
+@pytest.mark.parametrize("engine", ["python", pytest.param("numba", marks=pytest.mark.slow)])
 def test_the_figures_of_a_scene_that_diverges_are_those_until_it_did(engine):
     if engine == "numba":
         pytest.importorskip("numba")

@@ -62,6 +62,7 @@ def batch(kind: Any, scenes: int) -> Any:
     return loop_in_arrays(case, PLANT, USER, {"environment.stiffness": np.linspace(50.0, 500.0, scenes)})
 
 
+@pytest.mark.slow
 def test_an_environment_of_ones_own_is_compiled() -> None:
     pytest.importorskip("numba")
     case = batch(CenteringSpring, 3)
@@ -71,6 +72,7 @@ def test_an_environment_of_ones_own_is_compiled() -> None:
     assert len(set(first["torque_peak"].tolist())) == 3
 
 
+@pytest.mark.slow
 def test_one_that_numba_cannot_compile_says_so_and_runs_in_python() -> None:
     pytest.importorskip("numba")
     case = batch(Talking, 2)

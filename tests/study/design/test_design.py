@@ -1,5 +1,6 @@
 """A designed wall is rendered as promised, judged by a run of its own; what cannot be designed is said."""
 
+import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,6 @@ from canhaptic.study.design.design_report import snippet
 from canhaptic.study.design.trial import Trial
 from canhaptic.study.design.wall import _ONE_BY_ONE, _rounded, design_wall
 
-pytest.importorskip("numba")  # without it fewer walls are tried
-
 DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
 RIG = [
     "bus.rate=100",
@@ -24,21 +23,30 @@ RIG = [
 ]
 
 
+@pytest.fixture(scope="module", params=["python", pytest.param("numba", marks=pytest.mark.slow)])
+def engine(request):
+    """Of the trials: Python tries fewer walls, numba compiles for 20 s of a processor."""
+    if request.param == "numba":
+        pytest.importorskip("numba")
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def told():
-    """(walls tried, most there can be), as a progress bar is told."""
+def progress():
+    """(walls tried, most there can be), as a progress bar shows them."""
     return []
 
 
 @pytest.fixture(scope="module")
-def designed(told):
-    return design_wall(load_scene(DEMO, RIG), engine="numba", progress=lambda *seen: told.append(seen))
+def designed(engine, progress):
+    progress.clear()
+    return design_wall(load_scene(DEMO, RIG), engine=engine, progress=lambda *seen: progress.append(seen))
 
 
-def test_a_progress_bar_rises_and_never_passes_its_end(designed, told):
-    tried, most = zip(*told, strict=True)
+def test_a_progress_bar_rises_and_never_passes_its_end(designed, progress):
+    tried, most = zip(*progress, strict=True)
     assert list(tried) == sorted(set(tried))
-    assert tried[0] == 0  # told before the first batch, which takes seconds
+    assert tried[0] == 0  # shown before the first batch, which takes seconds
     assert len(set(most)) == 1
     assert 0.5 * most[0] < designed.result["walls"] <= most[0]
 
@@ -64,8 +72,8 @@ def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_t
     assert pasted["passivity"]["algorithm"] == "guarded"
 
 
-def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
-    trial = Trial(load_scene(DEMO, RIG), 0.05, "numba")
+def test_a_wall_well_beyond_the_margin_is_not_rendered(designed, engine):
+    trial = Trial(load_scene(DEMO, RIG), 0.05, engine)
     verdict = trial.verdict(
         np.array([designed.stiffness, 1.3 * designed.stiffness, 20.0 * designed.stiffness]), np.zeros(3)
     )
@@ -75,6 +83,7 @@ def test_a_wall_well_beyond_the_margin_is_not_rendered(designed):
     assert not verdict.passed.tolist()[2]
 
 
+@pytest.mark.parametrize("engine", [pytest.param("numba", marks=pytest.mark.slow)], indirect=True, scope="module")
 def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
     trial = Trial(load_scene(DEMO, RIG), 0.05, "numba")
     places = np.linspace(0.8, 1.2, 201) * designed.stiffness
@@ -92,9 +101,8 @@ def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
         assert damping == pytest.approx(dampings[:first][passed[:first]].max(), rel=0.03)
 
 
-@pytest.mark.slow  # compiles a loop of its own: 20 s of a processor
-def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own():
-    trial = Trial(load_scene(DEMO, RIG), 0.05, "numba")
+def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own(engine):
+    trial = Trial(load_scene(DEMO, RIG), 0.05, engine)
     verdict = trial.verdict(np.array([300.0, 600.0]), np.array([2.0, 0.0]))
     motion = "{type: sinusoid, amplitude: 0.16666666666666666, frequency: 1, phase: 1.5707963267948966}"
     for row, (stiffness, damping) in enumerate([(300.0, 2.0), (600.0, 0.0)]):
@@ -112,7 +120,8 @@ def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own():
 
 def test_a_wall_on_a_plant_with_friction_is_tried_in_the_loop_of_a_batch_and_in_fewer_places_interpreted():
     scene = load_scene(DEMO, [*RIG, "simulation.effects=[{type: coulomb_friction, kinetic: 0.1 N, static: 0.1 N}]"])
-    assert Trial(scene, 0.05, "numba").is_quick
+    if importlib.util.find_spec("numba"):
+        assert Trial(scene, 0.05, "numba").is_quick
     trial = Trial(scene, 0.05, "python")
     assert not trial.is_quick
     verdict = trial.verdict(np.array([200.0]), np.zeros(1))
@@ -140,7 +149,7 @@ def test_what_cannot_be_designed_is_said():
 
 def test_a_rig_that_renders_no_wall_is_told_what_to_change():
     with pytest.raises(CheckFailedError, match=r"raise bus\.rate"):
-        design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="numba")
+        design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="python")
 
 
 def test_numbers_are_rounded_down():

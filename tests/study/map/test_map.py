@@ -46,7 +46,7 @@ def two_controllers(tmp_path_factory):
         "stiffness_rendered.share",
         "damping_rendered.mean",
     ]
-    sweep(scene, vary, path, controllers=["unprotected", "guarded"], duration=1.6, metrics=metrics)
+    sweep(scene, vary, path, controllers=["unprotected", "guarded"], duration=1.6, metrics=metrics, engine="python")
     return path
 
 
@@ -62,6 +62,7 @@ def test_the_border_of_the_plain_wall_is_that_of_colgate_within_three_per_cent(p
                 assert border.value[i, j] / 1.03 <= theory.colgate <= 1.03 * border.value[i, j] * step
 
 
+@pytest.mark.slow  # compiles a loop, and marches 1.4 million cycles
 def test_the_border_found_by_marching_is_that_of_colgate_within_three_per_cent(tmp_path):
     """Slow swings in a wall that is touched all the time: does the travel still grow in the second half of a run?"""
     wall = "environment={type: two_sided_wall, stiffness: 100, lower: 0, upper: 0}"
@@ -130,7 +131,8 @@ def test_the_border_beside_dry_friction_and_a_coarse_encoder_is_that_of_abbott_a
     path = tmp_path / "friction.h5"
     metrics = ["least_covered", "least_interaction", "diverged"]
     stiffnesses = "environment.stiffness=1000,1900,1950,2050,2100,3000"
-    sweep(load_scene(DEMO, overrides), [stiffnesses], path, controllers=["unprotected"], cycles=600, metrics=metrics)
+    scene = load_scene(DEMO, overrides)
+    sweep(scene, [stiffnesses], path, controllers=["unprotected"], cycles=100, metrics=metrics, engine="python")
     with SweepTable(path) as table:
         [field] = fields_of(table)
         assert theory_at(field, {}).abbott_okamura == pytest.approx(2000.0)
