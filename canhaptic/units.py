@@ -14,20 +14,18 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 from pydantic_core import core_schema
 
+from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass as _ModelMetaclass
 else:
     _ModelMetaclass = type(BaseModel)
-
-Motion = Literal["m", "rad"]
-"""Whether an axis slides or turns, by the unit of its position."""
 
 # Dimension exponents of (kg, m, s, A, K, rad). The radian is kept as a dimension of its own, so that a linear
 # stiffness on a rotary axis is an error and not a wall of the wrong strength.
@@ -63,16 +61,6 @@ _FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1|%)(?:\^(-?\d))?\s*")
 
 _LEAST, _MOST = 1e-30, 1e30
 """Magnitudes beyond which no quantity in SI means anything, and products and quotients leave the numbers."""
-
-
-def effort_unit(motion: str) -> str:
-    """Returns the unit of force or torque of an axis whose position is in "m" or in "rad"."""
-    return "N" if motion == "m" else "N*m"
-
-
-def damping_unit(motion: str) -> str:
-    """Returns the unit of damping of an axis whose position is in "m" or in "rad"."""
-    return "N*s/m" if motion == "m" else "N*m*s/rad"
 
 
 @dataclass(slots=True)

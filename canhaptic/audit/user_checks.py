@@ -6,8 +6,9 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.errors import InputError
-from canhaptic.units import damping_unit, effort_unit, parse_unit
+from canhaptic.units import parse_unit
 
 _EXPRESSION: Final = re.compile(
     r"\s*([\w.]+)\s*(>=|<=|==|!=|>|<)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([A-Za-z*/^0-9]*)\s*"

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
 from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.session import Session
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import SdoError, StartError
-from canhaptic.units import effort_unit
 
 _NODES: Final = range(1, 128)
 _ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")

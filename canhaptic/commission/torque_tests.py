@@ -5,12 +5,12 @@ from typing import Final
 
 import numpy as np
 
+from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
 from canhaptic.commission.mass_and_friction import Dynamics, estimate, estimate_lateness
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
-from canhaptic.units import damping_unit, effort_unit
 
 _FIRST: Final = 0.01  # of the rated torque
 _PULSE: Final = 0.04  # [s]

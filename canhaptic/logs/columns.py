@@ -4,10 +4,10 @@ import json
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from canhaptic.axis_units import Motion, damping_unit, effort_unit
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
-from canhaptic.units import Motion, damping_unit, effort_unit
 
 FORMAT_VERSION: Final = 2
 """1: without `timing/deadline_index` and without what a run measures of its ports (`Measured`)."""

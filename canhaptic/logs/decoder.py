@@ -9,12 +9,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text
 from canhaptic.logs.pdo_decoder import PdoField, PdoMaps
 from canhaptic.logs.sdo_decoder import SdoDecoder
 from canhaptic.logs.statusword import state_text
-from canhaptic.units import effort_unit
 
 _TORQUES: Final = {
     od.TARGET_TORQUE: "target torque",

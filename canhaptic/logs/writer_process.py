@@ -121,6 +121,7 @@ class WriterProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL if restart else subprocess.PIPE,
             pass_fds=(self._descriptor,),
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # it multiplies nothing, and a thread a core takes long
             start_new_session=True,  # Ctrl-C in the terminal is for the controller, which then closes the log
             text=True,
         )

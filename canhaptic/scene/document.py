@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import yaml
 
+from canhaptic.axis_units import Motion
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
-from canhaptic.units import Motion
 
 _MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
 _TAG: Final = "tag:yaml.org,2002:"

@@ -8,11 +8,12 @@ from typing import Any, Final, NamedTuple
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from canhaptic.axis_units import Motion
 from canhaptic.registry import nearest
 from canhaptic.scene.components import READY, ComponentOf, OnDemand
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping
-from canhaptic.units import Motion, Unit, shown
+from canhaptic.units import Unit, shown
 
 NOTED: Final = object()
 """Replaces a value whose fault is noted already."""

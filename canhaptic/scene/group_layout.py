@@ -16,13 +16,14 @@ What a scene says of the loop of all axes is in `passivity` of the group; an axi
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
+from canhaptic.axis_units import Motion
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.registry import nearest
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.explain import NOTED, read_list, read_mapping
 from canhaptic.scene.models import task_unit
-from canhaptic.units import Motion, shown
+from canhaptic.units import shown
 
 
 class Members(NamedTuple):

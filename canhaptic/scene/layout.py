@@ -15,6 +15,7 @@ by `Scene`.
 from collections.abc import Sequence
 from typing import Any, Final, get_args
 
+from canhaptic.axis_units import Motion
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.registry import nearest
 from canhaptic.scene.components import ComponentSpec
@@ -26,7 +27,7 @@ from canhaptic.scene.group_layout import Members, check_group_axes, group_layout
 from canhaptic.scene.models import LOOP_KEYS, FurtherBus, GroupMembership, RunParameters
 from canhaptic.scene.profiles import with_profile
 from canhaptic.scene.simulated_defaults import mirror_quirks
-from canhaptic.units import Motion, shown
+from canhaptic.units import shown
 
 SECTIONS: Final = ("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log", "duration")
 OWN_SECTIONS: Final = ("environment", "passivity")

@@ -9,11 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.errors import InputError
 from canhaptic.study.comparison import AxisComparison, Comparison
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference.continuous_reference import ContinuousReference
-from canhaptic.units import effort_unit
 from canhaptic.view.decimate import decimate
 from canhaptic.view.palette import BLUE, GREEN, PALE, VERMILION
 from canhaptic.view.picture_style import STYLE, axis_scale, matplotlib_figure, save_picture

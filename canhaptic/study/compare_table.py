@@ -7,8 +7,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.control.balance import PASSIVE_TOLERANCE
-from canhaptic.units import effort_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from canhaptic.axis_units import damping_unit
 from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.cycle import run
@@ -21,7 +22,6 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.models import GroupScene, Scene
 from canhaptic.study.scenes import cycles_of
-from canhaptic.units import damping_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 

@@ -9,8 +9,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.axis_units import damping_unit
 from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, account_verdict, handle_verdict
-from canhaptic.units import damping_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable, in_lines
 

@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.units import effort_unit
+from canhaptic.axis_units import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable, in_lines, plain_table

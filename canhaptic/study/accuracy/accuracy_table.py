@@ -6,9 +6,9 @@ from typing import Any, Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.scene.accuracy_choice import FLOOR
-from canhaptic.units import effort_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.passivity import ALGORITHMS, LITERATURE
 from canhaptic.drive.axis_parameters import BusParameters
@@ -25,7 +26,6 @@ from canhaptic.study.accuracy.continuous_loop import ContinuousLoop
 from canhaptic.study.algorithms import able_under
 from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
 from canhaptic.study.scenes import axis_at, loop_case
-from canhaptic.units import effort_unit
 
 FINEST: Final = 4
 """Highest rate over that of the scene; the reference is read at that rate."""

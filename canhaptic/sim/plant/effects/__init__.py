@@ -7,10 +7,10 @@ commands, encoders or efforts to a `canhaptic.sim.plant.assembly.PlantModel`.
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final, Protocol, cast
 
+from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.units import Motion
 
 EFFECTS: Final[dict[str, str]] = {
     "backlash": "canhaptic.sim.plant.effects.backlash:Backlash",

@@ -6,9 +6,9 @@ never imported. Its hand holds the handle in task space, in metres, for linear a
 
 from typing import ClassVar, Final, Protocol
 
+from canhaptic.axis_units import Motion
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
-from canhaptic.units import Motion
 
 MECHANISMS: Final[dict[str, str]] = {
     "five_bar": "canhaptic.sim.plant.mechanism.five_bar_linkage:FiveBarLinkage",

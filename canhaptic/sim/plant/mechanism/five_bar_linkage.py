@@ -14,6 +14,7 @@ from typing import Annotated, ClassVar, Final
 
 from pydantic import model_validator
 
+from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.mechanism.hand_force import HandForce
@@ -21,7 +22,7 @@ from canhaptic.sim.plant.mechanism.linkage import Inertia, Linkage, LinkagePose
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.propagator import TICKS
-from canhaptic.units import Motion, Parameters, quantity
+from canhaptic.units import Parameters, quantity
 
 _ITERATIONS: Final = 60
 _CONVERGED: Final = 1e-15  # [rad] of a correction, in addition to the rounding of the step
