@@ -13,6 +13,15 @@ from numpy.typing import NDArray
 _Array = NDArray[np.float64]
 
 _FEWEST_EQUATIONS: Final = 20
+_RANGES: Final = 6
+"""Of speed, in each of which friction is found by itself."""
+_FEWEST_RANGES: Final = 3
+_FEWEST_OF_A_RANGE: Final = 8
+"""Windows in each direction that a range of speed needs."""
+_OVERLAP: Final = 2.0
+"""Windows begin every quarter of their length: n of them tell as much as n / 4 that do not overlap."""
+_PARTS: Final = 8
+"""Of a window, in each of which the axis must move on."""
 _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0
 
 
@@ -46,6 +55,65 @@ def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: 
         return None
     (m, b, c, f), (m_error, b_error, c_error, _), rest = solved
     return Dynamics(m, m_error, b, b_error, c, c_error, f, rest)
+
+
+class FrictionCurve(NamedTuple):
+    """Mass, and what brakes the axis while it moves, by speed; each value with one standard deviation."""
+
+    mass: float  # [kg or kg*m^2]
+    mass_error: float
+    speeds: _Array  # mean of each range of speed, rising, shape (n,) [m/s or rad/s]
+    frictions: _Array  # braking force there, whatever its law, shape (n,) [N or N*m]
+    errors: _Array  # shape (n,)
+
+    def least(self, damping: float, sure: float) -> float:
+        """Returns the dry friction [N or N*m] that every range has besides a damping, less some standard deviations."""
+        return max(0.0, float((self.frictions - sure * self.errors - damping * self.speeds).min()))
+
+    def falls_at_its_end(self, sure: float) -> bool:
+        """Returns whether friction is still falling in the fastest range: nothing is known of faster motion then."""
+        if len(self.speeds) < _FEWEST_RANGES:
+            return True
+        last, before = self.frictions[-1], self.frictions[:-1] - sure * (self.errors[:-1] + self.errors[-1])
+        return bool(last < before.min())
+
+
+def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> FrictionCurve | None:
+    """Returns mass and friction by speed, or None when too little moved both ways to tell.
+
+    A friction that falls with speed (Stribeck) is neither c nor b v: fitted with one c for all speeds it makes the mass
+    too large, and c is above the truth at some speed. So the windows in which the axis moves one way throughout are
+    sorted by speed, and each range of speed has a friction of its own. Arguments as of `estimate`.
+    """
+    starts, ways = _one_way(positions, half_base)
+    if len(starts) < _FEWEST_RANGES * 2 * _FEWEST_OF_A_RANGE:
+        return None
+    matrix, torque = _equations(positions, applied, sample_time, half_base, starts)
+    speed = np.abs(matrix[:, 1])
+    borders = np.quantile(speed, np.linspace(0.0, 1.0, _RANGES + 1)[1:-1])
+    within = np.searchsorted(borders, speed)[:, None] == np.arange(_RANGES)[None, :]
+    known = np.minimum((within & (ways > 0)[:, None]).sum(axis=0), (within & (ways < 0)[:, None]).sum(axis=0))
+    within = within[:, known >= _FEWEST_OF_A_RANGE]
+    rows = within.any(axis=1)
+    columns = np.column_stack([matrix[rows, 0], within[rows] * ways[rows, None], np.ones(int(rows.sum()))])
+    solved = _solve(columns, torque[rows]) if within.shape[1] else None
+    if solved is None:
+        return None
+    (mass, *frictions, _), (mass_error, *errors, _), _ = solved
+    means = [float(speed[some].mean()) for some in within.T]
+    spread = _OVERLAP * np.array(errors)
+    return FrictionCurve(mass, _OVERLAP * mass_error, np.array(means), np.array(frictions), spread)
+
+
+def _one_way(positions: _Array, half_base: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns where the windows begin in which the axis moves on in every part, and which way, 1 or -1."""
+    starts = np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2))
+    if not len(starts):
+        return starts, starts
+    ends = starts[:, None] + np.linspace(0, 2 * half_base, min(_PARTS, 2 * half_base) + 1).astype(int)[None, :]
+    parts = np.diff(positions[ends], axis=1)
+    ways = (parts > _STILL).all(axis=1).astype(np.int64) - (parts < -_STILL).all(axis=1)
+    return starts[ways != 0], ways[ways != 0]
 
 
 def estimate_lateness(

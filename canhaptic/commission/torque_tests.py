@@ -8,7 +8,13 @@ import numpy as np
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.commission.findings import StepVerdict
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
-from canhaptic.commission.mass_and_friction import Dynamics, estimate, estimate_lateness
+from canhaptic.commission.mass_and_friction import (
+    Dynamics,
+    FrictionCurve,
+    estimate,
+    estimate_lateness,
+    friction_curve,
+)
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
 
@@ -19,6 +25,8 @@ _SEEN_COUNTS: Final = 20  # of motion in the first part of a pulse: enough to kn
 _SWEEP: Final = (2.0, 8.0, 4.0)  # [Hz] first and last, [s]
 _HALF_BASE: Final = 0.02  # [s] of the weights of the estimate
 _SURE: Final = 2.0  # standard deviations
+_DERATING: Final = 0.5
+"""Of what brakes the axis for certain: warmth, grease and wear take some of it away."""
 _RATTLE: Final = 64  # cycles
 _SCALE_TOLERANCE: Final = 0.1
 _MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
@@ -127,14 +135,19 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
         session.found(axis, "moving mass", "", "broken off", StepVerdict.UNKNOWN, f"{law.tripped}; lower --torque")
         return
     positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
-    found = estimate(positions, np.array(law.applied), session.sample_time, max(2, session.cycles(_HALF_BASE)))
+    record = positions, np.array(law.applied), session.sample_time, max(2, session.cycles(_HALF_BASE))
+    found, curve = estimate(*record), friction_curve(*record)
+    if found is not None and curve is not None:  # dry friction that turns or falls with speed does not spoil that one
+        found = found._replace(mass=curve.mass, mass_error=curve.mass_error)
     if found is None or found.mass <= _SURE * found.mass_error:
         text = f"too little motion to tell it from friction; raise {limit}, which limits the torque of the sweep"
         session.found(axis, "moving mass", "", "unclear", StepVerdict.UNKNOWN, text)
         return
-    _report(session, axis, found)
-    late = estimate_lateness(positions, np.array(law.applied), session.sample_time, max(2, session.cycles(_HALF_BASE)))
-    _report_lateness(session, axis, late)
+    _report_mass(session, axis, found)
+    _report_friction(session, axis, found)
+    _report_least_friction(session, axis, found, curve)
+    _scale(session, axis, found)
+    _report_lateness(session, axis, estimate_lateness(*record))
 
 
 def _report_lateness(session: Session, axis: int, late: tuple[float, float] | None) -> None:
@@ -154,9 +167,8 @@ def _report_lateness(session: Session, axis: int, late: tuple[float, float] | No
     session.propose(axis, "passivity.current_lag", 1.5 * most * 1e6, "us", "1.5 of what was measured at most")
 
 
-def _report(session: Session, axis: int, found: Dynamics) -> None:
-    motion = session.axes[axis].parameters.unit
-    mass_unit, unit = _MASS_UNITS[motion], effort_unit(motion)
+def _report_mass(session: Session, axis: int, found: Dynamics) -> None:
+    mass_unit = _MASS_UNITS[session.axes[axis].parameters.unit]
     least = found.mass - _SURE * found.mass_error
     declared = session.axes[axis].loop.moving_mass
     text = f"+- {found.mass_error:.2g}"
@@ -172,7 +184,11 @@ def _report(session: Session, axis: int, found: Dynamics) -> None:
     configured = "" if declared is None else f"at most {declared:.4g} {mass_unit}"
     session.found(axis, "moving mass", configured, f"{found.mass:.4g} {mass_unit}", verdict, text)
     session.propose(axis, "passivity.moving_mass", 0.9 * least, mass_unit, f"0.9 of {least:.4g}, two deviations below")
-    sure_damping = max(0.0, found.damping - _SURE * found.damping_error)
+
+
+def _report_friction(session: Session, axis: int, found: Dynamics) -> None:
+    motion = session.axes[axis].parameters.unit
+    unit, sure_damping = effort_unit(motion), _sure_damping(found)
     text = f"+- {found.damping_error:.2g}"
     session.found(
         axis, "viscous friction", "", f"{found.damping:.3g} {damping_unit(motion)}", StepVerdict.MEASURED, text
@@ -186,8 +202,23 @@ def _report(session: Session, axis: int, found: Dynamics) -> None:
     session.propose(axis, "passivity.device_friction_bound", 2.0 * most, unit, comment)
     if sure_damping > 0.0:
         comment = "certain to two deviations here and now; grease and temperature change it"
-        session.propose(axis, "passivity.device_damping", 0.5 * sure_damping, damping_unit(motion), comment)
-    _scale(session, axis, found)
+        session.propose(axis, "passivity.device_damping", _DERATING * sure_damping, damping_unit(motion), comment)
+
+
+def _sure_damping(found: Dynamics) -> float:
+    return max(0.0, found.damping - _SURE * found.damping_error)
+
+
+def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: FrictionCurve | None) -> None:
+    """Reports what dry friction is at least at every speed that was seen."""
+    item, motion = "dry friction, least", session.axes[axis].parameters.unit
+    if curve is None or curve.falls_at_its_end(_SURE):
+        text = "too little motion both ways" if curve is None else "it still falls at the fastest speed that was seen"
+        session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, f"{text}; raise --torque or --travel")
+        return
+    least, unit = curve.least(_sure_damping(found), _SURE), effort_unit(motion)
+    seen = f"at {curve.speeds[0]:.2g} to {curve.speeds[-1]:.2g} {motion}/s, two deviations below"
+    session.found(axis, item, "", f"{least:.3g} {unit}", StepVerdict.MEASURED, seen)
 
 
 def _scale(session: Session, axis: int, found: Dynamics) -> None:

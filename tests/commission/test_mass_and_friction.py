@@ -6,8 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.commission.laws import OpenLoop, doublet, sweep
-from canhaptic.commission.mass_and_friction import _Array, estimate
+from canhaptic.commission.mass_and_friction import _Array, estimate, friction_curve
 from canhaptic.errors import ControlError
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
+from canhaptic.sim.plant.effects.stribeck_friction import StribeckFriction
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 
 TIME = 1e-3
 
@@ -99,3 +103,62 @@ def test_the_energy_put_in_is_booked_as_deficit() -> None:
     balance = law.step(0.01, 1.0)
     assert balance.h_i == pytest.approx(-0.01)
     assert balance.deficit == -balance.h_i
+
+
+def swept(amplitude: float, damping: float, friction: Effect | None, count: float = 0.0) -> tuple[_Array, _Array]:
+    """Positions and torques of 0.25 kg under a sweep, by the simulated plant."""
+    plant = Plant(PlantParameters(mass=0.25, damping=damping), None, [friction] if friction else [], 1_000_000)
+    torques = np.array(sweep(amplitude, 2.0, 8.0, 4.0, TIME))
+    positions = np.concatenate([[0.0], plant.run(torques)])
+    return np.round(positions / count) * count if count else positions, np.concatenate([[0.0], torques])
+
+
+COULOMB = CoulombFriction(kinetic=0.5, static=0.8)
+FALLING = {speed: StribeckFriction(kinetic=0.5, static=1.0, stribeck_velocity=speed) for speed in (0.005, 0.02, 0.1)}
+
+
+@pytest.mark.parametrize("count", [0.0, 1e-5])
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+@pytest.mark.parametrize("amplitude", [1.2, 2.0, 4.0])
+@pytest.mark.parametrize("friction", [COULOMB, FALLING[0.005], FALLING[0.02]])
+def test_mass_and_least_friction_are_those_of_the_plant_whatever_its_law(
+    friction: Effect, amplitude: float, damping: float, count: float
+) -> None:
+    """0.5 N brakes at every speed, viscous friction comes on top; nothing of it is beyond the plant's."""
+    record = (*swept(amplitude, damping, friction, count), TIME, 20)
+    found, curve = estimate(*record), friction_curve(*record)
+    assert found is not None
+    assert curve is not None
+    assert curve.mass == pytest.approx(0.25, abs=3.0 * curve.mass_error + 1e-3)
+    assert 0.9 * (curve.mass - 2.0 * curve.mass_error) < 0.25
+    assert not curve.falls_at_its_end(2.0)
+    sure = max(0.0, found.damping - 2.0 * found.damping_error)
+    least = curve.least(sure, 2.0)
+    assert least > 0.46
+    speeds = np.linspace(curve.speeds[0], curve.speeds[-1], 200)
+    braking = np.full_like(speeds, 0.5) + damping * speeds
+    if isinstance(friction, StribeckFriction):
+        braking += 0.5 * np.exp(-((speeds / friction.stribeck_velocity) ** 2))
+    assert (least + sure * speeds <= 1.01 * braking).all()
+
+
+def test_one_friction_for_all_speeds_would_make_the_mass_too_large() -> None:
+    record = (*swept(1.2, 0.0, FALLING[0.02]), TIME, 20)
+    found, curve = estimate(*record), friction_curve(*record)
+    assert found is not None
+    assert curve is not None
+    assert 0.9 * (found.mass - 2.0 * found.mass_error) > 0.25
+    assert curve.mass == pytest.approx(0.25, rel=0.02)
+
+
+def test_friction_that_still_falls_at_the_fastest_speed_is_said_to() -> None:
+    curve = friction_curve(*swept(1.2, 0.0, FALLING[0.1]), TIME, 20)
+    assert curve is not None
+    assert curve.falls_at_its_end(2.0)
+    assert curve.least(0.0, 2.0) > 0.6
+
+
+def test_without_friction_there_is_none_for_certain() -> None:
+    curve = friction_curve(*swept(1.2, 0.5, None, 1e-5), TIME, 20)
+    assert curve is not None
+    assert curve.least(0.45, 2.0) < 0.02
