@@ -11,8 +11,8 @@ from canhaptic.cli.arguments import (
 from canhaptic.cli.output import note_file, write_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
+from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.study.accuracy.study import UNITS, AccuracyStudy
-from canhaptic.study.scenes import require_single_axes
 from canhaptic.view.energy_table import make_console
 
 
@@ -23,7 +23,7 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an axis or a file that cannot be used.
     """
     scene = scene_of(arguments, beyond_bus=arguments.beyond_bus)
-    require_single_axes(scene, "accuracy", arguments.axis or scene.axes[0].parameters.name)
+    refuse_displays(scene, "accuracy")
     if arguments.png is not None:
         check_picture(arguments.png)
     if arguments.html is not None:

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, GroupScene, Scene
 from canhaptic.scene.old_names import algorithm_now
 from canhaptic.study.scenes import loop_case
 from canhaptic.units import Parameters
@@ -65,6 +66,16 @@ def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
         return axis
     common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
     return replace(axis, passivity=ComponentSpec(name, model().model_copy(update=common)))
+
+
+def group_under(group: GroupScene, name: str) -> GroupScene:
+    """Returns a group under another algorithm, with what the two have in common kept."""
+    if group.passivity.name == name:
+        return group
+    model = load(GROUP_ALGORITHMS, name, "group algorithm").parameters_type
+    given = group.passivity.parameters
+    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
+    return replace(group, passivity=ComponentSpec(name, model().model_copy(update=common)))
 
 
 def _with_known_plant(axis: AxisScene) -> _AbleAxis:

@@ -4,12 +4,12 @@ Times are of this machine at this moment: for comparing the columns of one table
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 from canhaptic.drive.clock import WallClock
-from canhaptic.study.loop import LoopCase, LoopRun
+from canhaptic.study.loop import Case, LoopRun
 
-_Block = list[tuple[float, float]]
+_Block = list[tuple[Any, Any]]
 
 _STEPS: Final = 2000
 """Steps of one timing, from the middle of a run, where contacts are."""
@@ -17,7 +17,7 @@ _BLOCK: Final = 250
 """Steps between two readings of the clock: short enough that some repeat of each block is not interrupted."""
 
 
-def microseconds_per_step(cases: Mapping[str, tuple[LoopCase, LoopRun]], repeats: int) -> dict[str, float]:
+def microseconds_per_step(cases: Mapping[str, tuple[Case, LoopRun]], repeats: int) -> dict[str, float]:
     """Returns the time of a step [us]: each block of steps at its least over interleaved repeats.
 
     Args:
@@ -34,7 +34,7 @@ def microseconds_per_step(cases: Mapping[str, tuple[LoopCase, LoopRun]], repeats
     return {name: sum(times) * 1e-3 / steps[name] for name, times in best.items()}
 
 
-def _times(step: Callable[[float, float], object], blocks: Sequence[_Block]) -> list[int]:
+def _times(step: Callable[[Any, Any], object], blocks: Sequence[_Block]) -> list[int]:
     clock, times = WallClock(), []
     for block in blocks:
         begin = clock.now()

@@ -18,9 +18,9 @@ from canhaptic.cycle import run
 from canhaptic.errors import CanHapticError, InputError, ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.build import build
-from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.experiment_account import experiment_account
-from canhaptic.scene.models import GroupScene, Scene
+from canhaptic.scene.models import Scene
+from canhaptic.study.algorithms import group_under
 from canhaptic.study.scenes import cycles_of
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
@@ -90,19 +90,9 @@ def group_algorithms(algorithms: Sequence[str] | None) -> list[str]:
     return list(dict.fromkeys(algorithms or GROUP_ALGORITHMS))
 
 
-def _under(group: GroupScene, name: str) -> GroupScene:
-    """Returns a group under another algorithm, with what the two have in common kept."""
-    if group.passivity.name == name:
-        return group
-    model = load(GROUP_ALGORITHMS, name, "group algorithm").parameters_type
-    given = group.passivity.parameters
-    common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
-    return replace(group, passivity=ComponentSpec(name, model().model_copy(update=common)))
-
-
 def _run(scene: Scene, name: str, cycles: int, progress: Callable[[int], None] | None) -> dict[str, Any]:
     try:
-        chosen = replace(scene, groups=tuple(_under(group, name) for group in scene.groups))
+        chosen = replace(scene, groups=tuple(group_under(group, name) for group in scene.groups))
         experiment = build(chosen, "free")
     except ParameterError as error:
         return {"status": "refused", "remark": str(error)}

@@ -3,7 +3,7 @@
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,17 @@ _TRAVELS: Final = 10.0
 _LEAST_TRAVEL: Final = 5e-3  # [m or rad]
 _APART: Final = (Branch.FREE.value, Branch.EXIT.value)
 _COLUMNS: Final = ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping")
+
+
+class Case(Protocol):
+    """What is rendered, on an axis or a group."""
+
+    @property
+    def sample_time_ns(self) -> int:
+        """T [ns]."""
+
+    def controller(self) -> Any:
+        """Returns the algorithm, at rest."""
 
 
 @dataclass(frozen=True, slots=True)

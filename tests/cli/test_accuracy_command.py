@@ -170,16 +170,30 @@ def test_the_tool_says_the_same() -> None:
     assert json.loads(done.stdout)["status"] == "completed"
 
 
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ("two_handles", "group .* renders on the axes first, second together"),
-        ("five_bar_sphere", "renders on the axes left, right together"),
-    ],
-)
-def test_axes_that_are_not_their_own_are_refused(capsys: Captured, config: str, message: str) -> None:
+@pytest.mark.parametrize("config", ["two_handles", "five_bar_sphere"])
+def test_axes_that_are_not_their_own_have_no_accuracy_chosen(capsys: Captured, config: str) -> None:
     path = str(REPOSITORY / "configs" / f"{config}.yaml")
-    assert main(["accuracy", path, *SHORT]) == 2
-    assert re.search(message, capsys.readouterr().err)
     assert main(["run", path, "--set", "accuracy={auto: 1 um}", "--duration", "0.01 s"]) == 2
     assert "instead of auto" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("config", "name", "words"),
+    [
+        ("two_handles", "coupling", "exact"),
+        ("xy_box", "stage", "exact"),
+        ("five_bar_sphere", "stylus", r"\d+ substeps?"),
+    ],
+)
+def test_a_group_is_studied_as_an_axis_is(capsys: Captured, config: str, name: str, words: str) -> None:
+    path = str(REPOSITORY / "configs" / f"{config}.yaml")
+    assert main(["accuracy", path, "--budget", "0", "--duration", "0.03 s", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["axis"], result["is_group"], result["status"]) == (name, True, "completed")
+    assert re.fullmatch(words, result["advice"]["chosen"]["setting"])
+    assert result["advice"]["chosen"]["position_error"] <= result["tolerance"]
+    changed = {row["group"] for row in result["loop"]}
+    assert {"as it is", "sample rate", "RPDO", "algorithm", "torque step", "encoder count"} == changed
+    assert all(row["status"] == "ok" for row in result["loop"])
+    assert main(["accuracy", path, "--axis", "nothing"]) == 2
+    assert f"expected one of: {name}" in capsys.readouterr().err

@@ -148,7 +148,7 @@ def test_the_simulated_drive_asks_for_what_the_scene_says_of_its_thread(capsys: 
 
 
 @pytest.mark.parametrize("scene", ["xy_box", "two_handles", "five_bar_sphere"])
-@pytest.mark.parametrize("command", ["accuracy", "design"])
+@pytest.mark.parametrize("command", ["design"])
 def test_a_study_of_single_axes_says_what_to_do_with_a_group(
     command: str, scene: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

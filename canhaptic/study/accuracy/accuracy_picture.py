@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import FLOOR
+from canhaptic.study.accuracy.accuracy_table import part_of
 from canhaptic.study.accuracy.advice import front
 from canhaptic.study.accuracy.candidates import COMPILED, OURS
 from canhaptic.view.palette import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
@@ -76,7 +77,7 @@ def _caption(result: Row) -> str:
     witness = result["reference"]["witness"]
     apart = "" if witness is None else f", LSODA at 1e-9 is {witness['apart']:.1e} {result['unit']} away from it"
     return (
-        f"{result['scene']}, axis {result['axis']}: {result['holds']} periods at {result['rate']:g} Hz;   "
+        f"{result['scene']}, {part_of(result)}: {result['holds']} periods at {result['rate']:g} Hz;   "
         f"reference: {result['reference']['method']}{apart}"
     )
 

@@ -70,7 +70,7 @@ def heading(result: Row) -> list[str]:
     """Returns what was studied, against what."""
     unit = result["unit"]
     lines = [
-        f"{result['scene']}, axis {result['axis']}: {result['holds']} sample times at {si(result['rate'], 'Hz', 3)}, "
+        f"{result['scene']}, {part_of(result)}: {result['holds']} sample times at {si(result['rate'], 'Hz', 3)}, "
         f"{result['status']}"
     ]
     reference = result["reference"]
@@ -88,6 +88,11 @@ def heading(result: Row) -> list[str]:
         cost = f"{result['log_us']:.1f} us" if result["log_us"] >= _CLOCK else f"less than {_CLOCK} us"
         lines.append(f"the energy log costs the control thread {cost} a cycle")
     return [*lines, *result["remarks"]]
+
+
+def part_of(result: Row) -> str:
+    """Returns the axis or the group that was studied."""
+    return f"{'group' if result.get('is_group') else 'axis'} {result['axis']}"
 
 
 def advice_lines(result: Row) -> list[str]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from canhaptic.extras import install_hint
-from canhaptic.scene.accuracy_choice import ladder, observed, textbook_model
+from canhaptic.scene.accuracy_choice import observed, textbook_model
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.plant import AccuracyParameters, Plant
@@ -62,15 +62,21 @@ class Candidate:
         return f"{self.method}, {self.setting}"
 
 
-def candidates(simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> list[Candidate]:
+def candidates(
+    simulation: AxisSimulation,
+    torques: Sequence[float],
+    sample_time_ns: int,
+    settings: Sequence[AccuracyParameters],
+) -> list[Candidate]:
     """Returns the whole ladder of one plant.
 
     Args:
         simulation: The plant, the user and the effects.
         torques: Of each hold [N or N*m].
         sample_time_ns: Of a hold [ns].
+        settings: Of our plant.
     """
-    found = [ours(simulation, accuracy, torques, sample_time_ns) for accuracy in ladder(simulation, sample_time_ns)]
+    found = [ours(simulation, accuracy, torques, sample_time_ns) for accuracy in settings]
     for method, (order, _) in METHODS.items():
         for substeps in _SUBSTEPS:
             if substeps * _WORK[method] * len(torques) <= _MOST_WORK:

@@ -6,7 +6,7 @@ Every variant is rendered without a bus and held against the continuous environm
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -22,30 +22,79 @@ from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.timing import with_timing
 from canhaptic.sim.plant.plant import AccuracyParameters
-from canhaptic.study.accuracy.continuous_loop import ContinuousLoop
 from canhaptic.study.algorithms import able_under
-from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
+from canhaptic.study.loop import Array, Case, LoopCase, LoopRun, Recorder, render
 from canhaptic.study.scenes import axis_at, loop_case
 
 FINEST: Final = 4
 """Highest rate over that of the scene; the reference is read at that rate."""
+RATES: Final = (0.25, 0.5, 2.0, float(FINEST))
+"""Sample rates that are tried, over that of the scene."""
 _SUBSTEPS: Final = 32
 """Of the plant in one sample time of the scene: as the finest of the ladder, whose error is the floor of this side."""
 _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
 
 
-@dataclass(frozen=True, slots=True)
+class Continuous(Protocol):
+    """What is felt without sampling, of an axis or, in further columns, of the axes of a group."""
+
+    @property
+    def step_ns(self) -> int:
+        """Time between two readings [ns]."""
+
+    @property
+    def position(self) -> Array:
+        """At every reading [m or rad]."""
+
+    @property
+    def impulse(self) -> Array:
+        """Of the rendered force since the start [N*s or N*m*s]."""
+
+    @property
+    def interaction(self) -> Array:
+        """Energy taken since the start [J]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
     """One loop."""
 
     group: str
     setting: str
-    axis: AxisScene
+    buses: tuple[str, ...]  # names of those that its axes are on
     bus: BusParameters
-    case: LoopCase
+    case: Case
     is_scene: bool = False
     remark: str = ""
     fineness: float | None = None  # times that of the scene, infinite for ideal; None where nothing is finer
+
+    def render(self, cycles: int, motion: Array, tick: Callable[[], None]) -> LoopRun:
+        """Returns what it did.
+
+        Args:
+            cycles: SYNCs.
+            motion: Of the continuous run, which says what counts as divergence [m or rad].
+            tick: Called at every SYNC; may raise to give up.
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AxisVariant(Variant):
+    """The loop of one axis."""
+
+    axis: AxisScene
+    case: LoopCase
+
+    def render(self, cycles: int, motion: Array, tick: Callable[[], None]) -> LoopRun:
+        """Returns what it did; see `Variant`."""
+        return render(self.case, cycles, Recorder.around(motion), tick)
+
+
+def _variant(
+    group: str, setting: str, axis: AxisScene, bus: BusParameters, case: LoopCase, **rest: Any
+) -> _AxisVariant:
+    return _AxisVariant(group=group, setting=setting, buses=(axis.bus,), axis=axis, bus=bus, case=case, **rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +114,10 @@ class LoopRow:
         return not self.run.ended
 
 
-def variants(axis: AxisScene, scene: Scene) -> list[Variant]:
+def variants(axis: AxisScene, scene: Scene) -> Sequence[Variant]:
     """Returns the scene itself and everything beside it, one change each, on a finely solved plant."""
     axis = _with_substeps(axis, 1.0)
-    base = Variant("as it is", axis.passivity.name, axis, scene.bus, loop_case(axis, scene), is_scene=True)
+    base = _variant("as it is", axis.passivity.name, axis, scene.bus, loop_case(axis, scene), is_scene=True)
     found = [base, *_rates(base, scene), *_delays(base, scene), *_algorithms(base, scene), *_filters(base, scene)]
     return [*found, *_torques(base), *_encoders(base), *_without_encoder_effects(base, scene)]
 
@@ -79,24 +128,25 @@ def _with_substeps(axis: AxisScene, factor: float) -> AxisScene:
     return replace(axis, simulation=replace(simulation_of(axis), accuracy=fine))
 
 
-def _rates(base: Variant, scene: Scene) -> list[Variant]:
+def _rates(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
     found = []
-    for factor in (0.25, 0.5, 2.0, float(FINEST)):
+    for factor in RATES:
         rate = base.bus.rate * factor
         if not 1.0 <= rate <= 20_000.0 or (factor > 1.0 and base.bus.sample_time_ns % int(factor)):
             continue
         bus = BusParameters(**{**base.bus.model_dump(), "rate": rate})
         axis = _with_substeps(axis_at(base.axis, bus.sample_time), factor)
         case = loop_case(axis, replace(scene, bus=bus))
-        found.append(Variant("sample rate", _hertz(rate), axis, bus, case, fineness=factor))
+        found.append(_variant("sample rate", hertz(rate), axis, bus, case, fineness=factor))
     return found
 
 
-def _hertz(rate: float) -> str:
+def hertz(rate: float) -> str:
+    """Returns a rate with its unit."""
     return f"{rate / 1000.0:g} kHz" if rate >= 1000.0 else f"{rate:g} Hz"
 
 
-def _delays(base: Variant, scene: Scene) -> list[Variant]:
+def _delays(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
     other = "event" if base.bus.rpdo == "synchronous" else "synchronous"
     bus = base.bus.model_copy(update={"rpdo": other})
     loop = base.axis.loop.model_copy(update={"delay": bus.delay, "torque_window": None})
@@ -106,10 +156,10 @@ def _delays(base: Variant, scene: Scene) -> list[Variant]:
     axis = next(each for each in timed.axes if each.parameters.name == name)
     if (axis.loop.torque_window or 0.0) >= bus.sample_time:  # the torque would come behind the next SYNC
         return []
-    return [Variant("RPDO", other, axis, bus, loop_case(axis, timed))]
+    return [_variant("RPDO", other, axis, bus, loop_case(axis, timed))]
 
 
-def _algorithms(base: Variant, scene: Scene) -> list[Variant]:
+def _algorithms(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
     found = []
     for name in ALGORITHMS:
         if name == base.axis.passivity.name or name in LITERATURE:
@@ -119,21 +169,21 @@ def _algorithms(base: Variant, scene: Scene) -> list[Variant]:
         except ParameterError:
             continue
         case = loop_case(chosen.axis, scene)
-        found.append(Variant("algorithm", name, chosen.axis, base.bus, case, remark=chosen.remark))
+        found.append(_variant("algorithm", name, chosen.axis, base.bus, case, remark=chosen.remark))
     return found
 
 
-def _filters(base: Variant, scene: Scene) -> list[Variant]:
+def _filters(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
     parameters = base.axis.passivity.parameters
     if "velocity" not in type(parameters).model_fields:
         return []
     other = "last" if getattr(parameters, "velocity", "last") == "windowed" else "windowed"
     changed = parameters.model_copy(update={"velocity": other})
     axis = replace(base.axis, passivity=base.axis.passivity._replace(parameters=changed))
-    return [Variant("velocity", other, axis, base.bus, loop_case(axis, scene))]
+    return [_variant("velocity", other, axis, base.bus, loop_case(axis, scene))]
 
 
-def _torques(base: Variant) -> list[Variant]:
+def _torques(base: _AxisVariant) -> list[_AxisVariant]:
     quantum = base.case.torque_quantum
     if quantum is None:
         return []
@@ -144,11 +194,11 @@ def _torques(base: Variant) -> list[Variant]:
         loop = base.case.loop.model_copy(update={"torque_quantum": step or 0.0})
         setting = "ideal" if step is None else f"{step:g} {unit}"
         case = replace(base.case, torque_quantum=step, loop=loop)
-        found.append(Variant("torque step", setting, base.axis, base.bus, case, fineness=_fineness(factor, -1.0)))
+        found.append(_variant("torque step", setting, base.axis, base.bus, case, fineness=fineness(factor, -1.0)))
     return found
 
 
-def _encoders(base: Variant) -> list[Variant]:
+def _encoders(base: _AxisVariant) -> list[_AxisVariant]:
     counts = base.case.counts_per_unit
     if counts is None:
         return []
@@ -158,41 +208,43 @@ def _encoders(base: Variant) -> list[Variant]:
         loop = base.case.loop.model_copy(update={"encoder_count": 1.0 / scale if scale else 0.0})
         setting = "ideal" if scale is None else f"{1.0 / scale:.3g} {base.axis.parameters.unit}"
         case = replace(base.case, counts_per_unit=scale, loop=loop)
-        found.append(Variant("encoder count", setting, base.axis, base.bus, case, fineness=_fineness(factor, 1.0)))
+        found.append(_variant("encoder count", setting, base.axis, base.bus, case, fineness=fineness(factor, 1.0)))
     return found
 
 
-def _fineness(factor: float | None, power: float) -> float:
+def fineness(factor: float | None, power: float) -> float:
+    """Returns how much finer a step is by a factor; infinite for none."""
     return math.inf if factor is None else float(factor**power)
 
 
-def _without_encoder_effects(base: Variant, scene: Scene) -> list[Variant]:
+def _without_encoder_effects(base: _AxisVariant, scene: Scene) -> list[_AxisVariant]:
     simulation, found = simulation_of(base.axis), []
     for name in dict.fromkeys(effect.name for effect in simulation.effects if effect.name in _ENCODER_EFFECTS):
         rest = tuple(effect for effect in simulation.effects if effect.name != name)
         axis = replace(base.axis, simulation=replace(simulation, effects=rest))
-        found.append(Variant("effect", f"without {name}", axis, base.bus, loop_case(axis, scene)))
+        found.append(_variant("effect", f"without {name}", axis, base.bus, loop_case(axis, scene)))
     return found
 
 
-def loop_row(variant: Variant, exact: ContinuousLoop, duration_ns: int, tick: Callable[[], None]) -> LoopRow:
+def loop_row(variant: Variant, exact: Continuous, duration_ns: int, tick: Callable[[], None]) -> LoopRow:
     """Returns one variant run and judged.
 
     Args:
         variant: The loop.
-        exact: The continuous axis, read at least as often as the variant samples.
+        exact: The continuous axis or group, read at least as often as the variant samples.
         duration_ns: Length of the run [ns].
         tick: Called once a cycle; may raise to give up.
     """
     period = variant.case.sample_time_ns
     clock = WallClock()
     begin = clock.now()
-    run = render(variant.case, duration_ns // period + 1, Recorder.around(exact.position), tick)
+    run = variant.render(duration_ns // period + 1, exact.position, tick)
     seconds = (clock.now() - begin) * 1e-9
     stride = period // exact.step_ns
     shown = min(len(run.position), (len(exact.position) - 1) // stride + 1)
     rows = slice(0, (shown - 1) * stride + 1, stride)
-    mean = np.diff(exact.impulse[rows], prepend=0.0) / (period * 1e-9)
+    impulse = exact.impulse[rows]
+    mean = np.diff(impulse, axis=0, prepend=np.zeros_like(impulse[:1])) / (period * 1e-9)
     if run.ended:
         infinite = float("inf")
         return LoopRow(variant, run, infinite, infinite, infinite, seconds)
@@ -211,11 +263,14 @@ def _most(values: Any) -> float:
 
 
 def bus_figures(variant: Variant, scene: Scene) -> dict[str, Any]:
-    """Returns load and worst cycle of the bus that the axis is on, at the variant's rate."""
-    maps: Sequence[AxisMap] = [
-        choose_map(read_dictionary(a.parameters.eds, a.parameters.node_id), a.parameters)
-        for a in scene.axes
-        if a.bus == variant.axis.bus
-    ]
-    budget = bus_budget(variant.bus, maps)
+    """Returns load and worst cycle of the fullest bus that the axes are on, at the variant's rate."""
+    budgets = []
+    for bus in dict.fromkeys(variant.buses):
+        maps: Sequence[AxisMap] = [
+            choose_map(read_dictionary(a.parameters.eds, a.parameters.node_id), a.parameters)
+            for a in scene.axes
+            if a.bus == bus
+        ]
+        budgets.append(bus_budget(variant.bus, maps))
+    budget = max(budgets, key=lambda budget: budget.periodic_load)
     return {"bus_load": budget.periodic_load, "worst_cycle": budget.worst_cycle, "bus_fits": budget.fits}

@@ -24,7 +24,7 @@ from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_motion import Motion, MotionError, difference
 from canhaptic.study.accuracy.candidates import OURS, Candidate, candidates, ours
 
-_FURTHEST: Final = 1.0
+FURTHEST: Final = 1.0
 """Error of the position, in travels of the reference, from which a method counts as unstable."""
 
 Row = dict[str, Any]
@@ -39,9 +39,11 @@ class PlantSide:
         holds: How many.
         stop: Asked now and then whether to give up.
         with_compiled: Whether the plant is run compiled too, where numba is installed.
+        torques: Of each hold [N or N*m]; None: those that the scene's own controller asks for.
+        settings: To try; None: every one that makes a difference to this plant.
 
     Attributes:
-        torques: Of each hold, those that the scene's own controller asked for [N or N*m].
+        torques: Of each hold [N or N*m].
         exact: The reference.
         travel: Of the reference [m or rad].
         energy: Largest of the works and the kinetic energy of the reference [J].
@@ -50,20 +52,29 @@ class PlantSide:
     """
 
     def __init__(
-        self, axis: AxisScene, scene: Scene, holds: int, stop: Callable[[], bool], *, with_compiled: bool = False
+        self,
+        axis: AxisScene,
+        scene: Scene,
+        holds: int,
+        stop: Callable[[], bool],
+        *,
+        with_compiled: bool = False,
+        torques: Sequence[float] | None = None,
+        settings: Sequence[AccuracyParameters] | None = None,
     ) -> None:
         self._simulation: AxisSimulation = simulation_of(axis)
         self._period = scene.bus.sample_time_ns
-        self.torques = torque_history(axis, scene, holds)
+        self.torques = torque_history(axis, scene, holds) if torques is None else torques
         model = textbook_model(self._simulation)
         self.exact: Motion = reference(model, self.torques, self._period, stop)
         self.evaluations = model.evaluations
         self.travel = max(float(np.ptp(self.exact.position)), 1e-9)
         kinetic = 0.5 * self._simulation.plant.mass * self.exact.velocity**2
         self.energy = max(float(np.abs(work).max()) for work in (self.exact.motor, self.exact.user, kinetic))
-        self.candidates: list[Candidate] = candidates(self._simulation, self.torques, self._period)
+        settings = settings or ladder(self._simulation, self._period)
+        self.candidates: list[Candidate] = candidates(self._simulation, self.torques, self._period, settings)
         if with_compiled and importlib.util.find_spec("numba"):
-            finest = ladder(self._simulation, self._period)[-1]
+            finest = settings[-1]
             self.candidates.append(ours(self._simulation, finest, self.torques, self._period, compiled=True))
         self.without: dict[str, Candidate] = {}
         self.rows: list[Row] = []
@@ -84,12 +95,12 @@ class PlantSide:
         try:
             motion, evaluations, events = candidate.observe()
         except InputError as error:
-            return {**_named(candidate), "status": f"failed: {error}", "evaluations": None}
+            return {**named(candidate), "status": f"failed: {error}", "evaluations": None}
         found = difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
-        stable = found.is_finite and found.position <= _FURTHEST * self.travel
-        errors = _errors(found) if stable else dict.fromkeys(("position_error", "force_error", "energy_error"))
+        stable = found.is_finite and found.position <= FURTHEST * self.travel
+        errors = errors_of(found) if stable else dict.fromkeys(("position_error", "force_error", "energy_error"))
         return {
-            **_named(candidate),
+            **named(candidate),
             "status": "ok" if stable else "unstable",
             **errors,
             "evaluations": evaluations,
@@ -130,33 +141,15 @@ class PlantSide:
             "effect": name,
             "order": order,
             "remark": "",
-            **_errors(found),
+            **errors_of(found),
             "evaluations_saved_per_period": (base - evaluations) / len(self.torques),
         }
 
     def orders(self) -> list[Row]:
         """Returns the order of every method with a step, declared and as fitted to this very scene."""
-        found = []
-        for method in dict.fromkeys(candidate.method for candidate in self.candidates):
-            own = [
-                (candidate.size, row["position_error"])
-                for candidate, row in zip(self.candidates, self.rows, strict=False)
-                if candidate.method == method and candidate.size is not None and row["status"] == "ok"
-                and (candidate.accuracy is None or candidate.accuracy.event_bits == _most_bits(self.candidates))
-            ]  # fmt: skip
-            sizes, errors = [size for size, _ in own if size], [error for _, error in own]
-            if len(set(sizes)) < 2:
-                continue
-            found.append(
-                {
-                    "method": method,
-                    "declared": self._declared(method),
-                    "fitted": fitted_order(sizes, errors, self.travel),
-                }
-            )
-        return found
+        return orders_of(self.candidates, self.rows, self.travel, self.declared)
 
-    def _declared(self, method: str) -> int | None:
+    def declared(self, method: str) -> int | None:
         """Returns the order that a method has on this scene: that of the effects for ours, 1 where modes switch."""
         if method == OURS:
             return declared_order(self._simulation)
@@ -165,11 +158,38 @@ class PlantSide:
         return own if own is None or not switching else 1
 
 
+def orders_of(
+    tried: Sequence[Candidate], rows: Sequence[Row], travel: float, declared: Callable[[str], int | None]
+) -> list[Row]:
+    """Returns the order of every method with a step.
+
+    Args:
+        tried: Every rung.
+        rows: What was measured of them so far.
+        travel: Of the reference [m or rad].
+        declared: Method -> the order that it has on this scene; None for exact.
+    """
+    found = []
+    for method in dict.fromkeys(candidate.method for candidate in tried):
+        own = [
+            (candidate.size, row["position_error"])
+            for candidate, row in zip(tried, rows, strict=False)
+            if candidate.method == method and candidate.size is not None and row["status"] == "ok"
+            and (candidate.accuracy is None or candidate.accuracy.event_bits == _most_bits(tried))
+        ]  # fmt: skip
+        sizes, errors = [size for size, _ in own if size], [error for _, error in own]
+        if len(set(sizes)) > 1:
+            fitted = fitted_order(sizes, errors, travel)
+            found.append({"method": method, "declared": declared(method), "fitted": fitted})
+    return found
+
+
 def _most_bits(found: Sequence[Candidate]) -> int:
     return max(candidate.accuracy.event_bits for candidate in found if candidate.accuracy is not None)
 
 
-def _named(candidate: Candidate) -> Row:
+def named(candidate: Candidate) -> Row:
+    """Returns what a rung is called."""
     accuracy = candidate.accuracy
     return {
         "method": candidate.method,
@@ -178,5 +198,6 @@ def _named(candidate: Candidate) -> Row:
     }
 
 
-def _errors(found: MotionError) -> Row:
+def errors_of(found: MotionError) -> Row:
+    """Returns the columns of the errors."""
     return {"position_error": found.position, "force_error": found.force, "energy_error": found.energy}

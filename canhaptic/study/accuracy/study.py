@@ -1,24 +1,27 @@
-"""The whole study of one axis: references, both ladders, times, advice; can be stopped with what is there so far.
+"""The whole study of one axis or group: references, both ladders, times, advice; can be stopped with what is there.
 
 torques of the scene's own controller -> every method, every setting, every effect left out   beside DOP853
-every rate, delay, algorithm, filter and resolution                                           beside the continuous axis
+every rate, delay, algorithm, filter and resolution                                           beside the continuous run
 """
 
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
+import numpy as np
+
 from canhaptic.errors import InputError
-from canhaptic.scene.accuracy_choice import FLOOR, holds_of, require_own_axis, simulation_of
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.accuracy_choice import FLOOR, holds_of
+from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.study.accuracy.advice import advice, error_per_microsecond, pareto, rank_agreement
-from canhaptic.study.accuracy.candidates import LSODA, remarks
-from canhaptic.study.accuracy.continuous_loop import continuous_loop
+from canhaptic.study.accuracy.candidates import LSODA
 from canhaptic.study.accuracy.control_thread import exchange_time, log_time
 from canhaptic.study.accuracy.cycle_timing import WORKLOAD, WallTime, interleaved, workload
-from canhaptic.study.accuracy.loop_sensitivity import FINEST, LoopRow, bus_figures, loop_row, variants
+from canhaptic.study.accuracy.group_plant_side import Plants
+from canhaptic.study.accuracy.loop_sensitivity import FINEST, LoopRow, bus_figures, loop_row
 from canhaptic.study.accuracy.operations import executed_bytecodes
-from canhaptic.study.accuracy.plant_solvers import PlantSide, Row
+from canhaptic.study.accuracy.part import chosen_part
+from canhaptic.study.accuracy.plant_solvers import Row
 from canhaptic.study.cost import microseconds_per_step
 
 DEFAULT_BUDGET: Final = 12.0
@@ -46,7 +49,7 @@ class AccuracyStudy:
 
     Args:
         scene: Simulated.
-        axis: Name of the axis; the first by default.
+        axis: Name of an axis or a group; the first axis by default, or its group.
         tolerance: Largest error of the position [m or rad]; by default what the scene's `accuracy: {auto: ...}` says,
             else a tenth of an encoder count.
         duration: Of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
@@ -66,14 +69,13 @@ class AccuracyStudy:
         progress: Callable[[int], None] | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
-        self.scene, self.axis = scene, _chosen_axis(scene, axis)
-        require_own_axis(self.axis, scene)
-        counts = abs(self.axis.parameters.counts_per_unit)
+        self.scene, self.part = scene, chosen_part(scene, axis)
+        counts = max(abs(given.counts_per_unit) for given in self.part.parameters)
         self.tolerance = tolerance or scene.accuracy_tolerance or _TENTH / counts
         self.holds = holds_of(scene, duration)
         self._budget, self._progress, self._stop = budget, progress, stop or (lambda: False)
         self._done = 0
-        self._plant: PlantSide | None = None
+        self._plant: Plants | None = None
         self._loops: list[LoopRow] = []
         self._loop_rows: list[Row] = []
         self._times: dict[str, WallTime] = {}
@@ -94,26 +96,22 @@ class AccuracyStudy:
 
     def _measure(self) -> None:
         with_compiled = self._budget >= _COMPILING
-        self._plant = plant = PlantSide(self.axis, self.scene, self.holds, self._stop, with_compiled=with_compiled)
-        self._remarks = remarks(simulation_of(self.axis))
-        exact = continuous_loop(self.axis, self.scene.bus.sample_time_ns // FINEST, self.holds * FINEST, self._stop)
+        self._plant = plant = self.part.plants(self.holds, self._stop, with_compiled=with_compiled)
+        self._remarks = self.part.remarks()
+        period = self.scene.bus.sample_time_ns
+        exact = self.part.continuous(period // FINEST, self.holds * FINEST, self._stop)
         self._advance("references", 1.0)
         self._each(plant.measure(), len(plant.candidates), "ladder")
-        self._each(plant.measure_effects(self._accuracy(plant)), len(self.axis_effects), "")
-        every = variants(self.axis, self.scene)
+        self._each(plant.measure_effects(self._accuracy(plant)))
+        every = self.part.variants()
         for number, variant in enumerate(every):
-            self._loops.append(loop_row(variant, exact, self.holds * self.scene.bus.sample_time_ns, self._check))
+            self._loops.append(loop_row(variant, exact, self.holds * period, self._check))
             self._loop_rows.append(self._loop_row(self._loops[-1]))
             self._advance("loops", (number + 1) / len(every))
         if self._budget > 0.0:
             self._time(plant)
 
-    @property
-    def axis_effects(self) -> list[str]:
-        """Names of the effects of the axis, each once."""
-        return list(dict.fromkeys(effect.name for effect in simulation_of(self.axis).effects))
-
-    def _each(self, steps: Iterator[str], count: int, part: str) -> None:
+    def _each(self, steps: Iterator[str], count: int = 0, part: str = "") -> None:
         for number, _name in enumerate(steps):
             self._check()
             if part:
@@ -130,13 +128,13 @@ class AccuracyStudy:
         if self._progress is not None:
             self._progress(self._done)
 
-    def _accuracy(self, plant: PlantSide) -> AccuracyParameters:
+    def _accuracy(self, plant: Plants) -> AccuracyParameters:
         """Returns the accuracy that effects are priced at: the advised one, else the most exact."""
         found = advice(plant.rows, [], self.tolerance)
         row = found["chosen"] or found["most_exact"]
         return AccuracyParameters(**row["accuracy"]) if row else AccuracyParameters()
 
-    def _time(self, plant: PlantSide) -> None:
+    def _time(self, plant: Plants) -> None:
         stable = [c for c, row in zip(plant.candidates, plant.rows, strict=True) if row["status"] == "ok"]
         jobs: dict[str, Callable[[], object]] = {_WORKLOAD: workload}
         jobs |= {f"without {name}": candidate.spend for name, candidate in plant.without.items()}
@@ -171,7 +169,7 @@ class AccuracyStudy:
             "is_scene": variant.is_scene,
             "remark": variant.remark or row.run.reason,
             "fineness": None if variant.fineness is None else min(variant.fineness, _IDEAL),
-            "largest_torque": max(map(abs, row.run.torque.tolist()), default=0.0),
+            "largest_torque": float(np.abs(row.run.torque).max(initial=0.0)),
             "status": "ok" if stable else "unstable" if row.run.ended == "diverged" else row.run.ended,
             "position_error": row.position_error if stable else None,
             "force_error": row.force_error if stable else None,
@@ -190,8 +188,9 @@ class AccuracyStudy:
         found: dict[str, Any] = {
             "scene": self.scene.source,
             "config_hash": self.scene.config_hash(),
-            "axis": self.axis.parameters.name,
-            "unit": self.axis.parameters.unit,
+            "axis": self.part.name,
+            "is_group": self.part.is_group,
+            "unit": self.part.parameters[0].unit,
             "status": self._status,
             "rate": 1.0 / bus.sample_time,
             "holds": self.holds,
@@ -220,7 +219,7 @@ class AccuracyStudy:
         time = self._times.get(_WORKLOAD)
         return time and {"what": WORKLOAD, "seconds": time.least, "spread": time.spread}
 
-    def _reference(self, plant: PlantSide, rows: list[Row]) -> dict[str, Any]:
+    def _reference(self, plant: Plants, rows: list[Row]) -> dict[str, Any]:
         witness = next((row for row in rows if row["method"] == LSODA and row["setting"] == "tolerance 1e-09"), None)
         timed = [row for row in rows if row.get("us_per_period") is not None]
         return {
@@ -235,7 +234,7 @@ class AccuracyStudy:
             ),
         }
 
-    def _plant_rows(self, plant: PlantSide) -> list[Row]:
+    def _plant_rows(self, plant: Plants) -> list[Row]:
         rows = [{**row, **self._wall(f"{row['method']}, {row['setting']}")} for row in plant.rows]
         for price, key in (("evaluations", "pareto"), ("us_per_period", "pareto_in_time")):
             for row, mark in zip(rows, pareto(rows, price, FLOOR * plant.travel), strict=True):
@@ -255,7 +254,7 @@ class AccuracyStudy:
             "ratio": time.least / fixed.least if fixed else None,
         }
 
-    def _effect_rows(self, plant: PlantSide) -> list[Row]:
+    def _effect_rows(self, plant: Plants) -> list[Row]:
         base, rows = self._wall("without ")["us_per_period"], []
         for row in plant.effects:
             mine = self._wall(f"without {row['effect']}")["us_per_period"]
@@ -264,16 +263,3 @@ class AccuracyStudy:
             worth = None if error is None else error_per_microsecond(error, saved)
             rows.append({**row, "us_saved_per_period": saved, "error_per_microsecond": worth})
         return rows
-
-
-def _chosen_axis(scene: Scene, name: str | None) -> AxisScene:
-    """Returns an axis by name, the first by default.
-
-    Raises:
-        InputError: There is none of that name.
-    """
-    axis = next((axis for axis in scene.axes if name in (None, axis.parameters.name)), None)
-    if axis is None:
-        names = ", ".join(axis.parameters.name for axis in scene.axes)
-        raise InputError(f"{scene.source}: got axis {name!r}, expected one of: {names}")
-    return axis

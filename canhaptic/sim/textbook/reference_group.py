@@ -1,0 +1,221 @@
+"""What several motors move as ordinary differential equations: axes of their own, an X-Y stage, a five-bar.
+
+The links of the five-bar are those of the simulated one; the method is another: `M(q) v' = torque + ... - C(q, v)`, in
+accelerations and for any solver, where the simulated one takes steps of a discrete gradient in momenta.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+from canhaptic.errors import InputError
+from canhaptic.sim.plant.mechanism import MechanismParameters
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
+from canhaptic.sim.plant.mechanism.hand_force import HandForce
+from canhaptic.sim.plant.mechanism.linkage import Inertia
+from canhaptic.sim.plant.mechanism.task_hand import TaskHand
+from canhaptic.sim.plant.mechanism.xy_stage import XYStage
+from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats
+from canhaptic.sim.textbook.reference_model import MOTOR_WORK, USER_WORK, Model
+
+State = Sequence[float]
+
+
+class GroupModel(Protocol):
+    """Motors and what they move, without a change of mode.
+
+    Attributes:
+        start: State at time 0.
+    """
+
+    start: Floats
+
+    @property
+    def evaluations(self) -> int:
+        """Times that the forces were worked out."""
+
+    def positions(self, state: State) -> Floats:
+        """Returns the positions of the motors [m or rad]."""
+
+    def velocities(self, state: State) -> Floats:
+        """Returns their velocities [m/s or rad/s]."""
+
+    def works(self, state: State) -> tuple[float, float]:
+        """Returns the works of all motors and of the user since the start [J]."""
+
+    def inertia(self, positions: State) -> list[Floats]:
+        """Returns the inertia that the motors feel [kg or kg*m^2]."""
+
+    def rates(self, time: float, state: State, torques: State) -> Floats:
+        """Returns the rate of every state."""
+
+
+class AxesModel:
+    """Motors that each move a plant of their own.
+
+    Raises:
+        InputError: One of the plants changes its mode: a stop, dry friction, backlash.
+    """
+
+    def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
+        if any(model.switches for model in models):
+            raise InputError("a plant of the group has stops, dry friction or backlash")
+        self._models, self._masses = models, masses
+        ends = [sum(len(model.start) for model in models[: i + 1]) for i in range(len(models))]
+        self._parts = [slice(end - len(model.start), end) for model, end in zip(models, ends, strict=True)]
+        self.start = [value for model in models for value in model.start]
+
+    @property
+    def evaluations(self) -> int:
+        """Times that the forces were worked out."""
+        return max(model.evaluations for model in self._models)
+
+    def positions(self, state: State) -> Floats:
+        """Returns the positions of the motors; see `GroupModel`."""
+        return [float(state[part.start + POSITION]) for part in self._parts]
+
+    def velocities(self, state: State) -> Floats:
+        """Returns their velocities; see `GroupModel`."""
+        return [float(state[part.start + VELOCITY]) for part in self._parts]
+
+    def works(self, state: State) -> tuple[float, float]:
+        """Returns the works of all motors and of the user; see `GroupModel`."""
+        motor = sum(float(state[part.stop + MOTOR_WORK]) for part in self._parts)
+        return motor, sum(float(state[part.stop + USER_WORK]) for part in self._parts)
+
+    def inertia(self, positions: State) -> list[Floats]:
+        """Returns the moving masses; see `GroupModel`."""
+        return _diagonal(self._masses)
+
+    def rates(self, time: float, state: State, torques: State) -> Floats:
+        """Returns the rate of every state; see `GroupModel`."""
+        found: Floats = []
+        for model, part, torque in zip(self._models, self._parts, torques, strict=True):
+            found += model.rates(time, state[part], torque, model.first)
+        return found
+
+
+class _TwoMotors:
+    """Two motors and a handle in the plane; state: two positions, two velocities, works of motors and user."""
+
+    def __init__(self, hand: TaskHand | None, positions: Sequence[float]) -> None:
+        self._hand, self._swing = hand, None if hand is None else HandForce(hand)
+        self.start = [*positions, 0.0, 0.0, 0.0, 0.0]
+        self.evaluations = 0
+
+    def positions(self, state: State) -> Floats:
+        """Returns the positions of the motors; see `GroupModel`."""
+        return [float(value) for value in state[:2]]
+
+    def velocities(self, state: State) -> Floats:
+        """Returns their velocities; see `GroupModel`."""
+        return [float(value) for value in state[2:4]]
+
+    def works(self, state: State) -> tuple[float, float]:
+        """Returns the works of all motors and of the user; see `GroupModel`."""
+        return float(state[4]), float(state[5])
+
+    def _hand_force(self, time: float, place: State, speed: State) -> tuple[float, float]:
+        """Returns the force on the handle [N] at a place [m] and a velocity [m/s]."""
+        if self._hand is None or self._swing is None:
+            return 0.0, 0.0
+        (x, y), (vx, vy) = self._swing.target(time)
+        k, d, push = self._hand.stiffness_matrix, self._hand.damping_matrix, self._hand.push
+        x, y, vx, vy = x - place[0], y - place[1], vx - speed[0], vy - speed[1]
+        return (
+            k.xx * x + k.xy * y + d.xx * vx + d.xy * vy + push[0],
+            k.xy * x + k.yy * y + d.xy * vx + d.yy * vy + push[1],
+        )
+
+
+class StageModel(_TwoMotors):
+    """An X-Y stage.
+
+    Raises:
+        InputError: It has dry friction.
+    """
+
+    def __init__(self, stage: XYStage, hand: TaskHand | None) -> None:
+        if stage.friction_x is not None or stage.friction_y is not None:
+            raise InputError("the guides of the stage have dry friction")
+        super().__init__(hand, stage.initial_position)
+        self._masses, self._damping = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
+
+    def inertia(self, positions: State) -> list[Floats]:
+        """Returns the moving masses; see `GroupModel`."""
+        return _diagonal(self._masses)
+
+    def rates(self, time: float, state: State, torques: State) -> Floats:
+        """Returns the rate of every state; see `GroupModel`."""
+        self.evaluations += 1
+        place, speed = state[:2], state[2:4]
+        hand = self._hand_force(time, place, speed)
+        pairs = zip(torques, hand, self._damping, speed, self._masses, strict=True)
+        accelerations = [(torque + force - b * v) / mass for torque, force, b, v, mass in pairs]
+        return [*speed, *accelerations, _dot(torques, speed), _dot(hand, speed)]
+
+
+class FiveBarModel(_TwoMotors):
+    """A five-bar."""
+
+    def __init__(self, links: FiveBarLinkage, hand: TaskHand | None) -> None:
+        super().__init__(hand, links.initial_angles)
+        self._linkage, self._damping, self._stop = links.linkage(), links.damping, links.elbow_stop
+
+    def inertia(self, positions: State) -> list[Floats]:
+        """Returns the inertia in a pose; see `GroupModel`."""
+        found = self._linkage.inertia(self._linkage.pose(float(positions[0]), float(positions[1])))
+        return [[found.a, found.b], [found.b, found.c]]
+
+    def rates(self, time: float, state: State, torques: State) -> Floats:
+        """Returns the rate of every state; see `GroupModel`."""
+        self.evaluations += 1
+        left, right, v_left, v_right = (float(value) for value in state[:4])
+        pose = self._linkage.pose(left, right)
+        (xl, xr), (yl, yr) = pose.jacobian
+        force = self._hand_force(time, pose.handle, (xl * v_left + xr * v_right, yl * v_left + yr * v_right))
+        hand = xl * force[0] + yl * force[1], xr * force[0] + yr * force[1]
+        by_left, by_right = self._linkage.inertia_rates(pose)
+        turning = Inertia(*(a * v_left + b * v_right for a, b in zip(by_left, by_right, strict=True)))  # dM / dt
+        centrifugal = 0.5 * by_left.product(v_left, v_right), 0.5 * by_right.product(v_left, v_right)
+        pull = self._stop_pull(pose.span)
+        spans = self._linkage.span_rates(pose)
+        total = [
+            torques[i] + hand[i] - self._damping * v - pull * spans[i] + centrifugal[i] - turned
+            for i, v, turned in (
+                (0, v_left, turning.a * v_left + turning.b * v_right),
+                (1, v_right, turning.b * v_left + turning.c * v_right),
+            )
+        ]
+        accelerations = self._linkage.inertia(pose).solve(*total)
+        return [
+            v_left, v_right, *accelerations, torques[0] * v_left + torques[1] * v_right,
+            hand[0] * v_left + hand[1] * v_right,
+        ]  # fmt: skip
+
+    def _stop_pull(self, span: float) -> float:
+        """Returns the force of the elbow stop, positive where it draws the elbows together [N]."""
+        if self._stop is None:
+            return 0.0
+        return self._stop.stiffness * (max(0.0, span - self._stop.most) - max(0.0, self._stop.least - span))
+
+
+def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> StageModel | FiveBarModel:
+    """Returns the equations of a mechanism.
+
+    Raises:
+        InputError: There are none, or it has dry friction.
+    """
+    if isinstance(parameters, XYStage):
+        return StageModel(parameters, hand)
+    if isinstance(parameters, FiveBarLinkage):
+        return FiveBarModel(parameters, hand)
+    raise InputError(f"the mechanism {type(parameters).__name__} has no equations here")
+
+
+def _diagonal(masses: Sequence[float]) -> list[Floats]:
+    return [[mass if i == j else 0.0 for j in range(len(masses))] for i, mass in enumerate(masses)]
+
+
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return math.fsum(a * float(b) for a, b in zip(one, other, strict=True))

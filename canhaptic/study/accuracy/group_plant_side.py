@@ -1,0 +1,284 @@
+"""The plant side of a group: what its motors move, under the torques of the scene's own controller.
+
+Motors with plants of their own are each an axis of the ladder, and a setting is as good as on the worst of them; a
+mechanism is held against its equations of motion by DOP853.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
+from canhaptic.scene.accuracy_choice import ladder, simulation_of
+from canhaptic.scene.models import Scene
+from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.textbook.reference_group import GroupModel
+from canhaptic.sim.textbook.reference_motion import Motion
+from canhaptic.study.accuracy.candidates import LSODA, OURS, Candidate
+from canhaptic.study.accuracy.group_variants import finely_solved
+from canhaptic.study.accuracy.plant_solvers import FURTHEST, PlantSide, Row, named, orders_of
+from canhaptic.study.batch.group_loop import GroupRecorder, Motors, motors_of, render_group
+from canhaptic.study.reference.continuous_group import group_model
+
+_SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
+_TOLERANCES: Final = (1e-3, 1e-5, 1e-7, 1e-9)
+_REFERENCE: Final = 1e-12
+_RUNGE_KUTTA: Final = (1, 2, 4, 8)
+
+
+class Plants(Protocol):
+    """One side of a study: see `PlantSide`."""
+
+    rows: list[Row]
+    effects: list[Row]
+    candidates: list[Candidate]
+    without: dict[str, Candidate]
+    travel: float
+    energy: float
+    evaluations: int
+
+    def measure(self) -> Iterator[str]:
+        """Runs every rung once; yields the name of each before it is run."""
+
+    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
+        """Runs the plant without each effect; yields the name of each before it is run."""
+
+    def orders(self) -> list[Row]:
+        """Returns the order of every method with a step."""
+
+
+def group_side(scene: Scene, holds: int, stop: Callable[[], bool], *, with_compiled: bool) -> Plants:
+    """Returns the plant side of the one group of a scene; arguments as for `PlantSide`.
+
+    Raises:
+        InputError: The loop of the scene does not run to its end, or there are no equations to compare with.
+    """
+    run = render_group(finely_solved(scene), holds + 1, GroupRecorder(len(scene.axes)))
+    if run.ended:
+        raise InputError(f"{scene.source}: the loop {run.ended} before its end ({run.reason}); nothing can be compared")
+    torques = run.torque[1:]
+    return _Mechanism(scene, torques, stop) if scene.mechanisms else _OwnPlants(scene, torques, stop, with_compiled)
+
+
+class _OwnPlants:
+    """Plants that each axis of the group has by itself; see `PlantSide`."""
+
+    def __init__(self, scene: Scene, torques: Array, stop: Callable[[], bool], with_compiled: bool) -> None:
+        axes = [scene.axis(name) for name in scene.groups[0].axes]
+        period = scene.bus.sample_time_ns
+        settings = max((ladder(simulation_of(axis), period) for axis in axes), key=len)
+        self._names = [axis.parameters.name for axis in axes]
+        self._sides = [
+            PlantSide(
+                axis, scene, len(torques), stop, with_compiled=with_compiled, torques=column.tolist(), settings=settings
+            )
+            for axis, column in zip(axes, torques.T, strict=True)
+        ]
+        first, *others = [{c.name: c for c in side.candidates} for side in self._sides]
+        own = {
+            name: [c, *(other[name] for other in others)] for name, c in first.items() if all(name in o for o in others)
+        }
+        self.candidates = [replace(of[0], spend=partial(_spend, of)) for of in own.values()]
+        self.travel, self.energy = (max(getattr(side, name) for side in self._sides) for name in ("travel", "energy"))
+        self.evaluations = sum(side.evaluations for side in self._sides)
+        self.rows: list[Row] = []
+        self.effects: list[Row] = []
+        self.without: dict[str, Candidate] = {}
+
+    def measure(self) -> Iterator[str]:
+        """Runs every rung once on every plant; yields the name of each before it is run."""
+        rows: list[dict[str, Row]] = []
+        for axis, side in zip(self._names, self._sides, strict=True):
+            for name in side.measure():
+                yield f"{axis}: {name}"
+            rows.append({f"{row['method']}, {row['setting']}": row for row in side.rows})
+        self.rows += [_worst([of[candidate.name] for of in rows]) for candidate in self.candidates]
+
+    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
+        """Runs every plant without each of its effects; yields the name of each before it is run."""
+        for axis, side in zip(self._names, self._sides, strict=True):
+            for name in side.measure_effects(accuracy):
+                yield f"{axis}: {name}"
+            self.effects += [{**row, "effect": f"{axis}: {row['effect']}"} for row in side.effects]
+            self.without |= {f"{axis}: {name}" if name else "": of for name, of in side.without.items()}
+
+    def orders(self) -> list[Row]:
+        """Returns the order of every method with a step, by the worst plant."""
+
+        def declared(method: str) -> int | None:
+            found = [side.declared(method) for side in self._sides]
+            return min((order for order in found if order is not None), default=None)
+
+        return orders_of(self.candidates, self.rows, self.travel, declared)
+
+
+def _spend(parts: Sequence[Candidate]) -> None:
+    for part in parts:
+        part.spend()
+
+
+def _worst(rows: Sequence[Row]) -> Row:
+    """Returns one row of several plants: the largest errors, and the sum of the prices."""
+    bad = next((row for row in rows if row["status"] != "ok"), None)
+    if bad is not None:
+        return bad
+    errors = {key: max(row[key] for row in rows) for key in ("position_error", "force_error", "energy_error")}
+    prices = {key: sum(row[key] for row in rows) for key in ("evaluations", "evaluations_per_period", "events")}
+    return {**rows[0], **errors, **prices}
+
+
+@dataclass(slots=True)
+class _Mechanism:
+    """A mechanism that the motors of the group move together; its motions have a column for each motor."""
+
+    scene: Scene
+    torques: Array
+    stop: Callable[[], bool]
+    candidates: list[Candidate] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
+    effects: list[Row] = field(default_factory=list)
+    without: dict[str, Candidate] = field(default_factory=dict)
+    evaluations: int = 0
+    travel: float = 0.0
+    energy: float = 0.0
+    _exact: Any = None  # Motion
+    _inertia: Any = None  # in every pose of it, shape (holds, axes, axes)
+
+    def __post_init__(self) -> None:
+        model = group_model(self.scene)
+        self._exact = exact = self._solved(model, "DOP853", _REFERENCE)
+        self._inertia = np.array([model.inertia(row) for row in exact.position])
+        self.evaluations, self.travel = model.evaluations, max(float(np.ptp(exact.position, axis=0).max()), 1e-9)
+        works = (exact.motor, exact.user, self._kinetic(exact))
+        self.energy = max(float(np.abs(work).max()) for work in works)
+        settings = _SUBSTEPS if self._order else (1,)
+        self.candidates = [self._ours(n) for n in settings]
+        self.candidates += [self._runge_kutta(n) for n in _RUNGE_KUTTA] + [self._adaptive(t) for t in _TOLERANCES]
+
+    @property
+    def _order(self) -> int | None:
+        order: int | None = getattr(self.scene.mechanisms[0].mechanism.parameters, "order", None)
+        return order
+
+    def measure(self) -> Iterator[str]:
+        """Runs every rung once; yields the name of each before it is run."""
+        for candidate in self.candidates:
+            yield candidate.name
+            motion, evaluations, events = candidate.observe()
+            self.rows.append({**named(candidate), **self._judged(motion), "evaluations": evaluations,
+                              "evaluations_per_period": evaluations / len(self.torques), "events": events})  # fmt: skip
+
+    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
+        """Yields nothing: a mechanism has no effects."""
+        return iter(())
+
+    def orders(self) -> list[Row]:
+        """Returns the order of every method with a step, declared and as fitted to this very scene."""
+        declared: Mapping[str, int | None] = {OURS: self._order, "RK4": 4}
+        return orders_of(self.candidates, self.rows, self.travel, lambda method: declared.get(method))
+
+    def _judged(self, motion: Motion) -> Row:
+        """Returns the largest differences from the reference at the end of any hold."""
+        exact, period = self._exact, self.scene.bus.sample_time
+        with np.errstate(all="ignore"):
+            apart = np.einsum("kij,kj->ki", self._inertia, motion.velocity - exact.velocity)
+            kicks = np.diff(apart, axis=0, prepend=np.zeros((1, apart.shape[1]))) / period
+            works = (motion.motor - exact.motor, motion.user - exact.user, self._kinetic(motion) - self._kinetic(exact))
+            found = [motion.position - exact.position, kicks, np.array(works)]
+        largest = [float(np.abs(values).max()) if np.isfinite(values).all() else math.inf for values in found]
+        stable = math.isfinite(sum(largest)) and largest[0] <= FURTHEST * self.travel
+        names = ("position_error", "force_error", "energy_error")
+        errors = dict(zip(names, largest, strict=True)) if stable else dict.fromkeys(names)
+        return {"status": "ok" if stable else "unstable", **errors}
+
+    def _kinetic(self, motion: Motion) -> Array:
+        return np.asarray(0.5 * np.einsum("ki,kij,kj->k", motion.velocity, self._inertia, motion.velocity))
+
+    def _ours(self, substeps: int) -> Candidate:
+        mechanisms = tuple(replace(of, substeps=substeps) for of in self.scene.mechanisms)
+        scene = replace(self.scene, mechanisms=mechanisms)
+        axes = [scene.axis(name) for name in scene.groups[0].axes]
+        accuracy = AccuracyParameters(substeps=substeps)
+
+        def run(look: Callable[[Motors], object]) -> tuple[list[Any], int]:
+            motors, period, found = motors_of(scene, axes), scene.bus.sample_time_ns, []
+            for k, torques in enumerate(self.torques.tolist()):
+                motors.advance_to((k + 1) * period, tuple(torques))
+                found.append(look(motors))
+            return found, motors.evaluations() or len(found)
+
+        def observe() -> tuple[Motion, int, int]:
+            table, evaluations = run(lambda m: (m.positions(), m.velocities(), m.work(), m.user_work()))
+            return Motion(*(np.array(column) for column in zip(*table, strict=True))), evaluations, 0
+
+        setting = "exact" if self._order is None else f"{substeps} substep{'s' if substeps > 1 else ''}"
+        return Candidate(
+            OURS, setting, 1.0 / substeps, None, accuracy, observe, lambda: run(lambda _motors: None)
+        )  # fmt: skip
+
+    def _adaptive(self, tolerance: float) -> Candidate:
+        def run() -> tuple[Any, int, int]:
+            model = group_model(self.scene)
+            motion = self._solved(model, "LSODA", tolerance)
+            return motion, model.evaluations, 0
+
+        return Candidate(LSODA, f"tolerance {tolerance:.0e}", None, None, None, run, run)
+
+    def _runge_kutta(self, substeps: int) -> Candidate:
+        def run() -> tuple[Any, int, int]:
+            model, period = group_model(self.scene), self.scene.bus.sample_time
+            state, step, states = np.array(model.start), period / substeps, []
+            for k, torques in enumerate(self.torques.tolist()):
+                for i in range(substeps):
+                    state = _step_of_order_4(model, k * period + i * step, state, torques, step)
+                states.append(state)
+            return _motion_of(model, states), model.evaluations, 0
+
+        return Candidate("RK4", f"{substeps} step{'s' if substeps > 1 else ''}", 1.0 / substeps, 4, None, run, run)
+
+    def _solved(self, model: GroupModel, method: str, rtol: float) -> Motion:
+        """Returns the motion by one of scipy's solvers, hold by hold.
+
+        Raises:
+            InputError: scipy is missing, the solver fails, or it was stopped.
+        """
+        try:
+            from scipy.integrate import solve_ivp
+        except ImportError as error:
+            raise InputError(
+                f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
+            ) from error
+        state, period, states = model.start, self.scene.bus.sample_time, []
+        for k, torques in enumerate(self.torques.tolist()):
+            if self.stop():
+                raise InputError("stopped before the reference was there; nothing can be compared without it")
+            result: Any = solve_ivp(
+                model.rates, (k * period, (k + 1) * period), state, method, rtol=rtol, atol=1e-3 * rtol, args=(torques,)
+            )
+            if result.status < 0:
+                raise InputError(f"the reference failed at {k * period:g} s ({result.message}); shorten the study")
+            state = result.y[:, -1].tolist()
+            states.append(state)
+        return _motion_of(model, states)
+
+
+def _step_of_order_4(model: GroupModel, now: float, state: Array, torques: Sequence[float], step: float) -> Array:
+    """Returns the state after a step of the classical Runge-Kutta method."""
+    a = np.array(model.rates(now, state.tolist(), torques))
+    b = np.array(model.rates(now + 0.5 * step, (state + 0.5 * step * a).tolist(), torques))
+    c = np.array(model.rates(now + 0.5 * step, (state + 0.5 * step * b).tolist(), torques))
+    d = np.array(model.rates(now + step, (state + step * c).tolist(), torques))
+    return np.asarray(state + step / 6.0 * (a + 2.0 * b + 2.0 * c + d))
+
+
+def _motion_of(model: GroupModel, states: Sequence[Any]) -> Motion:
+    works = np.array([model.works(state) for state in states])
+    positions = np.array([model.positions(state) for state in states])
+    velocities = np.array([model.velocities(state) for state in states])
+    return Motion(positions, velocities, works[:, 0], works[:, 1])

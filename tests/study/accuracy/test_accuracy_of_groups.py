@@ -1,0 +1,123 @@
+"""The references of groups: equations of mechanisms, and a network in continuous time, each against another way."""
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from canhaptic.control.multi_axis.group_motion import GroupMotion as MotionState
+from canhaptic.control.multi_axis.group_motion import (
+    RequestedEfforts,
+    begin_motion,
+    follow,
+    motion_memory,
+    motion_settings,
+    world_of,
+    write_efforts,
+)
+from canhaptic.errors import InputError
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from canhaptic.sim.plant.dry_friction import DryFriction
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
+from canhaptic.sim.plant.mechanism.xy_stage import XYStage
+from canhaptic.sim.textbook.reference_group import mechanism_model
+from canhaptic.study.accuracy.study import AccuracyStudy
+from canhaptic.study.batch.group_loop import GroupRecorder, motors_of, render_group
+from canhaptic.study.reference.continuous_group import continuous_group
+from canhaptic.study.scenes import at_rate
+from tests.plant.mechanism.mechanism_scenes import HAND, LINKS, STAGE, OpenChains, integrated, stage, wavy
+from tests.study.sweep.conftest_sweep import REPOSITORY
+
+MS = 1_000_000
+
+
+def scene_of(name: str, *overrides: str) -> Scene:
+    return load_scene(REPOSITORY / "configs" / f"{name}.yaml", list(overrides))
+
+
+def test_the_five_bar_in_accelerations_is_two_open_chains_held_together() -> None:
+    model, chains = mechanism_model(FiveBarLinkage(**LINKS), HAND), OpenChains()
+    found = integrated(model.rates, model.start, wavy(100), 1e-3)
+    expected = integrated(chains.rates, chains.start(), wavy(100), 1e-3)  # type: ignore[arg-type]
+    assert np.ptp(expected[:, 0]) > 0.02
+    assert np.abs(found[:, :2] - expected[:, :2]).max() < 1e-10
+    assert np.abs(found[:, 2:4] - expected[:, 4:6]).max() < 1e-8
+
+
+def test_the_stage_by_a_solver_is_the_exact_one() -> None:
+    model, exact = mechanism_model(XYStage(**STAGE), HAND), stage()
+    found = integrated(model.rates, model.start, wavy(100), 1e-3)
+    exact.begin(0)
+    for k, pair in enumerate(wavy(100)):
+        exact.advance_to((k + 1) * MS, pair)
+    assert np.abs(found[-1, :2] - exact.positions).max() < 1e-11
+    works = [sum(getattr(exact.energy(axis), of) for axis in (0, 1)) for of in ("motor", "user")]
+    assert model.works(found[-1]) == pytest.approx(works, abs=1e-11)
+
+
+def held_finely(scene: Scene, cycles: int) -> np.ndarray:
+    """Positions of a group whose motors hold what its network asks for at every SYNC, with nothing in between."""
+    group = scene.groups[0]
+    axes = [scene.axis(name) for name in group.axes]
+    ideal = [axis.loop.model_copy(update={"encoder_count": 0.0}) for axis in axes]
+    world = world_of(cast(Any, group.network.parameters), cast(Any, group.kinematics.parameters), tuple(ideal))
+    settings = motion_settings(world, tuple(ideal))
+    memory, state, motors = motion_memory(world, settings), MotionState(), motors_of(scene, axes)
+    wish = RequestedEfforts(*([0.0] * len(axes) for _ in range(4)))
+    before, rows = list(motors.positions()), [list(motors.positions())]
+    begin_motion(world, settings, state, memory, before)
+    for cycle in range(1, cycles):
+        motors.advance_to(
+            cycle * scene.bus.sample_time_ns, tuple(-s - d for s, d in zip(wish.spring, wish.damper, strict=True))
+        )
+        at = list(motors.positions())
+        follow(world, settings, state, memory, at, [b - a for a, b in zip(before, at, strict=True)], 1)
+        write_efforts(world, settings, state, memory, 0.0, wish)
+        before = at
+        rows.append(at)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("name", "start"), [("xy_box", 0.0), ("five_bar_sphere", 0.0), ("two_handles", 0.0)])
+def test_the_continuous_group_is_what_ever_finer_holds_come_to(name: str, start: float) -> None:
+    quick = "simulation.mechanisms.0.hand.motion.x.frequency=4 Hz"
+    scene = scene_of(name, *([] if name == "two_handles" else [quick]))
+    exact = continuous_group(scene, 250_000, 800)
+    apart = []
+    for factor in (4, 8):
+        finer = at_rate(scene, 1000.0 * factor)
+        rows = held_finely(finer, 200 * factor + 1)[:: factor // 4]
+        apart.append(np.abs(rows - exact.position).max())
+    assert exact.apart < 1e-7
+    assert np.abs(exact.impulse).max() > 1e-3  # something is felt
+    assert apart[1] < 0.62 * apart[0] < 1e-3  # of order 1 in the hold
+
+
+def test_the_loop_of_a_box_comes_nearer_with_the_rate() -> None:
+    result = AccuracyStudy(scene_of("xy_box"), budget=0.0, duration=0.2).run()
+    rates = {row["rate"]: row for row in result["loop"] if row["group"] in ("as it is", "sample rate")}
+    errors = [rates[rate]["position_error"] for rate in (250.0, 1000.0, 4000.0)]
+    assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2] > 0.0
+    assert result["plant"][0]["setting"] == "exact"
+    orders = {row["method"]: row["fitted"] for row in result["orders"]}
+    assert orders["RK4"] == pytest.approx(4.0, abs=0.1)
+
+
+def test_a_group_that_diverges_is_said_so() -> None:
+    scene = scene_of("xy_box")
+    run = render_group(scene, 400, GroupRecorder(2, furthest=1e-3))
+    assert run.ended == "diverged"
+    assert run.position.shape == (len(run.interaction), 2)
+
+
+def test_dry_friction_of_guides_has_no_equations() -> None:
+    scene = scene_of("xy_box")
+    rough = scene.mechanisms[0].mechanism.parameters.model_copy(
+        update={"friction_x": DryFriction(static=1.0, kinetic=1.0)}
+    )
+    (of,) = scene.mechanisms
+    changed = replace(scene, mechanisms=(replace(of, mechanism=of.mechanism._replace(parameters=rough)),))
+    with pytest.raises(InputError, match="guides of the stage have dry friction"):
+        AccuracyStudy(changed, budget=0.0, duration=0.02).run()
