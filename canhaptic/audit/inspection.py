@@ -10,7 +10,7 @@ from canhaptic.audit.extent import contacts, rows_between
 from canhaptic.audit.not_finite import not_finite
 from canhaptic.audit.port_record import PortRecord
 from canhaptic.canopen.objects import StatusBit
-from canhaptic.control.balance import Branch, Certificate, LedgerSummary
+from canhaptic.control.balance import Branch, Certificate, LedgerSummary, certificates_of
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.result import at_handles, overall, with_groups
@@ -129,8 +129,8 @@ def _summary(log: EnergyLog, column: Callable[[str], _Array], rows: slice) -> Le
         margin_cycle=cycle,
         margin_deadline=deadline,
         least_interaction=_least(_running(h_i))[0],
-        certificates=tuple(
-            Certificate(int(number)) for number in np.unique(certificates[column("torque_command") != 0.0])
+        certificates=certificates_of(
+            sum(1 << int(number) for number in np.unique(certificates[column("torque_command") != 0.0]))
         ),
         branches={member.name.lower(): int((branch == member).sum()) for member in Branch},
         damping_least=float(rendered.min()) if len(rendered) else 0.0,

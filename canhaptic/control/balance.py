@@ -42,7 +42,7 @@ class Branch(IntEnum):
 
 
 class Certificate(IntEnum):
-    """Which promise bounded the torque of the next hold, weakest last."""
+    """Which promise bounded the torque of the next hold; the numbers are those of the logs, see `WEAKEST_LAST`."""
 
     EXACT = 0  # no bound was active
     DEVICE_DAMPING = 1
@@ -50,6 +50,14 @@ class Certificate(IntEnum):
     HAND_SPEED = 3
     NONE = 4  # the algorithm gives no bound
     VELOCITY_LOOP = 5  # of an admittance display: the drive's own velocity loop
+    LARGEST_HAND_FORCE = 6  # of an admittance display: the hand never pushes or pulls harder than declared
+
+
+WEAKEST_LAST: Final = (
+    *(Certificate.EXACT, Certificate.DEVICE_DAMPING, Certificate.HAND_FORCE, Certificate.HAND_SPEED),
+    *(Certificate.VELOCITY_LOOP, Certificate.LARGEST_HAND_FORCE, Certificate.NONE),
+)
+"""The certificates by how much they promise."""
 
 
 class EnergyBalance(NamedTuple):
@@ -276,7 +284,7 @@ class CompensatedSum:
 
 def certificates_of(bits: int) -> tuple[Certificate, ...]:
     """Returns the certificates of a set in which each is one bit, weakest last."""
-    return tuple(certificate for certificate in Certificate if bits >> certificate & 1)
+    return tuple(certificate for certificate in WEAKEST_LAST if bits >> certificate & 1)
 
 
 class Ledger:

@@ -2,8 +2,8 @@
 
 from math import pi, sqrt
 
-from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.guarded_display import GuardedDisplayParameters
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.scene.hints import Hint
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import display_properties
@@ -31,7 +31,8 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
 
 def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str) -> list[Hint]:
     properties, name = display_properties(axis), axis.parameters.name
-    asked = axis.environment.parameters.mass if isinstance(axis.environment.parameters, DisplayMass) else None
+    environment = axis.environment.parameters
+    asked = environment.inertia if isinstance(environment, DisplayEnvironment) else None
     unit = "kg" if axis.parameters.unit == "m" else "kg*m^2"
     time, gain, mass = properties.sample_time, known.loop_gain, known.drive_mass
     holds = properties.delay + 1 + known.max_consecutive_losses

@@ -97,7 +97,7 @@ def test_the_json_of_a_run_names_the_port(capsys: pytest.CaptureFixture[str]) ->
     assert json.loads(capsys.readouterr().out)["ports"]["handle"]["passive"] == "yes"
 
 
-@pytest.mark.parametrize("name", ["wall", "two_axes"])
+@pytest.mark.parametrize("name", ["wall", "two_axes", "cup_and_ball"])
 def test_every_shipped_display_keeps_its_promise(name: str) -> None:
     scene = load_scene(SCENE.with_name(f"{name}.yaml"))
     with build(scene) as experiment:

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.guarded_display import GuardedDisplayParameters
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.cycle import run as run_cycle
 from canhaptic.drive.can.bus_budget import bus_budget

@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.balance import Branch, Certificate
 from canhaptic.sim.plant.effects import Effect
@@ -18,6 +18,7 @@ from canhaptic.sim.plant.velocity_drive import AdmittancePlant, AdmittanceSimula
 from canhaptic.units import Parameters
 
 _NONE, _HELD = Certificate.NONE.value, Branch.HELD.value
+_CUTS = (Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value)
 _PARTS = 8
 """Parts of a hold in which slew and acceleration are watched; a power of two."""
 _Motion = tuple[float, float, float]
@@ -30,7 +31,7 @@ class Display:
     plant: PlantParameters
     simulation: AdmittanceSimulation
     user: UserParameters | None
-    environment: DisplayMass
+    environment: DisplayEnvironment
     properties: DisplayProperties
     algorithm: str
     parameters: Parameters | None = None
@@ -63,6 +64,7 @@ class Outcome:
     slew: float = 0.0  # largest seen [N/s]
     acceleration: float = 0.0  # largest seen [m/s^2]
     speed: float = 0.0  # largest seen [m/s]
+    force: float = 0.0  # largest seen [N]
     forces: list[float] = field(default_factory=list)  # true, at each SYNC [N]
     velocities: list[float] = field(default_factory=list)  # true, at each SYNC [m/s]
 
@@ -117,7 +119,7 @@ def _watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float)
     force, velocity, position = plant.force, plant.velocity, plant.position
     found.slew = max(found.slew, abs(force - before[0]) / time)
     found.acceleration = max(found.acceleration, abs(velocity - before[1]) / time)
-    found.speed = max(found.speed, abs(velocity))
+    found.speed, found.force = max(found.speed, abs(velocity)), max(found.force, abs(force))
     found.travel += abs(position - before[2])
     return force, velocity, position
 
@@ -129,7 +131,7 @@ def _take(found: Outcome, plant: AdmittancePlant, balance: Any, properties: Disp
     found.least_believed = min(found.least_believed, found.believed)
     if properties.latency == 0 and balance.branch != _HELD:  # a lost sample leaves its hold open until the next
         found.overclaimed = max(found.overclaimed, found.believed - true)
-    if abs(balance.torque) > 1e-9 or balance.certificate == Certificate.VELOCITY_LOOP.value:
+    if abs(balance.torque) > 1e-9 or balance.certificate in _CUTS:
         found.moving += 1
-        found.cut += balance.certificate == Certificate.VELOCITY_LOOP.value
+        found.cut += balance.certificate in _CUTS
     found.uncertified += balance.certificate == _NONE

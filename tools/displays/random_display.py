@@ -6,8 +6,10 @@ from random import Random
 from typing import Any
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
+from canhaptic.control.admittance.cup_and_ball import CupAndBall
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.guarded_display import GuardedDisplayParameters
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.sim.plant.effects import Effect, read_effect
 from canhaptic.sim.plant.force_sensor import SimulatedForceSensor
@@ -44,14 +46,12 @@ def random_display(seed: int, algorithm: str | None = None) -> Display:
         drive_mass=mass * random.uniform(1.0, 1.1), loop_gain=gain * random.uniform(1.0, 1.1),
         integral_gain=integral * random.uniform(1.0, 1.1), spread=0.2,
         energy_allowance=random.choice([0.0, 1e-3, 1e-2]), max_consecutive_losses=losses,
+        largest_hand_force=0.0 if integral else random.choice([0.0, 0.0, 30.0]),
     )  # fmt: skip
     return Display(
         PlantParameters(mass=mass, damping=random.choice([0.0, 2.0, 10.0])),
         AdmittanceSimulation(loop=loop, grip=grip, sensor=sensor), _hand(random),
-        DisplayMass(
-            mass=random.choice([0.1, 0.5, 1.0, 2.0, 5.0]), damping=random.choice([0.0, 2.0, 10.0]),
-            stiffness=random.choice([0.0, 0.0, 200.0]), lower_wall=random.choice([-10.0, -0.03]),
-        ),
+        _environment(random, name),
         properties, name, guarded if name == "guarded" else None, _effects(random), seed,
         random.choice([0.0, 0.0, 0.02]), losses,
     )  # fmt: skip
@@ -65,11 +65,24 @@ def with_true_bounds(display: Display, cycles: int, *, keeps: bool = False) -> t
     for _ in range(3):
         found = run(display, cycles, keeps=keeps)
         properties = display.properties
-        if found.slew <= properties.force_slew and found.acceleration <= properties.handle_acceleration:
+        is_hand_true = 0.0 in (_hand_force(display), found.force) or found.force <= _hand_force(display)
+        if (
+            found.slew <= properties.force_slew
+            and found.acceleration <= properties.handle_acceleration
+            and is_hand_true
+        ):
             return display, found
         bounds = {"force_slew": 1.5 * found.slew, "handle_acceleration": 1.5 * found.acceleration}
         display = replace(display, properties=properties.model_copy(update=bounds))
+        if _hand_force(display) and display.parameters is not None:
+            force = {"largest_hand_force": 1.5 * found.force}
+            display = replace(display, parameters=display.parameters.model_copy(update=force))
     return None
+
+
+def _hand_force(display: Display) -> float:
+    """Returns the largest force of the hand that is declared; 0: none [N]."""
+    return float(getattr(display.parameters, "largest_hand_force", 0.0))
 
 
 def _sensor(random: Random) -> tuple[SimulatedForceSensor, float]:
@@ -83,6 +96,19 @@ def _sensor(random: Random) -> tuple[SimulatedForceSensor, float]:
         quantum=quantum, latency=random.choice([0, 0, 0, 1, 2]),
     )  # fmt: skip
     return sensor, offset + drift * _DURATION + 3.0 * noise + 0.5 * quantum
+
+
+def _environment(random: Random, algorithm: str) -> DisplayEnvironment:
+    lower_wall, damping = random.choice([-10.0, -0.03]), random.choice([0.0, 2.0, 10.0])
+    if algorithm != "internal_dissipation" and random.random() < 0.2:
+        return CupAndBall(
+            cup=random.choice([0.2, 2.4]), ball=random.choice([0.1, 0.6, 2.0]), length=random.choice([0.05, 0.45]),
+            damping=damping, lower_wall=lower_wall,
+        )  # fmt: skip
+    return DisplayMass(
+        mass=random.choice([0.1, 0.5, 1.0, 2.0, 5.0]), damping=damping, stiffness=random.choice([0.0, 0.0, 200.0]),
+        lower_wall=lower_wall,
+    )  # fmt: skip
 
 
 def _hand(random: Random) -> UserParameters:

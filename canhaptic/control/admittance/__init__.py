@@ -11,6 +11,7 @@ _HERE: Final = "canhaptic.control.admittance"
 
 DISPLAY_ENVIRONMENTS: Final[dict[str, str]] = {
     "virtual_mass": f"{_HERE}.display_mass:DisplayMass",
+    "cup_and_ball": f"{_HERE}.cup_and_ball:CupAndBall",
 }
 """Name in a scene -> "module:Class"; the class is the parameter model and the environment in one."""
 

@@ -5,40 +5,36 @@
 The spring acts at the measured position; a wall is a limit of the position and takes what the mass has left (plastic).
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated
 
-from pydantic import model_validator
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.kernels import Buffer
+from canhaptic.units import quantity
 
-from canhaptic.units import Parameters, quantity
 
-
-class DisplayMass(Parameters):
+class DisplayMass(DisplayEnvironment):
     """A mass that the hand moves."""
-
-    display: ClassVar[Literal["admittance"]] = "admittance"
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
     """Felt at the sensor."""
-    damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """Of the mass to ground."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
     """Of a spring to ground."""
     rest: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     """Where that spring is at rest."""
-    lower_wall: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = -1e3
-    """Below it the mass does not go."""
-    upper_wall: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 1e3
-    """Above it the mass does not go."""
 
-    @model_validator(mode="after")
-    def _walls_leave_room(self) -> "DisplayMass":
-        if self.lower_wall >= self.upper_wall:
-            raise ValueError(f"lower_wall is {self.lower_wall}, expected less than upper_wall ({self.upper_wall})")
-        return self
+    @property
+    def inertia(self) -> float:
+        """The mass [kg or kg*m^2]."""
+        return self.mass
 
-    def stretch(self, position: float) -> float:
-        """Returns the displacement of the spring; 0 without one [m or rad]."""
-        return position - self.rest if self.stiffness else 0.0
+    def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
+        """Returns the speed after another hold [m/s or rad/s]: implicit in the damper."""
+        push = (force - self.stiffness * (position - self.rest)) * time
+        return (self.mass * speed + push) / (self.mass + time * self.damping)
+
+    def stored(self, inner: Buffer, speed: float, position: float) -> float:
+        """Returns the energy of mass and spring [J]."""
+        return 0.5 * self.mass * speed * speed + self.potential(position)
 
     def potential(self, position: float) -> float:
         """Returns the energy stored in the spring [J]."""
@@ -48,3 +44,7 @@ class DisplayMass(Parameters):
     def pull(self, position: float) -> float:
         """Returns the force of the spring on the mass [N or N*m]."""
         return -self.stiffness * (position - self.rest)
+
+    def stretch(self, position: float) -> float:
+        """Returns the displacement of the spring; 0 without one [m or rad]."""
+        return position - self.rest if self.stiffness else 0.0

@@ -14,8 +14,9 @@ from typing import ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
 from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.motion import DisplayMemory
-from canhaptic.control.admittance.port import begin_port
+from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
+from canhaptic.control.admittance.port import begin_port, port_settings
+from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import (
     DisplaySettings,
     DisplayState,
@@ -23,11 +24,27 @@ from canhaptic.control.admittance.sampled_mass import (
     command,
     follow,
     memory_of,
-    settings_of,
 )
 from canhaptic.control.balance import AT_REST, EnergyBalance
+from canhaptic.errors import ParameterError
 from canhaptic.kernels import Kernel
 from canhaptic.units import Parameters
+
+
+def settings_of(
+    environment: DisplayMass, _parameters: NothingToChoose, properties: DisplayProperties
+) -> DisplaySettings:
+    """Returns what is fixed for a run.
+
+    Raises:
+        ParameterError: What is rendered is no virtual mass, for which alone the balance is solved.
+    """
+    if not isinstance(environment, DisplayMass):
+        raise ParameterError(
+            f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; the balance "
+            "is solved for a mass, use guarded"
+        )
+    return DisplaySettings(port_settings(properties), motion_settings(environment, properties))
 
 
 def step(

@@ -11,19 +11,37 @@ to what the mass, or the drive with the commands under way, can give back.
 A drive with an integral is certified as long as its torque stays below its limit for certain; from the first hold on
 in which it may not, nothing is certified any more and the account rests on the force alone.
 
+Where a largest force of the hand is declared (`largest_hand_force`), a command may rest on that instead.
+
 Where the mass asked for is lighter than the drive carries safely, the hand feels a heavier one; nothing else changes.
 """
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, NamedTuple
+from math import inf
+from typing import ClassVar, NamedTuple
 
 from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
+from canhaptic.control.admittance.hand_force import (
+    HandForceSettings,
+    fastest_for_hand,
+    held_back,
+    lost_to_hand,
+    used_by_hand,
+)
+from canhaptic.control.admittance.late_margin import (
+    LateMargin,
+    MarginMemory,
+    fall,
+    margin_memory,
+    oldest,
+    rise,
+)
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
 from canhaptic.control.admittance.motion import (
     DisplayMemory,
     DisplayMotion,
     DisplayMotionSettings,
-    accelerated,
     display_memory,
     limited,
     motion_settings,
@@ -45,29 +63,12 @@ from canhaptic.control.admittance.velocity_loop import (
 )
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.passivity.settlement import settle
-from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Kernel, MakeBuffer, new
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import Parameters
 
 _EXACT, _DEPLETED, _FREE = Branch.EXACT.value, Branch.DEPLETED.value, Branch.FREE.value
-_UNBOUNDED, _BY_LOOP, _NONE = Certificate.EXACT.value, Certificate.VELOCITY_LOOP.value, Certificate.NONE.value
-
-
-class GuardedDisplayParameters(Parameters):
-    """Of an admittance display: what the certificate rests on."""
-
-    drive_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
-    """OVER-estimate of the mass that the drive moves up to the sensor."""
-    loop_gain: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0, le=1e9)]
-    """OVER-estimate of the gain of the drive's velocity loop: 2 pi f M for a bandwidth of f."""
-    integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
-    """OVER-estimate of the loop's integral gain; of a position loop: its gain times `loop_gain`. 0: no integral."""
-    spread: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
-    """The gains are at least 1 - spread of what is declared."""
-    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
-    """Energy that may be given out before any came in: the promise becomes E >= -energy_allowance."""
-    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Consecutive cycles without a new command at the drive that the certificate survives; only without an integral."""
+_UNBOUNDED, _NONE = Certificate.EXACT.value, Certificate.NONE.value
+_BY_LOOP, _BY_HAND = Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,9 @@ class _GuardedSettings:
     port: PortSettings
     motion: DisplayMotionSettings
     loop: VelocityLoopSettings
+    hand: HandForceSettings
     allowance: float  # [J]
+    may_be_limited: bool  # a torque at its limit would end what is proved
 
 
 @dataclass(slots=True)
@@ -87,54 +90,50 @@ class _GuardedDisplayState:
     axis: Port = field(default_factory=Port)
     motion: DisplayMotion = field(default_factory=DisplayMotion)
     loop: LoopState = field(default_factory=LoopState)
+    margin: LateMargin = field(default_factory=LateMargin)  # E - V
+    hand: LateMargin = field(default_factory=LateMargin)  # E - G
     h_s: float = 0.0  # [J]
     surplus: float = 0.0  # [J]
     taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
-    place: int = 0  # of this SYNC in the rings of the memory
-    unsure: bool = False  # the drive may have reached its torque limit, so that its integral is no longer known
+    is_limited: bool = False  # the drive may reach its torque limit in the hold that begins
+    unsure: bool = False  # it may have done so where a certificate rested on that it does not
 
 
 class GuardedMemory(NamedTuple):
-    """Buffers of one axis; the last three are rings of the SYNCs whose forces have not come, shape (latency + 1,)."""
+    """Buffers of one axis."""
 
     display: DisplayMemory
-    changes: Buffer  # of W in the hold that ended there [J]
-    leads: Buffer  # [m or rad]
-    margins: Buffer  # W with all that was taken before [J]
+    margin: MarginMemory
+    hand: MarginMemory
+    leads: Buffer  # a ring as those of the margins [m or rad]
 
 
 def settings_of(
-    environment: DisplayMass, parameters: GuardedDisplayParameters, properties: DisplayProperties
+    environment: DisplayEnvironment, parameters: GuardedDisplayParameters, properties: DisplayProperties
 ) -> _GuardedSettings:
     """Returns what is fixed for a run.
 
     Raises:
-        ParameterError: Losses are declared for a drive with an integral.
+        ParameterError: Losses or a largest force of the hand are declared for a drive with an integral.
     """
-    if parameters.integral_gain and parameters.max_consecutive_losses:
-        raise ParameterError(
-            f"guarded: max_consecutive_losses: got {parameters.max_consecutive_losses}, expected 0 with an "
-            "integral_gain: a command that is lost leaves the integral of the drive unknown"
-        )
-    least = 1.0 - parameters.spread
-    loop = VelocityLoopSettings(
-        properties.sample_time, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
-        parameters.loop_gain, parameters.loop_gain * least, parameters.integral_gain, parameters.integral_gain * least,
-        properties.encoder_count, properties.torque_limit,
-    )  # fmt: skip
-    motion = motion_settings(environment, properties, parameters.drive_mass / (parameters.loop_gain * least))
-    return _GuardedSettings(port_settings(properties), motion, loop, parameters.energy_allowance)
+    loop = loop_settings(parameters, properties)
+    motion = motion_settings(environment, properties, loop.mass / loop.gain_least)
+    hand = HandForceSettings(parameters.largest_hand_force)
+    ends = loop.integral > 0.0 or hand.force > 0.0
+    return _GuardedSettings(port_settings(properties), motion, loop, hand, parameters.energy_allowance, ends)
 
 
 def memory_of(settings: _GuardedSettings, make_buffer: MakeBuffer) -> GuardedMemory:
     """Returns the buffers of one axis."""
-    kept, length = settings.loop.delay + settings.loop.losses + 2, settings.port.latency + 1
-    display = display_memory(settings.port, kept, make_buffer)
-    return GuardedMemory(display, make_buffer(length), make_buffer(length), make_buffer(length))
+    kept, late = settings.loop.delay + settings.loop.losses + 2, settings.port.latency
+    display = display_memory(settings.port, settings.motion, kept, make_buffer)
+    return GuardedMemory(
+        display, margin_memory(late, make_buffer), margin_memory(late, make_buffer), make_buffer(late + 1)
+    )
 
 
 def step(
-    environment: DisplayMass,
+    environment: DisplayEnvironment,
     settings: _GuardedSettings,
     state: _GuardedDisplayState,
     memory: GuardedMemory,
@@ -142,23 +141,24 @@ def step(
     torque_applied: float,
 ) -> EnergyBalance:
     """Accounts for the hold that ended; see `Controller.step`. `torque_applied` is minus the force of the sensor."""
-    motion, loop, commands, force = state.motion, state.loop, memory.display.commands, -torque_applied
+    motion, commands, force = state.motion, memory.display.commands, -torque_applied
+    inner, time = memory.display.inner, settings.motion.sample_time
     if not state.axis.started:
         begin_port(state.axis, memory.display.positions, position, force)
         return AT_REST
     h_i, velocity = _take(settings, state, memory, position, force)
-    wish = accelerated(environment, settings.motion, motion.speed, force, position)
-    wish = limited(settings.motion, motion, commands, wish, position, velocity)
-    sign = 1.0 if wish >= 0.0 else -1.0
-    most = fastest(settings.loop, loop, commands, motion, loop.margin + settings.allowance, sign)
-    certificate = _UNBOUNDED
-    if abs(wish) > most:
-        wish, certificate = sign * most, _BY_LOOP
     before = motion.speed
+    wish = environment.speed_after(inner, before, force, position, time)
+    wish = limited(settings.motion, motion, commands, wish, position, velocity)
+    wish, certificate = _certified(settings, state, commands, wish)
     send(motion, commands, whole(settings.motion, wish))
-    speed = abs(velocity) + settings.port.acceleration * settings.port.sample_time
-    limits = may_limit(settings.loop, loop.lead, velocity, motion.speed, settings.port.acceleration)
-    state.unsure = state.unsure or limits
+    environment.go_along(inner, before, motion.speed, time)
+    speed = abs(velocity) + settings.port.acceleration * time
+    if settings.may_be_limited:
+        ahead = may_limit(settings.loop, state.loop.lead, velocity, motion.speed, settings.port.acceleration)
+        state.is_limited = ahead
+        if ahead and not state.unsure:
+            state.unsure = not _fits_loop(settings, state, commands)
     if state.unsure:
         certificate = _NONE
     h_s, h_r, deficit, leak, paid = _settle(environment, settings, state, memory, h_i, before, speed)
@@ -167,6 +167,32 @@ def step(
         motion.speed, h_i, 0.0, h_i, h_r, h_s, state.surplus, 0.0, deficit, leak, paid, branch, environment.damping,
         certificate, environment.stretch(position),
     ))  # fmt: skip
+
+
+def _certified(
+    settings: _GuardedSettings, state: _GuardedDisplayState, commands: Buffer, wish: float
+) -> tuple[float, int]:
+    """Returns (the nearest speed that is certified [m/s or rad/s], by which certificate it was cut)."""
+    sign = 1.0 if wish >= 0.0 else -1.0
+    motion, budget = state.motion, state.margin.known + settings.allowance
+    most = fastest(settings.loop, state.loop.lead, commands, motion, budget, sign)
+    if abs(wish) <= most:
+        return wish, _UNBOUNDED
+    if settings.hand.force == 0.0:
+        return sign * most, _BY_LOOP
+    budget = state.hand.known + settings.allowance
+    by_hand = fastest_for_hand(settings.hand, settings.loop, commands, motion, budget)
+    if abs(wish) <= by_hand:
+        return wish, _BY_HAND
+    return (sign * by_hand, _BY_HAND) if by_hand > most else (sign * most, _BY_LOOP)
+
+
+def _fits_loop(settings: _GuardedSettings, state: _GuardedDisplayState, commands: Buffer) -> bool:
+    """Whether the loop without an integral certifies all that is under way: a torque at its limit then ends nothing."""
+    if settings.loop.integral > 0.0:
+        return False
+    under_way = loss_under_way(settings.loop, 0.0, commands, state.motion)
+    return under_way <= state.margin.known + settings.allowance
 
 
 def miss(settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory) -> float:
@@ -183,13 +209,10 @@ def miss(settings: _GuardedSettings, state: _GuardedDisplayState, memory: Guarde
     else:
         change = -lost_unseen(settings.loop, commands, motion)
     port.missed += 1
-    loop.margin += change
-    _keep(state, memory, change)
+    _fall(settings, state, memory, change)
     speed = 0.0
     if settings.loop.integral == 0.0:
-        sign = 1.0 if motion.speed >= 0.0 else -1.0
-        most = fastest(settings.loop, loop, commands, motion, loop.margin + settings.allowance, sign)
-        speed = sign * min(abs(motion.speed), most)
+        speed, _ = _certified(settings, state, commands, motion.speed)
     send(motion, commands, whole(settings.motion, speed))
     return motion.speed
 
@@ -206,36 +229,33 @@ def _take(
     else:  # with an integral all is deducted by now
         change = 0.0 if settings.loop.integral > 0.0 else -lost_unseen(settings.loop, commands, motion)
     loop.lead += sent(motion, commands, settings.loop.delay) * settings.port.sample_time - hold.moved
-    loop.margin += change
-    _keep(state, memory, change)
+    _fall(settings, state, memory, change)
+    velocity = hold.moved / hold.elapsed
     if not hold.is_booked:
-        return 0.0, hold.moved / hold.elapsed
-    length, then = len(memory.changes), state.place + 1
-    then = then if then < length else 0  # the oldest: the SYNC that the force belongs to
-    since = 0.0
-    for place in range(length):
-        if place != then:
-            since += memory.changes[place]
+        return 0.0, velocity
     free = state.h_s - state.surplus
     late = free + hold.energy
     if state.unsure:
-        return hold.energy, hold.moved / hold.elapsed
-    loop.margin = max(loop.margin, late - reserve(settings.loop, memory.leads[then], hold.speed) + since)
-    if then == state.place:
-        memory.margins[then] = loop.margin + state.taken
-    return max(late, memory.margins[then] - state.taken) - free, hold.moved / hold.elapsed
+        return hold.energy, velocity
+    then = oldest(state.margin, memory.margin)
+    rise(state.margin, memory.margin, then, late - reserve(settings.loop, memory.leads[then], hold.speed), state.taken)
+    if settings.hand.force > 0.0:
+        kept = held_back(settings.hand, settings.loop, hold.speed)
+        rise(state.hand, memory.hand, oldest(state.hand, memory.hand), late - kept, state.taken)
+    return max(late, memory.margin.before[then] - state.taken) - free, velocity
 
 
-def _keep(state: _GuardedDisplayState, memory: GuardedMemory, change: float) -> None:
-    """Keeps what is known at this SYNC until its force comes."""
-    state.place = state.place + 1 if state.place + 1 < len(memory.changes) else 0
-    memory.changes[state.place] = change
-    memory.leads[state.place] = state.loop.lead
-    memory.margins[state.place] = state.loop.margin + state.taken
+def _fall(settings: _GuardedSettings, state: _GuardedDisplayState, memory: GuardedMemory, change: float) -> None:
+    """Takes the change of the margins in the hold that ended, and keeps what is known at this SYNC for its force."""
+    fall(state.margin, memory.margin, change, state.taken)
+    memory.leads[state.margin.place] = state.loop.lead
+    if settings.hand.force > 0.0:
+        lost = lost_to_hand(settings.hand, settings.loop, memory.display.commands, state.motion)
+        fall(state.hand, memory.hand, -inf if state.is_limited else -lost, state.taken)
 
 
 def _settle(
-    environment: DisplayMass,
+    environment: DisplayEnvironment,
     settings: _GuardedSettings,
     state: _GuardedDisplayState,
     memory: GuardedMemory,
@@ -256,17 +276,21 @@ def _settle(
     """
     loop, motion, commands = state.loop, state.motion, memory.display.commands
     under_way = loss_under_way(settings.loop, loop.lead, commands, motion)
-    squares = 0.0
+    largest = 0.0
     for command in commands:
-        square = command * command
-        squares = square if square > squares else squares
-    kept = 0.5 * environment.mass * squares + environment.potential(state.axis.position)
+        if abs(command) > abs(largest):
+            largest = command
+    kept = environment.stored(memory.display.inner, largest, state.axis.position)
     ceiling = max(kept, reserve(settings.loop, loop.lead, speed) + under_way)
     lost = environment.damping * before * before * settings.port.sample_time
-    slack = loop.margin + settings.allowance - under_way
+    slack = state.margin.known + settings.allowance - under_way
+    if settings.hand.force > 0.0:
+        by_hand = used_by_hand(settings.hand, settings.loop, commands, motion)
+        slack = max(slack, state.hand.known + settings.allowance - by_hand)
     h_s, surplus, h_r, deficit, leak, paid = settle(state.h_s + h_i, state.surplus, lost, ceiling, slack)
     taken = h_r + leak - paid
-    loop.margin -= taken
+    state.margin.known -= taken
+    state.hand.known -= taken
     state.taken += taken
     state.h_s, state.surplus = h_s, surplus
     return h_s, h_r, deficit, leak, paid
@@ -278,7 +302,9 @@ class GuardedDisplay(DisplayController):
     parameters_type: ClassVar[type[Parameters]] = GuardedDisplayParameters
     kernel: ClassVar[Kernel] = Kernel(settings_of, _GuardedDisplayState, memory_of, step)
 
-    def __init__(self, environment: DisplayMass, parameters: GuardedDisplayParameters, loop: DisplayProperties) -> None:
+    def __init__(
+        self, environment: DisplayEnvironment, parameters: GuardedDisplayParameters, loop: DisplayProperties
+    ) -> None:
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
 

@@ -1,10 +1,10 @@
-"""The motion of the virtual mass, its limits, and the commands under way."""
+"""The motion of what is rendered, its limits, and the commands under way."""
 
 from dataclasses import dataclass
 from math import copysign, inf
 from typing import Final, NamedTuple
 
-from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.port import PortSettings, port_positions
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.kernels import Buffer, MakeBuffer
@@ -25,6 +25,7 @@ class DisplayMotionSettings:
     low: float  # least position [m or rad]
     high: float  # largest position [m or rad]
     lag: float  # of the drive: way that it goes on per speed [s]
+    states: int  # of the environment
 
 
 class DisplayMemory(NamedTuple):
@@ -32,29 +33,34 @@ class DisplayMemory(NamedTuple):
 
     positions: Buffer  # of the SYNCs whose forces have not come [m or rad]
     commands: Buffer  # the last ones sent, a ring [m/s or rad/s]
+    inner: Buffer  # states of the environment
 
 
 @dataclass(slots=True)
 class DisplayMotion:
-    """What is remembered of the virtual mass."""
+    """What is remembered of the commands."""
 
     speed: float = 0.0  # of the last command [m/s or rad/s]
     newest: int = 0  # place of the last command
 
 
-def motion_settings(environment: DisplayMass, properties: DisplayProperties, lag: float = 0.0) -> DisplayMotionSettings:
+def motion_settings(
+    environment: DisplayEnvironment, properties: DisplayProperties, lag: float = 0.0
+) -> DisplayMotionSettings:
     """Returns what is fixed for a run; `lag` is the drive's moving mass over its gain [s]."""
     time = properties.sample_time
     return DisplayMotionSettings(
         time, properties.delay, properties.speed_quantum, properties.speed_limit, properties.acceleration_limit * time,
         max(environment.lower_wall, properties.position_low), min(environment.upper_wall, properties.position_high),
-        lag,
+        lag, environment.states,
     )  # fmt: skip
 
 
-def display_memory(port: PortSettings, kept: int, make_buffer: MakeBuffer) -> DisplayMemory:
+def display_memory(
+    port: PortSettings, motion: DisplayMotionSettings, kept: int, make_buffer: MakeBuffer
+) -> DisplayMemory:
     """Returns the buffers of one axis that keeps so many commands."""
-    return DisplayMemory(port_positions(port, make_buffer), make_buffer(kept))
+    return DisplayMemory(port_positions(port, make_buffer), make_buffer(kept), make_buffer(motion.states))
 
 
 def send(motion: DisplayMotion, commands: Buffer, speed: float) -> None:
@@ -67,15 +73,6 @@ def send(motion: DisplayMotion, commands: Buffer, speed: float) -> None:
 def sent(motion: DisplayMotion, commands: Buffer, age: int) -> float:
     """Returns a command [m/s or rad/s]; age 0 is the newest."""
     return commands[motion.newest - age]
-
-
-def accelerated(
-    environment: DisplayMass, settings: DisplayMotionSettings, speed: float, force: float, position: float
-) -> float:
-    """Returns the speed of the virtual mass after another hold under a force [m/s or rad/s]: implicit in the damper."""
-    time = settings.sample_time
-    push = (force + environment.pull(position)) * time
-    return (environment.mass * speed + push) / (environment.mass + time * environment.damping)
 
 
 def limited(

@@ -8,7 +8,7 @@ Hannaford and Ryu, IEEE Trans. Robotics and Automation 18, 2002, in the form for
 from typing import ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
 from canhaptic.control.admittance.sampled_mass import (
@@ -26,7 +26,7 @@ from canhaptic.units import Parameters
 
 
 def step(
-    environment: DisplayMass,
+    environment: DisplayEnvironment,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,

@@ -1,4 +1,4 @@
-"""The virtual mass sampled as it is: what the algorithms without a certificate share.
+"""The environment sampled as it is: what the algorithms without a certificate share.
 
 What sampling, the drive and the doubt of the account create is booked as `gen`, what they lose as `leak`, so that the
 account closes like every other.
@@ -7,12 +7,11 @@ account closes like every other.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.motion import (
     DisplayMemory,
     DisplayMotion,
     DisplayMotionSettings,
-    accelerated,
     display_memory,
     limited,
     motion_settings,
@@ -61,18 +60,20 @@ class SampledHold(NamedTuple):
     wish: float  # speed of the mass after another hold [m/s or rad/s]
 
 
-def settings_of(environment: DisplayMass, _parameters: Parameters, properties: DisplayProperties) -> DisplaySettings:
+def settings_of(
+    environment: DisplayEnvironment, _parameters: Parameters, properties: DisplayProperties
+) -> DisplaySettings:
     """Returns what is fixed for a run of an algorithm without settings of its own."""
     return DisplaySettings(port_settings(properties), motion_settings(environment, properties))
 
 
 def memory_of(settings: DisplaySettings, make_buffer: MakeBuffer) -> DisplayMemory:
     """Returns the buffers of one axis."""
-    return display_memory(settings.port, settings.motion.delay + 1, make_buffer)
+    return display_memory(settings.port, settings.motion, settings.motion.delay + 1, make_buffer)
 
 
 def follow(
-    environment: DisplayMass,
+    environment: DisplayEnvironment,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,
@@ -82,12 +83,12 @@ def follow(
     """Books the hold that ended and moves the mass on; `command` must follow."""
     hold = book(settings.port, state.axis, memory.positions, position, force)
     before = state.motion.speed - state.slip
-    wish = accelerated(environment, settings.motion, before, force, position)
+    wish = environment.speed_after(memory.inner, before, force, position, settings.motion.sample_time)
     return new(SampledHold, (hold.energy, hold.elapsed, hold.moved / hold.elapsed, before, wish))
 
 
 def command(
-    environment: DisplayMass,
+    environment: DisplayEnvironment,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,
@@ -113,7 +114,8 @@ def command(
     send(motion, commands, whole(settings.motion, speed))
     state.slip = slip if abs(speed - wish - slip) < abs(slip) else 0.0
     own = motion.speed - state.slip
-    h_s = 0.5 * environment.mass * own * own + environment.potential(position)
+    environment.go_along(memory.inner, hold.before, own, settings.motion.sample_time)
+    h_s = environment.stored(memory.inner, own, position)
     h_r = environment.damping * hold.before * hold.before * hold.elapsed
     rest = state.h_s + hold.energy - h_pas - h_r - h_s
     state.h_s = h_s

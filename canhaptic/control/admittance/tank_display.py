@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
 from canhaptic.control.admittance.port import begin_port, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
@@ -43,7 +43,7 @@ class TankSettings(DisplaySettings):
 
 
 def settings_of(
-    environment: DisplayMass, parameters: TankDisplayParameters, properties: DisplayProperties
+    environment: DisplayEnvironment, parameters: TankDisplayParameters, properties: DisplayProperties
 ) -> TankSettings:
     """Returns what is fixed for a run."""
     return TankSettings(
@@ -52,7 +52,7 @@ def settings_of(
 
 
 def step(
-    environment: DisplayMass,
+    environment: DisplayEnvironment,
     settings: TankSettings,
     state: DisplayState,
     memory: DisplayMemory,

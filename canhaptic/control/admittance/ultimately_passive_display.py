@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.motion import DisplayMemory, motion_settings
 from canhaptic.control.admittance.port import begin_port, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
@@ -46,7 +46,7 @@ class SlipSettings(DisplaySettings):
 
 
 def settings_of(
-    environment: DisplayMass, parameters: UltimatelyPassiveDisplayParameters, properties: DisplayProperties
+    environment: DisplayEnvironment, parameters: UltimatelyPassiveDisplayParameters, properties: DisplayProperties
 ) -> SlipSettings:
     """Returns what is fixed for a run."""
     most = _STABLE / (parameters.hand_stiffness * properties.sample_time)
@@ -54,7 +54,7 @@ def settings_of(
 
 
 def step(
-    environment: DisplayMass,
+    environment: DisplayEnvironment,
     settings: SlipSettings,
     state: DisplayState,
     memory: DisplayMemory,

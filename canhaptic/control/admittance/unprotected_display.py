@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from canhaptic.control.admittance.display_controller import DisplayController
-from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.motion import DisplayMemory
 from canhaptic.control.admittance.port import begin_port
 from canhaptic.control.admittance.sampled_mass import (
@@ -21,7 +21,7 @@ from canhaptic.units import Parameters
 
 
 def step(
-    environment: DisplayMass,
+    environment: DisplayEnvironment,
     settings: DisplaySettings,
     state: DisplayState,
     memory: DisplayMemory,

@@ -49,7 +49,6 @@ class VelocityLoopSettings:
 class LoopState:
     """What is known of the drive."""
 
-    margin: float = 0.0  # W, at least [J]
     lead: float = 0.0  # way commanded less way moved: f_I = k lead [m or rad]
 
 
@@ -65,7 +64,7 @@ def reserve(settings: VelocityLoopSettings, lead: float, speed: float) -> float:
 def may_limit(
     settings: VelocityLoopSettings, lead: float, velocity: float, command: float, acceleration: float
 ) -> bool:
-    """Whether the torque may reach its limit while a command acts: with an integral the bound is then not proved.
+    """Whether the torque may reach its limit while a command acts: what counts on its braking is then not proved.
 
     Args:
         settings: Of the run.
@@ -74,8 +73,6 @@ def may_limit(
         command: Computed now [m/s or rad/s].
         acceleration: Largest of the handle [m/s^2 or rad/s^2].
     """
-    if settings.integral == 0.0:
-        return False
     span = (settings.delay + 1) * settings.sample_time
     change = acceleration * (span + 0.5 * settings.sample_time)
     ahead = (abs(command) + abs(velocity) + change) * span
@@ -104,7 +101,7 @@ def gained(settings: VelocityLoopSettings, lead: float, commands: Buffer, motion
 
 def lost_unseen(settings: VelocityLoopSettings, commands: Buffer, motion: DisplayMotion) -> float:
     """Returns the largest loss of W in the hold that ended, of which no sample came; without an integral [J]."""
-    square = _largest_square(commands, motion, settings.delay, settings.delay + settings.losses)
+    square = largest_square(commands, motion, settings.delay, settings.delay + settings.losses)
     return 0.25 * settings.gain * settings.sample_time * square
 
 
@@ -159,7 +156,7 @@ def sequence_loss(
 
 def fastest(
     settings: VelocityLoopSettings,
-    state: LoopState,
+    lead: float,
     commands: Buffer,
     motion: DisplayMotion,
     budget: float,
@@ -169,7 +166,7 @@ def fastest(
 
     Args:
         settings: Of the run.
-        state: At this SYNC.
+        lead: At this SYNC [m or rad].
         commands: Sent.
         motion: With the place of the newest.
         budget: W and what may be given out besides [J].
@@ -178,7 +175,7 @@ def fastest(
     if settings.integral == 0.0:
         return _fastest_by_damping(settings, commands, motion, budget)
     time, gain, least, delay = settings.sample_time, settings.integral, settings.gain_least, settings.delay
-    before = sequence_loss(settings, state.lead, commands, motion, delay, delay - 1)
+    before = sequence_loss(settings, lead, commands, motion, delay, delay - 1)
     way, shift = 0.0, 0.0
     for age in range(delay):  # from the last under way to the first
         step = sent(motion, commands, age) * time
@@ -186,7 +183,7 @@ def fastest(
         way += step
     square = 0.25 * time * settings.gain + 0.25 * gain * time * time
     square += gain * gain * time * time * time * (1.0 / 3.0 + delay) / (4.0 * least)
-    line = _turned(settings, state.lead, sign * time)
+    line = _turned(settings, lead, sign * time)
     line += sign * time * (0.5 * gain * way + gain * gain * shift / (4.0 * least))
     room = budget - before
     inside = line * line + 4.0 * square * room
@@ -215,14 +212,14 @@ def _fastest_by_damping(
         return sqrt(left) if left > 0.0 else 0.0
     left = 4.0 * budget / (settings.gain * settings.sample_time)
     for age in range(delay):
-        left -= _largest_square(commands, motion, age, age + losses)
+        left -= largest_square(commands, motion, age, age + losses)
     if left <= 0.0:
         return 0.0
     best = 0.0
     for own in range(1, losses + 2):  # holds in which the new one is the largest: the last `own` of them
         rest = left
         for hold in range(losses + 1 - own):
-            rest -= _largest_square(commands, motion, 0, losses - 1 - hold)
+            rest -= largest_square(commands, motion, 0, losses - 1 - hold)
         if rest > 0.0:
             best = max(best, _within(commands, motion, sqrt(rest / own), own, losses))
     return best
@@ -233,17 +230,18 @@ def _within(commands: Buffer, motion: DisplayMotion, speed: float, own: int, los
     square = speed * speed
     if own > 1 or losses > 0:
         first = losses + 1 - own  # the first hold in which it is to be the largest
-        older = _largest_square(commands, motion, 0, losses - 1 - first) if first < losses else 0.0
+        older = largest_square(commands, motion, 0, losses - 1 - first) if first < losses else 0.0
         if square < older:
             return 0.0
         if first > 0:
-            before = _largest_square(commands, motion, 0, losses - first)
+            before = largest_square(commands, motion, 0, losses - first)
             if square > before:
                 return sqrt(before)
     return speed
 
 
-def _largest_square(commands: Buffer, motion: DisplayMotion, newest: int, oldest: int) -> float:
+def largest_square(commands: Buffer, motion: DisplayMotion, newest: int, oldest: int) -> float:
+    """Returns the largest square of the commands of some ages [m^2/s^2 or rad^2/s^2]."""
     largest = 0.0
     for age in range(newest, oldest + 1):
         command = sent(motion, commands, age)
@@ -264,7 +262,7 @@ def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Buffer
             total += command * command
         return 0.25 * settings.gain * settings.sample_time * total
     for age in range(1, settings.delay + 1):
-        total += _largest_square(commands, motion, age, age + settings.losses)
+        total += largest_square(commands, motion, age, age + settings.losses)
     for hold in range(settings.losses + 1):
-        total += _largest_square(commands, motion, 0, settings.losses - hold)
+        total += largest_square(commands, motion, 0, settings.losses - hold)
     return 0.25 * settings.gain * settings.sample_time * total

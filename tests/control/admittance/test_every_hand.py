@@ -9,7 +9,7 @@ import pytest
 
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.admittance.display_mass import DisplayMass
-from canhaptic.control.admittance.guarded_display import GuardedDisplayParameters
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.errors import ParameterError
 from tests.control.admittance import attacked_drive as attack
@@ -31,6 +31,8 @@ class _Rig:
     damping: float = 0.0
     count: float = 0.0
     acceleration: float = _ACCELERATION
+    hand_force: float = 0.0
+    torque_limit: float = 1e9
 
     @property
     def gain(self) -> float:
@@ -40,8 +42,12 @@ class _Rig:
         properties = DisplayProperties(
             sample_time=self.time, delay=self.delay, sampling="mean", latency=self.latency, force_slew=1e-6,
             handle_acceleration=self.acceleration, encoder_count=self.count, speed_limit=3.0, acceleration_limit=1000.0,
+            torque_limit=self.torque_limit,
         )  # fmt: skip
-        known = {"drive_mass": self.mass, "loop_gain": self.gain, "integral_gain": self.gain * self.corner, **declared}
+        known = {
+            "drive_mass": self.mass, "loop_gain": self.gain, "integral_gain": self.gain * self.corner,
+            "largest_hand_force": self.hand_force, **declared,
+        }  # fmt: skip
         parameters = GuardedDisplayParameters(
             spread=0.0, energy_allowance=self.allowance, max_consecutive_losses=self.losses, **known
         )
@@ -93,7 +99,7 @@ class _Loop:
             position = round(position / self.rig.count) * self.rig.count
         balance = self.controller.step(position, -force) if heard else self.controller.hold()
         self.queue.append(balance.torque)
-        self.cut += balance.certificate == 5
+        self.cut += balance.certificate in (5, 6)
         self.least = min(self.least, self.drive.energy)
         unlike = abs(self.drive.state[1] - (self.drive.state[0] - before) / self.rig.time)
         self.fastest = max(self.fastest, 2.0 * unlike / self.rig.time)
@@ -169,6 +175,63 @@ def test_a_mutant_that_declares_too_little_loses(name: str) -> None:
     assert _taken(_SHARP, **{name: 0.7 * true}) < -1e-3
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_hand_of_bounded_force_gets_no_more_than_it_gave(seed: int) -> None:
+    random = np.random.default_rng(300 + seed)
+    rig = replace(_random_rig(random), corner=0.0, hand_force=random.choice([5.0, 20.0]), virtual_mass=0.2)
+    loop = _Loop(rig, rig.controller(), random)
+    hands = (
+        attack.bang_bang(rig.hand_force, random),
+        attack.negative_damper(100.0, rig.hand_force),
+        attack.feed_and_take(rig.hand_force, random.uniform(0.02, 0.3), random.uniform(0.02, 0.2)),
+    )
+    hand = _steady(hands[seed % 3], loop.drive.substeps)
+    for _ in range(400):
+        loop.sync(hand)
+        if loop.fastest > rig.acceleration:
+            return
+        assert loop.least >= -rig.allowance - 1e-9
+
+
+def _taken_by_braking(rig: _Rig, **declared: float) -> float:
+    """Returns the least energy [J] where a hand pushes with all its force, then brakes with it, no sample coming."""
+    loop = _Loop(rig, rig.controller(**declared), np.random.default_rng(1))
+    for _ in range(40):
+        loop.sync(_steady(lambda _drive, _command: rig.hand_force, loop.drive.substeps))
+    assert loop.cut > 0
+    while loop.drive.state[1] > 0.0:
+        loop.sync(_steady(lambda _drive, _command: -rig.hand_force, loop.drive.substeps), heard=False)
+    return loop.least
+
+
+_WEAK_HAND = _Rig(virtual_mass=0.05, hand_force=10.0, mass=2.0, delay=1, acceleration=20.0)
+
+
+def test_a_hand_of_bounded_force_lets_a_lighter_mass_be_felt() -> None:
+    bound, free = (
+        _Loop(rig, rig.controller(), np.random.default_rng(1))
+        for rig in (_WEAK_HAND, replace(_WEAK_HAND, hand_force=0.0))
+    )
+    for loop in (bound, free):
+        for _ in range(60):
+            loop.sync(_steady(lambda _drive, _command: 10.0, loop.drive.substeps))
+    assert bound.drive.state[1] > 1.3 * free.drive.state[1]
+
+
+def test_a_hand_stronger_than_declared_takes_more_than_it_gave() -> None:
+    assert _taken_by_braking(_WEAK_HAND) >= -1e-9
+    assert _taken_by_braking(_WEAK_HAND, largest_hand_force=4.0) < -1e-4
+
+
+def test_a_torque_limit_in_reach_leaves_the_loop_as_the_only_certificate() -> None:
+    rig = replace(_WEAK_HAND, torque_limit=20.0)
+    loop = _Loop(rig, rig.controller(), np.random.default_rng(1))
+    for _ in range(60):
+        loop.sync(_steady(lambda _drive, _command: 10.0, loop.drive.substeps))
+    assert loop.cut > 0
+    assert loop.controller._state.margin.known >= 0.0
+
+
 def test_losses_are_not_declared_with_an_integral() -> None:
     rig = _Rig(corner=20.0, losses=1)
     with pytest.raises(ParameterError, match="max_consecutive_losses"):
@@ -180,8 +243,8 @@ def test_a_skipped_sync_costs_what_its_hold_may_have_cost() -> None:
     loop = _Loop(rig, rig.controller(), np.random.default_rng(2))
     for _ in range(50):
         loop.sync(_steady(lambda _drive, _command: 12.0, loop.drive.substeps))
-    before = loop.controller._state.loop.margin
+    before = loop.controller._state.margin.known
     loop.controller.lasted(3.0)
-    assert loop.controller._state.loop.margin < before
+    assert loop.controller._state.margin.known < before
     loop.sync(attack.greedy(1e9, 0.5))
     assert math.isfinite(loop.queue[-1])

@@ -5,7 +5,6 @@ import pytest
 
 from canhaptic.control.admittance.motion import DisplayMotion, send
 from canhaptic.control.admittance.velocity_loop import (
-    LoopState,
     VelocityLoopSettings,
     fastest,
     gained,
@@ -94,7 +93,7 @@ def test_what_is_allowed_loses_just_the_budget(seed: int) -> None:
     ring, motion = _sent([*under_way, 0.0])
     motion.newest -= 1
     budget = random.uniform(0.0, 0.3)
-    speed = fastest(settings, LoopState(budget, lead), ring, motion, budget, sign)
+    speed = fastest(settings, lead, ring, motion, budget, sign)
     worst = _worst([*under_way, sign * speed], gain, integral, lead, time)
     assert worst <= budget + 1e-9 or speed == 0.0
     if speed > 0.0:
@@ -112,7 +111,7 @@ def test_no_way_of_losing_commands_loses_more_than_is_counted(delay: int, losses
         for command in sent:
             send(motion, ring, command)
         budget = random.uniform(0.0, 0.2)
-        speed = fastest(settings, LoopState(budget), ring, motion, budget, 1.0)
+        speed = fastest(settings, 0.0, ring, motion, budget, 1.0)
         send(motion, ring, speed)
         most = max(_losses_of(sent[1:] if len(sent) > delay + losses else sent, speed, delay, losses, settings))
         assert most <= loss_under_way(settings, 0.0, ring, motion) + 1e-12

@@ -1,0 +1,55 @@
+"""A margin W of energy, known from below, where forces come late by whole samples.
+
+Between two SYNCs W falls by no more than is known of the commands, and by nothing else: its `change`. A force that
+belongs to an earlier SYNC says what W was then; the changes since bring it up to date. The larger of the two counts.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from canhaptic.kernels import Buffer, MakeBuffer
+
+
+@dataclass(slots=True)
+class LateMargin:
+    """What is known of W."""
+
+    known: float = 0.0  # at least [J]
+    place: int = 0  # of this SYNC in the rings
+
+
+class MarginMemory(NamedTuple):
+    """Rings of the SYNCs whose forces have not come, shape (latency + 1,)."""
+
+    changes: Buffer  # of W in the hold that ended there [J]
+    before: Buffer  # W there, with all that was taken from the account before [J]
+
+
+def margin_memory(latency: int, make_buffer: MakeBuffer) -> MarginMemory:
+    """Returns the buffers of one margin."""
+    return MarginMemory(make_buffer(latency + 1), make_buffer(latency + 1))
+
+
+def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) -> None:
+    """Takes the change of W in the hold that ended [J], and what was taken from the account so far [J]."""
+    margin.known += change
+    place = margin.place = margin.place + 1 if margin.place + 1 < len(memory.changes) else 0
+    memory.changes[place] = change
+    memory.before[place] = margin.known + taken
+
+
+def oldest(margin: LateMargin, memory: MarginMemory) -> int:
+    """Returns the place of the SYNC to which the force belongs that came now."""
+    then = margin.place + 1
+    return then if then < len(memory.changes) else 0
+
+
+def rise(margin: LateMargin, memory: MarginMemory, then: int, value: float, taken: float) -> None:
+    """Takes what W was at the place `then` at least, by the force [J]."""
+    for place in range(len(memory.changes)):
+        if place != then:
+            value += memory.changes[place]
+    if value > margin.known:
+        margin.known = value
+    if then == margin.place:
+        memory.before[then] = margin.known + taken

@@ -1,0 +1,50 @@
+"""What `guarded` asks to be declared of the drive of an admittance display, and of the hand."""
+
+from typing import Annotated
+
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import VelocityLoopSettings
+from canhaptic.errors import ParameterError
+from canhaptic.units import Parameters, quantity
+
+
+class GuardedDisplayParameters(Parameters):
+    """Of an admittance display: what the certificate rests on."""
+
+    drive_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
+    """OVER-estimate of the mass that the drive moves up to the sensor."""
+    loop_gain: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0, le=1e9)]
+    """OVER-estimate of the gain of the drive's velocity loop: 2 pi f M for a bandwidth of f."""
+    integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
+    """OVER-estimate of the loop's integral gain; of a position loop: its gain times `loop_gain`. 0: no integral."""
+    spread: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
+    """The gains are at least 1 - spread of what is declared."""
+    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
+    """Energy that may be given out before any came in: the promise becomes E >= -energy_allowance."""
+    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    """Consecutive cycles without a new command at the drive that the certificate survives; only without an integral."""
+    largest_hand_force: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
+    """OVER-estimate of the force of the hand: lighter masses, for such hands only; not with an integral. 0: none."""
+
+
+def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> VelocityLoopSettings:
+    """Returns what is declared of the drive.
+
+    Raises:
+        ParameterError: Losses or a largest force of the hand are declared for a drive with an integral.
+    """
+    refused = {
+        "max_consecutive_losses": "a command that is lost leaves the integral of the drive unknown",
+        "largest_hand_force": "what such a hand can take from an integral is not proved",
+    }
+    for key, why in refused.items():
+        if parameters.integral_gain and getattr(parameters, key):
+            raise ParameterError(
+                f"guarded: {key}: got {getattr(parameters, key)}, expected 0 with an integral_gain: {why}"
+            )
+    least = 1.0 - parameters.spread
+    return VelocityLoopSettings(
+        properties.sample_time, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
+        parameters.loop_gain, parameters.loop_gain * least, parameters.integral_gain, parameters.integral_gain * least,
+        properties.encoder_count, properties.torque_limit,
+    )  # fmt: skip
