@@ -1,7 +1,11 @@
-"""Shared test settings: hypothesis deterministic, vendor dictionaries found or visibly absent."""
+"""Shared test settings: hypothesis deterministic, vendor dictionaries found or visibly absent, CPU time shown."""
 
 import os
+from collections import Counter
+from collections.abc import Generator
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -10,6 +14,7 @@ settings.register_profile("canhaptic", derandomize=True, deadline=None, print_bl
 settings.load_profile("canhaptic")
 
 os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run says nothing about tables in pipes
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # in each of the hundreds of processes: no thread a core for nothing
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -21,3 +26,42 @@ def vendor_eds() -> Path:
     if not folder.is_dir():
         pytest.skip(f"vendor dictionaries not found at {folder}; set CANHAPTIC_VENDOR_EDS")
     return folder
+
+
+_SLOWEST = 10
+_CPU = "cpu_seconds"
+_spent = 0.0
+"""CPU time of this process and of its children that ended [s], at the end of the last phase of a test."""
+
+
+def _cpu_seconds() -> float:
+    return sum(os.times()[:4])
+
+
+def pytest_runtest_logstart() -> None:
+    """Begins the measurement of a test in the process that runs it."""
+    global _spent
+    _spent = _cpu_seconds()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, Any, Any]:
+    """Adds the CPU time of a phase (setup, call, teardown) to its report, which a worker sends."""
+    global _spent
+    report = yield
+    before, _spent = _spent, _cpu_seconds()
+    report.user_properties.append((_CPU, _spent - before))
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Ends a run with its CPU time and the slowest tests: wall-clock time says little on a machine with other work."""
+    seconds: Counter[str] = Counter()
+    for report in chain.from_iterable(terminalreporter.stats.values()):
+        for name, value in getattr(report, "user_properties", ()):
+            if name == _CPU:
+                seconds[report.nodeid] += value
+    if len(seconds) > _SLOWEST:
+        terminalreporter.section(f"{_cpu_seconds():.0f} s of CPU; the {_SLOWEST} slowest tests")
+        for test, spent in seconds.most_common(_SLOWEST):
+            terminalreporter.write_line(f"{spent:6.2f} s  {test}")

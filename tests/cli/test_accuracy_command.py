@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -118,8 +119,14 @@ def test_a_bad_tolerance_ends_with_2(capsys: Captured) -> None:
     assert "unit 'N' does not fit" in capsys.readouterr().err
 
 
+@pytest.fixture(scope="module")
+def whole() -> dict[str, Any]:
+    """A study that nothing stopped."""
+    return AccuracyStudy(load_scene(SCENE), duration=0.04, budget=0.0).run()
+
+
 @pytest.mark.parametrize("calls", [0, 3, 10, 40])
-def test_a_study_that_is_stopped_keeps_what_it_measured(calls: int) -> None:
+def test_a_study_that_is_stopped_keeps_what_it_measured(calls: int, whole: dict[str, Any]) -> None:
     asked: list[None] = []
 
     def stop() -> bool:
@@ -128,7 +135,6 @@ def test_a_study_that_is_stopped_keeps_what_it_measured(calls: int) -> None:
 
     result = AccuracyStudy(load_scene(SCENE), duration=0.04, budget=0.0, stop=stop).run()
     assert result["status"] == "stopped"
-    whole = AccuracyStudy(load_scene(SCENE), duration=0.04, budget=0.0).run()
     assert whole["status"] == "completed"
     kept, every = (  # which rows are on the Pareto front depends on all of them
         [{key: value for key, value in row.items() if key != "pareto"} for row in study["plant"] + study["loop"]]

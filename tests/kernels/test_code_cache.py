@@ -1,15 +1,18 @@
 """Compiled code is kept for the next process, in a folder of the user's alone, and never taken for a changed kernel."""
 
+import importlib
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("numba")
 
 from canhaptic.kernels.code_cache import cache_folder, code_key
+from canhaptic.kernels.compiler import compiled
 
 ROOT = Path(__file__).resolve().parents[2]
 INNER = "def inner(x):\n    return x * {factor}\n"
@@ -48,16 +51,37 @@ def test_the_next_process_loads_the_code_and_an_edit_of_a_called_kernel_is_seen(
     assert called(tmp_path, 5.0) == ["[5.0, 10.0", " 0\n"]  # numba's own key knows the file of the outer one alone
 
 
+def hits() -> int:
+    """Returns how many kernels were loaded when this process, in which nothing of them is left, calls them anew."""
+    for name in ("inner_kernel", "outer_kernel"):
+        sys.modules.pop(name, None)
+    values = np.array([1.0, 2.0])
+    run = compiled(importlib.import_module("outer_kernel").outer, keep=True)
+    run(values)
+    assert values.tolist() == [3.0, 6.0]
+    return sum(run.stats.cache_hits.values())
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with two kernels whose code is kept below `cache`."""
+    (tmp_path / "inner_kernel.py").write_text(INNER.format(factor=3.0))
+    (tmp_path / "outer_kernel.py").write_text(OUTER)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(tmp_path)
+    assert hits() == 0
+    return tmp_path
+
+
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"], ids=["index", "code"])
 @pytest.mark.parametrize("cut", [None, 0, 40], ids=["a bit", "to nothing", "in the middle"])
-def test_damaged_code_is_compiled_anew_and_kept_again(tmp_path: Path, suffix: str, cut: int | None) -> None:
-    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 0\n"]
-    (kept,) = (tmp_path / "cache").rglob(f"*{suffix}")
-    content = bytearray(kept.read_bytes())
+def test_damaged_code_is_compiled_anew_and_kept_again(kept: Path, suffix: str, cut: int | None) -> None:
+    (file,) = (kept / "cache").rglob(f"*{suffix}")
+    content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
-    kept.write_bytes(content if cut is None else content[:cut])
-    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 0\n"]
-    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 1\n"]
+    file.write_bytes(content if cut is None else content[:cut])
+    assert hits() == 0
+    assert hits() == 1
 
 
 def test_the_folder_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

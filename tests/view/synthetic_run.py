@@ -1,7 +1,9 @@
 """A log of a hand pressing into a sampled wall, computed here in a few lines so that the views have something real."""
 
 import math
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from canhaptic.control.balance import AT_REST, Branch
 from canhaptic.logs.columns import PortDescription
@@ -10,6 +12,17 @@ from canhaptic.signals import CycleTiming, Sample
 
 
 def write_run(path: Path, cycles: int = 4000, ports: tuple[str, ...] = ("handle",), rate: int = 1000) -> None:
+    path.write_bytes(_run_as_bytes(cycles, ports, rate))
+
+
+@cache  # a writer process takes longer than most tests that read its log
+def _run_as_bytes(cycles: int, ports: tuple[str, ...], rate: int) -> bytes:
+    with TemporaryDirectory() as folder:
+        _write_run(Path(folder) / "run.h5", cycles, ports, rate)
+        return (Path(folder) / "run.h5").read_bytes()
+
+
+def _write_run(path: Path, cycles: int, ports: tuple[str, ...], rate: int) -> None:
     wall, stiffness, damping, mass, period = -0.02, 800.0, 4.0, 0.25, 1.0 / rate
     attributes: dict[str, str | int | float] = {"config_hash": "00ff"}
     for name in ports:
