@@ -30,8 +30,3 @@ def _attributes(docstring: str) -> dict[str, str]:
     entries = re.split(r"\n    (?=\w+: )", "\n" + listed.split("\n\n")[0])
     pairs = [entry.split(": ", 1) for entry in entries if ": " in entry]
     return {name.strip(): " ".join(text.split()) for name, text in pairs}
-
-
-def _first_sentence(model: type[Parameters]) -> str:
-    """Returns the first paragraph of what a model says of itself, on one line."""
-    return " ".join((inspect.getdoc(model) or "").split("\n\n")[0].split())

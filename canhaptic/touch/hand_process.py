@@ -137,7 +137,7 @@ class _HandRun:
         """Runs until another run is asked for, or something fails; the last parcel says why it ended."""
         ended = ""
         try:
-            self._touched = touched = self._job.touched()
+            touched = self._job.touched()
             with build(touched.scene, "free" if self._job.pace == "even" else "real") as experiment:
                 self._begin(touched, experiment)
                 run(experiment.cycle, None, self._is_over, self._after_cycle)

@@ -136,7 +136,7 @@ class _SideView:
     def __init__(self, hand: TouchHand, number: int, pointer: Any) -> None:
         touched = hand.touched
         self._waiting: list[dict[str, Array]] = []
-        self._name, self._number, self._is_plane = touched.sides[number].name, number, touched.is_plane
+        self._name, self._number = touched.sides[number].name, number
         self._directions = ("x", "y") if touched.is_plane else ("x",)
         start = dict(zip(("x", "y"), (*touched.start, 0.0), strict=False))
         self.handle = ColumnDataSource(

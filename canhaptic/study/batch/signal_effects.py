@@ -25,11 +25,6 @@ class SignalEffects:
         """Returns those among the effects of a plant."""
         return cls(tuple(effect for effect in effects if effect.name in SIGNAL_EFFECTS))
 
-    @property
-    def are_random(self) -> bool:
-        """Whether one of them asks for a seed."""
-        return any(effect.name == _NOISE for effect in self.effects)
-
     def at(self, sample_time: float, seed: int) -> Signals:
         """Returns them as numbers.
 
