@@ -25,6 +25,7 @@ _COMMANDS: Final = {
     "preflight": "look at the SocketCAN interfaces of a scene: bit rate, state, queue, what follows a bus-off",
     "drive": "simulate the drives of a scene alone, on a bus that another process uses",
     "compare": "compare every passivity algorithm on one scene with the continuous environment",
+    "arena": "compare every passivity algorithm, and your own, on scenes that are hard, as one page",
     "accuracy": "show what accuracy costs in time: methods, settings, effects, rate, delay, resolution; with advice",
     "touch": "touch a simulated scene with the pointer in a browser, unprotected and protected at once",
     "sweep": "judge many scenes that differ in some keys, on one core, several or a cluster",

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.arguments import add_allow_code, add_json, add_overrides, add_scene, names, positive_number, seconds
+from canhaptic.cli.arguments import add_allow_code, add_json, add_overrides, add_scene, names, seconds
+from canhaptic.cli.value_texts import budget, count, delays, length, port, rate, rates, samples
 
 BUDGET: Final = 12.0
 """Time for timings [s]; as `study.accuracy.study.DEFAULT_BUDGET`, which is imported when the study begins."""
@@ -13,13 +14,11 @@ TORQUE: Final = 0.1
 TRAVEL: Final = 0.02
 SPEED: Final = 0.5
 """As in `commission.laws.CommissioningLimits`, which is imported when commissioning begins."""
-_FASTEST: Final = 1e6  # [Hz]
 TOLERANCE: Final = 0.05
 MARGIN: Final = 0.2
 """As in `study.design.wall`, which is imported when the search begins."""
 JUDGEMENTS: Final = ("stable", "passive", "margin", "settled", "covered")
 """As in `study.map.z_width`, which is imported when a map is drawn."""
-_LAST_PORT: Final = 65_535
 
 
 def _accuracy(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +27,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance",
         metavar="X",
-        type=_length,
+        type=length,
         help="largest error of the position, as in '1 um' or 1e-6 [m or rad]; by default a tenth of an encoder count",
     )
     parser.add_argument("--axis", metavar="NAME", help="which axis; by default the first")
@@ -39,7 +38,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
         help="length of the comparison [s]; by default 1000 sample times at most",
     )
     parser.add_argument(
-        "--budget", metavar="S", type=_budget, default=BUDGET, help="time to spend on timing [s]; 0: none"
+        "--budget", metavar="S", type=budget, default=BUDGET, help="time to spend on timing [s]; 0: none"
     )
     parser.add_argument("--tables", action="store_true", help="show every row, not the answer only")
     parser.add_argument(
@@ -48,6 +47,28 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the study (.png, .svg, .pdf)")
     parser.add_argument("--html", metavar="FILE", type=Path, help="page with hover and zoom")
     parser.add_argument("--markdown", metavar="FILE", type=Path, help="the tables as Markdown")
+    add_json(parser)
+
+
+def _arena(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `arena`."""
+    parser.add_argument("--scenes", metavar="A,B,...", type=names, help="names of configs/hard, or files; default: all")
+    parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
+    parser.add_argument(
+        "--entry", metavar="FILE.py:CLASS", action="append", default=[], help="an algorithm of your own; repeatable"
+    )
+    parser.add_argument("--rates", metavar="HZ,HZ,...", type=rates, help="by default 100, 300, 1000, 3000, 8000")
+    parser.add_argument("--delays", metavar="0,1", type=delays, help="whole holds; by default both")
+    parser.add_argument("--duration", metavar="S", type=seconds, help="of a run at most [s]; 2 by default")
+    parser.add_argument("--rig", metavar="CONFIG", type=Path, help="scene of the K-B plot; configs/arena_rig.yaml")
+    parser.add_argument("--walls", metavar="N", type=count, help="of the K-B plot a decade; 12 by default, 0: no plot")
+    parser.add_argument("--workers", metavar="N", type=count, help="processes on this machine; by default one a core")
+    parser.add_argument(
+        "--out", metavar="FOLDER", type=Path, default=Path("arena"),
+        help="page, pictures, result and finished cases; the same command goes on with those (default: arena)",
+    )  # fmt: skip
+    parser.add_argument("--force", action="store_true", help="run finished cases again")
+    add_allow_code(parser)
     add_json(parser)
 
 
@@ -93,7 +114,7 @@ def _compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--algorithms", metavar="A,B,...", type=names, help="which; by default every one")
     parser.add_argument("--duration", metavar="S", type=seconds, help="length of each run [s]; by default the scene's")
     parser.add_argument(
-        "--rate", metavar="HZ", type=_rate, help="another rate than the scene's, also beyond what a bus could carry"
+        "--rate", metavar="HZ", type=rate, help="another rate than the scene's, also beyond what a bus could carry"
     )
     parser.add_argument("--can", action="store_true", help="over the whole CAN path instead of without a bus")
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the comparison (.png, .svg, .pdf)")
@@ -269,7 +290,7 @@ def _scope(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `scope`."""
     parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="energy log that a run writes or will write")
     parser.add_argument("--config", type=Path, metavar="CONFIG", help="scene file that names the log (log.energy)")
-    parser.add_argument("--port", type=_port, default=5006, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument("--port", type=port, default=5006, metavar="N", help="of the page; 0 for any that is free")
     parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds shown")
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
 
@@ -287,12 +308,12 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--controllers", metavar="A,B,...", type=names, default=[], help="judge each scene under these")
     parser.add_argument(
-        "--sample", metavar="lhs:N", type=_samples, default=0, help="N points of a Latin hypercube, no grid"
+        "--sample", metavar="lhs:N", type=samples, default=0, help="N points of a Latin hypercube, no grid"
     )
-    parser.add_argument("--seed", metavar="N", type=_count, default=0, help="of the hypercube")
+    parser.add_argument("--seed", metavar="N", type=count, default=0, help="of the hypercube")
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--duration", metavar="S", type=seconds, help="of every scene [s]; by default the scene's")
-    length.add_argument("--cycles", metavar="N", type=_count, help="SYNCs of every scene, at any rate")
+    length.add_argument("--cycles", metavar="N", type=count, help="SYNCs of every scene, at any rate")
     parser.add_argument(
         "--metrics",
         metavar="A,B,...",
@@ -304,9 +325,9 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--beyond-bus", action="store_true", help="judge rates that the bus could not carry, too")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", metavar="N", type=_count, help="processes on this machine (1, or one a core)")
+    where.add_argument("--workers", metavar="N", type=count, help="processes on this machine (1, or one a core)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, as in tcp://10.0.0.5:8786")
-    parser.add_argument("--chunk", metavar="N", type=_count, help="scenes that are finished together")
+    parser.add_argument("--chunk", metavar="N", type=count, help="scenes that are finished together")
     parser.add_argument("--out", metavar="FILE.h5", type=Path, help="results; each chunk is there once it is finished")
     again = parser.add_mutually_exclusive_group()
     again.add_argument("--resume", action="store_true", help="go on with FILE.h5 where it was stopped or killed")
@@ -318,7 +339,7 @@ def _touch(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `touch`."""
     add_scene(parser)
     parser.add_argument("--axis", metavar="NAME", help="which axis; by default the first")
-    parser.add_argument("--port", type=_port, default=5007, metavar="N", help="of the page; 0 for any that is free")
+    parser.add_argument("--port", type=port, default=5007, metavar="N", help="of the page; 0 for any that is free")
     parser.add_argument(
         "--pace",
         choices=("even", "real"),
@@ -328,39 +349,9 @@ def _touch(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
 
 
-def _length(text: str) -> float:
-    return positive_number(text, ("m", "rad"), "tolerance", 1.0)
-
-
-def _budget(text: str) -> float:
-    return 0.0 if text.strip() == "0" else seconds(text)
-
-
-def _rate(text: str) -> float:
-    return positive_number(text, ("Hz", "Hz"), "rate", _FASTEST)
-
-
-def _port(text: str) -> int:
-    if not (text.isascii() and text.isdigit()) or int(text) > _LAST_PORT:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected a number from 0 to {_LAST_PORT}")
-    return int(text)
-
-
-def _samples(text: str) -> int:
-    kind, _, number = text.partition(":")
-    if kind != "lhs" or not number.isdigit() or not 1 <= int(number) <= 100_000_000:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected lhs:N with N from 1 to 10^8")
-    return int(number)
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit()) or not 0 <= int(text) <= 1_000_000_000:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number from 0 to 10^9")
-    return int(text)
-
-
 OPTIONS: Final[dict[str, Callable[[argparse.ArgumentParser], None]]] = {
     "accuracy": _accuracy,
+    "arena": _arena,
     "check": _check,
     "check-eds": _check_eds,
     "commission": _commission,

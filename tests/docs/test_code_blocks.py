@@ -29,6 +29,7 @@ NOT_RUN = {
 FOR_A_REAL_RIG = ("run", "commission", "preflight", "check", "drive")
 """Subcommands that end with status 1, 2 or 3 on a scene for real hardware, which is not here."""
 QUICK = {
+    "arena": ["--duration", "0.1", "--workers", "1"],
     "compare": ["--duration", "0.2"],
     "commission": ["--duration", "0.1", "--yes"],
     "accuracy": ["--duration", "0.1", "--budget", "2"],

@@ -1,7 +1,9 @@
 """The field's figures: each is that of an ideal wall where sampling hardly matters, and tells where it does."""
 
 import math
+from importlib import import_module
 
+import numpy as np
 import pytest
 
 from canhaptic.control.environments.free_space import FreeSpace
@@ -9,14 +11,15 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.field_figures import (
+    FIELD_FIGURES,
     asked_impedance,
     drag,
     energy_beyond_device,
     energy_given_out,
+    m_width,
     rate_hardness,
     rendered_impedance,
-    stiffest,
-    stiffness_grid,
+    stiffest_walls,
 )
 from canhaptic.study.loop import render
 from tools.bench.standard_cases import standard_case
@@ -73,8 +76,53 @@ def test_the_impedance_of_a_fine_spring_with_damper_is_the_one_asked_for(frequen
 
 
 def test_the_stiffest_wall_is_the_one_below_which_all_pass():
-    grid = stiffness_grid(10.0, 1000.0, 2)
-    assert grid == pytest.approx([10.0, 31.6228, 100.0, 316.228, 1000.0], rel=1e-5)
-    assert stiffest(lambda k: k < 200.0, grid) == pytest.approx(100.0)
-    assert stiffest(lambda k: not 20.0 < k < 50.0, grid) == 10.0
-    assert stiffest(lambda _: False, grid) == 0.0
+    tried = np.array([10.0, 20.0, 40.0, 80.0])
+    passive = np.array([[1, 1, 0], [1, 1, 1], [0, 1, 1], [1, 1, 1]])
+    shares = np.array([[1.0, 1.04, 1.0], [0.94, 0.96, 1.0], [1.0, 1.2, 1.0], [1.0, np.nan, 1.0]])
+    found = stiffest_walls(tried, passive, shares)
+    assert found.passive.tolist() == [20.0, 80.0, 0.0]
+    assert found.near.tolist() == [10.0, 20.0, 0.0]  # the share of the second wall is 6 % too small
+    assert found.is_open.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize(("delay", "most"), [(0, 2.0), (1, math.sqrt(5.0) - 1.0)])
+def test_the_m_width_of_a_free_mass_is_that_of_its_polynomial(delay, most):
+    # z^(1 + d) z + a (z + 1) = 0 with a = M / 2m: by Jury's criterion -1/2 < a < 1, and a^2 + a < 1 one sample late
+    found = m_width(0.25, 0.0, 1e-3, delay)
+    assert found.most == pytest.approx(0.25 * most, rel=1e-5)
+    assert found.least == pytest.approx(-0.25, rel=1e-5)
+
+
+def test_a_virtual_mass_within_the_m_width_comes_to_rest_and_one_beyond_does_not():
+    mass, damping, period = 0.25, 0.5, 2e-3
+    width = m_width(mass, damping, period, 1)
+
+    def still_moves(virtual):
+        decay = math.exp(-damping * period / mass)
+        position, speed, held = [0.0, 0.0, 0.0], 0.1, [0.0]
+        for _ in range(6000):
+            force = held.pop(0)
+            held.append(-virtual * (position[-1] - 2.0 * position[-2] + position[-3]) / period**2)
+            settled = force / damping
+            position.append(position[-1] + settled * period + (speed - settled) * (1.0 - decay) * mass / damping)
+            speed = settled + (speed - settled) * decay
+        return abs(speed) > 1e-3
+
+    assert not still_moves(0.97 * width.most)
+    assert not still_moves(0.97 * width.least)
+    assert still_moves(1.03 * width.most)
+    assert still_moves(1.03 * width.least)
+
+
+def test_a_filter_of_the_acceleration_widens_the_m_width():
+    assert m_width(0.25, 0.1, 1e-3, 0, 30.0).most > 5.0 * m_width(0.25, 0.1, 1e-3, 0, 1e6).most
+    assert m_width(0.25, 0.1, 1e-3, 0, 1e6).most == pytest.approx(m_width(0.25, 0.1, 1e-3).most)
+
+
+def test_every_figure_of_the_field_names_a_definition_that_is_there_and_its_source():
+    asked = {"K-B", "M-width", "rate-hardness", "impedance", "limit cycle", "energy", "force variation", "drag", "time"}
+    assert all(any(word in name for name in FIELD_FIGURES) for word in asked)
+    for figure in FIELD_FIGURES.values():
+        module, _, name = figure.function.partition(".")
+        assert hasattr(import_module(f"canhaptic.study.{module}"), name)
+        assert figure.source

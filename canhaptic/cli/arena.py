@@ -1,0 +1,95 @@
+"""`canhaptic arena`: every passivity algorithm on hard scenes, at several rates and delays, as one page."""
+
+import argparse
+import json
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+from canhaptic.cli.output import note_file, write_file, write_json, write_note
+from canhaptic.cli.scene_progress import scene_progress
+from canhaptic.cli.stop_signal import StopSignal
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.study.arena.arena_cases import scenes_named
+from canhaptic.study.arena.arena_page import write_arena_page
+from canhaptic.study.arena.arena_picture import pictures_of
+from canhaptic.study.arena.arena_store import ArenaStore
+from canhaptic.study.arena.run_arena import ArenaPlan, run_arena
+from canhaptic.study.arena.standings import COLUMNS
+from canhaptic.study.sweep.workers import Pool
+from canhaptic.view.energy_table import make_console
+from canhaptic.view.picture_style import matplotlib_figure
+from canhaptic.view.table_style import plain_table
+
+STORE: Final = "cases.jsonl"
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Runs the arena and prints its standings; returns 0, or 130 and 143 after a signal.
+
+    Raises:
+        InputError: A scene, an algorithm or a file that cannot be used.
+    """
+    matplotlib_figure()  # missing, it is said before the arena begins
+    plan, out = _plan(arguments), arguments.out
+    plan.check()
+    store = ArenaStore(out / STORE, force=arguments.force)
+    with ExitStack() as stack:
+        stop = stack.enter_context(StopSignal())
+        executor = None
+        workers = arguments.workers or os.cpu_count() or 1
+        if workers > 1:
+            pool = Pool(workers)
+            stack.callback(pool.close)
+            executor = pool.executor
+        progress = stack.enter_context(scene_progress("cases"))
+        found = run_arena(plan, store, executor, progress, stop.requested)
+    if found is None or stop.requested():
+        write_note(f"  stopped     what is finished is kept in {out / STORE}; the same command goes on")
+        return stop.exit_status
+    _write(found, out)
+    if arguments.json:
+        write_json(found)
+    else:
+        make_console().print(_table(found))
+    return 0
+
+
+def _plan(arguments: argparse.Namespace) -> ArenaPlan:
+    given: dict[str, Any] = {
+        "rates": arguments.rates,
+        "delays": arguments.delays,
+        "longest": arguments.duration,
+        "rig": arguments.rig,
+        "per_decade": arguments.walls,
+    }
+    options: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in given.items() if value is not None
+    }
+    algorithms = (*(arguments.algorithms or ALGORITHMS), *arguments.entry)
+    return ArenaPlan(tuple(scenes_named(arguments.scenes)), algorithms, allow_code=arguments.allow_code, **options)
+
+
+def _write(found: dict[str, Any], out: Path) -> None:
+    write_file(out / "arena.json", json.dumps(found, indent=1) + "\n")
+    note_file("result", out / "arena.json")
+    for name, _, draw in pictures_of(found):
+        draw(found, out / name)
+        note_file("picture", out / name)
+    write_arena_page(found, out / "arena.html")
+    note_file("page", out / "arena.html")
+
+
+def _table(found: dict[str, Any]) -> Any:
+    shown = ("given_out", "beyond_device", "diverged", "position_error", "stiffness_error", "drag")
+    heads = ("gave out", "beyond device", "diverged", "position error", "stiffness error", "drag [N]")
+    table = plain_table(f"{len(found['cases'])} cases", "algorithm", *heads)
+    for row in found["standings"]:
+        ranks = found["ranks"][row["algorithm"]]
+        table.add_row(row["algorithm"], *(_shown(row[key], ranks.get(key)) for key in shown if key in COLUMNS))
+    return table
+
+
+def _shown(value: float | None, rank: int | None) -> str:
+    return "" if value is None else f"{value:.3g} ({rank})"

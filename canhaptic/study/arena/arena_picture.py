@@ -1,0 +1,153 @@
+"""The pictures of an arena: K-B plot, impedance, and who gives out energy where; `guarded` is drawn thick and black."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
+
+Found = Mapping[str, Any]
+_COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY)
+_MARKS: Final = "osv^<>DPX*hpd"
+_THEORY: Final = (("Colgate", "--", "#404040"), ("eigenvalues", "-.", "#404040"), ("certificate", ":", "#000000"))
+_OUR: Final = "guarded"
+_WORDS: Final = {"passive": "passive, device included", "near": "and stiffness within 5 %"}
+_LEAST_DAMPING: Final = 0.05
+"""Below it the axis of the damping is linear [N*s/m]."""
+_DPI: Final = 110
+_DARK: Final = 3e-3
+"""Energy from which a cell is so dark that its number is white [J]."""
+
+
+def draw_borders(found: Found, path: str | Path) -> None:
+    """Draws the K-B plot: passive, and passive and near, each without delay and late.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    mpl, figure_type = matplotlib_figure()
+    delays = sorted({border["delay"] for border in found["borders"]})
+    with mpl.rc_context(STYLE):
+        figure: Any = figure_type(figsize=(5.4 * len(_WORDS) + 2.6, 4.4 * len(delays)), dpi=_DPI, layout="constrained")
+        panels: Any = figure.subplots(len(delays), len(_WORDS), sharex=True, sharey=True, squeeze=False)
+        for row, delay in zip(panels, delays, strict=True):
+            for panel, (key, words) in zip(row, _WORDS.items(), strict=True):
+                _draw_border(panel, found, delay, key)
+                panel.set_title(f"{words}; {'one sample late' if delay else 'no delay'}", fontweight="bold")
+            row[0].set_ylabel("stiffest wall [N/m]")
+        for panel in panels[-1]:
+            panel.set_xlabel("damping of the wall [N*s/m]")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside right upper", fontsize=8.0)
+        save_picture(figure, path)
+
+
+def _draw_border(panel: Any, found: Found, delay: int, key: str) -> None:
+    for number, name in enumerate(found["algorithms"]):
+        own = [b for b in found["borders"] if b["algorithm"] == name and b["delay"] == delay]
+        values = [b[key] if b[key] > 0.0 else np.nan for b in own]
+        panel.plot([b["damping"] for b in own], values, label=name, **_line(name, number))
+    for name, points in found["theory"][str(delay)].items():
+        _, style, colour = next(kind for kind in _THEORY if name.startswith(kind[0]))
+        places = [p["damping"] for p in points], [p["stiffness"] for p in points]
+        panel.plot(*places, linestyle=style, color=colour, linewidth=1.3, label=name)
+        if name.startswith("certificate") and points:
+            panel.annotate(name.partition(": ")[2], (points[0]["damping"], points[0]["stiffness"]), fontsize=7.0)
+    if any(border["open"] and border["delay"] == delay for border in found["borders"]):
+        most = max(border["passive"] for border in found["borders"])
+        panel.annotate("all that was tried", (0.0, most), xytext=(4, -12), textcoords="offset points", fontsize=7.0)
+    panel.set_yscale("log")
+    panel.set_xscale("symlog", linthresh=_LEAST_DAMPING)
+    panel.set_xlim(left=-0.004)
+    ticks = [d for d in sorted({b["damping"] for b in found["borders"]}) if d in (0.0, 0.1, 1.0, 10.0, 100.0)]
+    panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.set_xticks([], minor=True)
+
+
+def _line(name: str, number: int) -> dict[str, Any]:
+    mark = {"marker": _MARKS[number % len(_MARKS)], "markersize": 4.5, "fillstyle": "none"}
+    if name == _OUR:
+        return {**mark, "color": "black", "linewidth": 2.6, "zorder": 5}
+    return {**mark, "color": _COLOURS[number % len(_COLOURS)], "linewidth": 1.0}
+
+
+def draw_impedance(found: Found, path: str | Path) -> None:
+    """Draws the impedance rendered over the one asked for, size and angle, without delay and late.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    mpl, figure_type = matplotlib_figure()
+    delays = sorted({one["delay"] for one in found["impedance"]})
+    with mpl.rc_context(STYLE):
+        figure: Any = figure_type(figsize=(5.0 * len(delays) + 2.6, 6.0), dpi=_DPI, layout="constrained")
+        panels: Any = figure.subplots(2, len(delays), sharex=True, sharey="row", squeeze=False)
+        for column, delay in enumerate(delays):
+            for row, key in enumerate(("size", "angle")):
+                _draw_ratio(panels[row, column], found, delay, key)
+            panels[0, column].set_title("one sample late" if delay else "no delay", fontweight="bold")
+            panels[1, column].set_xlabel("frequency [Hz]")
+        panels[0, 0].set_ylabel("impedance over the one asked")
+        panels[1, 0].set_ylabel("angle to the one asked [rad]")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside right upper", fontsize=8.0)
+        save_picture(figure, path)
+
+
+def _draw_ratio(panel: Any, found: Found, delay: int, key: str) -> None:
+    for number, name in enumerate(found["algorithms"]):
+        own = [one for one in found["impedance"] if one["algorithm"] == name and one["delay"] == delay]
+        values = [np.nan if one[key] is None else one[key] for one in own]
+        panel.plot([one["frequency"] for one in own], values, label=name, **_line(name, number))
+    panel.axhline(1.0 if key == "size" else 0.0, color="#808080", linewidth=0.8)
+    panel.set_xscale("log")
+    if key == "size":
+        panel.set_yscale("log")
+
+
+def draw_given_out(found: Found, path: str | Path) -> None:
+    """Draws who gives out energy where: cells by the most energy beyond the device, with the number of cases.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    mpl, figure_type = matplotlib_figure()
+    names, scenes = found["algorithms"], found["scenes"]
+    of_all = len(found["rates"]) * len(found["delays"])
+    most = np.array([[_cell(found, name, scene, "most") for scene in scenes] for name in names])
+    with mpl.rc_context(STYLE):
+        size = 5.0 + 0.75 * len(scenes), 2.4 + 0.34 * len(names)
+        figure: Any = figure_type(figsize=size, dpi=_DPI, layout="constrained")
+        panel: Any = figure.subplots()
+        norm = mpl.colors.LogNorm(1e-6, max(1e-5, float(np.nanmax(most, initial=1e-5))))
+        drawn = panel.imshow(np.where(most > 1e-6, most, np.nan), norm=norm, cmap="magma_r", aspect="auto")
+        for row, name in enumerate(names):
+            for column, scene in enumerate(scenes):
+                cases = _cell(found, name, scene, "cases")
+                dark = cases > 0 and most[row, column] > _DARK
+                text = "" if np.isnan(cases) else f"{cases:.0f}"
+                panel.text(column, row, text, ha="center", va="center", color="white" if dark else "black")
+        panel.set_xticks(range(len(scenes)), scenes, rotation=35, ha="right")
+        panel.set_yticks(range(len(names)), names)
+        panel.grid(visible=False)
+        panel.set_title(
+            f"cases of {of_all} that gave out energy beyond the device; colour: the most of one", loc="left"
+        )
+        figure.colorbar(drawn, ax=panel, label="[J]")
+        save_picture(figure, path)
+
+
+def _cell(found: Found, name: str, scene: str, key: str) -> float:
+    return float(found["given_out"].get(name, {}).get(scene, {}).get(key, np.nan))
+
+
+def pictures_of(found: Found) -> Sequence[tuple[str, str, Any]]:
+    """Returns (file name, title, function that draws it) of every picture that an arena has."""
+    whole = [("arena_given_out.png", "Who gives out energy where", draw_given_out)]
+    if found.get("borders"):
+        whole.insert(0, ("arena_kb.png", "Stiffness over damping", draw_borders))
+        whole.append(("arena_impedance.png", "Impedance", draw_impedance))
+    return whole
