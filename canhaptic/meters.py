@@ -69,7 +69,7 @@ class RunMeters:
         controllers: Sequence[object],
         groups: Sequence[AxisGroup] = (),
     ) -> None:
-        self.axes, self.deadline = tuple(axes), 0
+        self.axes, self._drives, self.deadline = tuple(axes), tuple(drives), 0
         grouped = {axis for group in groups for axis in group.axes}
         alone = iter(controllers)
         own = [None if axis in grouped else next(alone) for axis in range(len(self.axes))]
@@ -103,11 +103,13 @@ class RunMeters:
             branch = balance.branch
             if place < axes:
                 meter = self.axes[place]
-                if branch == _HELD:
-                    meter.lose(balance.torque)
-                else:
-                    sample = samples[place]
+                if branch != _HELD:
+                    sample, drive = samples[place], self._drives[place]
+                    before = meter.position
                     meter.take(sample.position, sample.torque_applied, deadline, balance)
+                    if drive.open_time:
+                        exact = -sample.torque_applied * (sample.position - before)
+                        meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))
                     if meter.asked:
                         asked, rendered = self.asked[place]
                         self.asked[place] = asked + meter.asked, rendered - balance.torque

@@ -7,9 +7,20 @@ nothing open however long the axis moves.
 **Torque.** A motor that gives f (1 + s) + c for a torque f, |s| <= share and |c| <= offset, leaves open
 sum (share |f_k| + offset) |x_k - x_(k-1)|, if the axis does not turn back within a hold.
 
-**Late and lost.** Where the algorithm does not bound it itself, an estimate: a torque before that acts for a time
-theta into a hold leaves open |f_k - f_(k-1)| theta v, with v twice the largest mean speed of the holds beside it; and
-of holds whose positions were lost the difference of the torques sent, times twice the way of as many such holds.
+**Late.** Where the algorithm does not bound it itself, an estimate: a torque before that acts for a time theta into a
+hold leaves open |f_k - f_(k-1)| theta v, with v twice the largest mean speed of the holds beside it.
+
+**Lost.** After lost process data the displacement D of n holds is known, and the torque f of the last of them, read
+back. Booked is -f D, true is -sum f_j D_j, where f_j is a torque sent since then, or the one before where commands were
+lost too: |f_j - f| <= a. So the error is at most a sum over j < n of |D_j|, for any torques and any order of theirs. Of
+the D_j nothing else is known than the largest speed v of the axis, which is declared (`speed_limit`; a rig that sees
+more than it stops): |D_j| <= v T_j. This leaves open
+
+    a v (T_1 + ... + T_(n-1)),
+
+with T_n as well where the last torque is not read back for its own hold, and what the algorithm itself took off. It is
+a bound for every hand, so that for a slow one it is large; an algorithm that knows the hand's force does better
+(`certificates.lost_samples`).
 
 **Device.** A damping of b at least dissipates b D^2 / t at least in a time t in which the axis moves by D
 (Cauchy-Schwarz), whatever the torque did.
@@ -34,6 +45,7 @@ class Accuracy:
     torque_limit: float = inf  # what more is booked of a torque may not have acted [N or N*m]
     late: float = 0.0  # time after a SYNC for which the torque before may act, where the algorithm counts none [s]
     counts_losses: bool = True  # whether the algorithm leaves what lost positions leave open to this meter
+    largest_speed: float = inf  # of the axis [m/s or rad/s]
     device_damping: float | None = None  # at least [N*s/m or N*m*s/rad]; None: not declared
 
 
@@ -51,13 +63,13 @@ class AxisMeter:
         resolution: Largest |booked - true| sum of interaction so far, by sensors and drive [J]; never falls.
         dissipated: Dissipated by the device so far, at least [J].
         damping_asked: Damping of the environment [N*s/m or N*m*s/rad].
+        position: Last one that was booked [m or rad].
         asked: Effort of the storage of the environment at the last position; 0 out of contact [N or N*m].
     """
 
     __slots__ = (
-        "_accuracy", "_booked_at", "_changes", "_environment", "_lost", "_position", "_speed", "_torque",
-        "_uneven",
-        "asked", "damping_asked", "dissipated", "resolution",
+        "_accuracy", "_booked_at", "_changes", "_environment", "_speed", "_torque", "_uneven",
+        "asked", "damping_asked", "dissipated", "position", "resolution",
     )  # fmt: skip
 
     def __init__(self, accuracy: Accuracy = IDEAL, environment: Environment | None = None) -> None:
@@ -65,8 +77,7 @@ class AxisMeter:
         self._environment = None if environment is None or environment.relaxes else environment
         self.damping_asked = 0.0 if environment is None else environment.damping
         self._booked_at = -1
-        self._position = self._torque = self._changes = self._uneven = self._speed = 0.0
-        self._lost: list[float] = []  # torques sent while positions were lost [N or N*m]
+        self.position = self._torque = self._changes = self._uneven = self._speed = 0.0
         self.resolution = self.dissipated = self.asked = 0.0
 
     @property
@@ -74,10 +85,21 @@ class AxisMeter:
         """Whether a damping of the device is declared."""
         return self._accuracy.device_damping is not None
 
-    def lose(self, torque: float) -> None:
-        """Takes a SYNC whose position was lost, with the torque that was sent all the same [N or N*m]."""
-        if self._accuracy.counts_losses:
-            self._lost.append(torque)
+    def leave_open(self, torque: float, time: int, booked: float) -> None:
+        """Takes holds whose torques are not known, behind `take` of the hold that they were booked with.
+
+        Args:
+            torque: Largest difference of theirs from the one that was booked [N or N*m].
+            time: They lasted [sample times].
+            booked: Energy that the algorithm took off for their sake [J].
+        """
+        accuracy = self._accuracy
+        if accuracy.counts_losses:
+            energy = booked
+            if torque:
+                energy += torque * accuracy.largest_speed * time * accuracy.sample_time
+            self._uneven += energy
+            self.resolution += energy
 
     def take(self, position: float, torque: float, deadline: int, balance: EnergyBalance) -> None:
         """Takes a hold that was booked.
@@ -94,7 +116,7 @@ class AxisMeter:
             if balance.branch not in OUT_OF_CONTACT and environment.contact(position):
                 self.asked = environment.effort(environment.true_state(position, 0.0, 0.0))
         booked_at, self._booked_at = self._booked_at, deadline
-        moved, self._position = abs(position - self._position), position
+        moved, self.position = abs(position - self.position), position
         if booked_at < 0:
             return
         accuracy = self._accuracy
@@ -103,7 +125,7 @@ class AxisMeter:
             if certain > 0.0:
                 time = (deadline - booked_at) * accuracy.sample_time
                 self.dissipated += accuracy.device_damping * certain * certain / time
-        if torque != 0.0 or self._torque != 0.0 or self._lost:
+        if torque != 0.0 or self._torque != 0.0:
             self._leave_open(torque, moved, deadline - booked_at)
         else:
             self._speed = moved / (deadline - booked_at)
@@ -112,12 +134,9 @@ class AxisMeter:
         accuracy, size = self._accuracy, abs(torque)
         mean, before = moved / holds, self._speed
         self._speed = mean
-        if accuracy.late or self._lost:
+        if accuracy.late:
             fastest = 2.0 * ((mean if mean > before else before) + 2.0 * accuracy.position)
             self._uneven += abs(torque - self._torque) * accuracy.late / accuracy.sample_time * fastest
-            for sent in (*self._lost, self._torque) if self._lost else ():
-                self._uneven += abs(sent - torque) * fastest
-            self._lost.clear()
         if size > accuracy.torque_limit:
             self._uneven += (size - accuracy.torque_limit) * (moved + 2.0 * accuracy.position)
         self._changes += abs(torque - self._torque)

@@ -43,7 +43,8 @@ def accuracy_of(axis: AxisScene) -> Accuracy:
         torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0),
         torque_limit=_largest_torque(effects),
         late=0.0 if bounds_late else late,
-        counts_losses=not (bounds_late or axis.group),
+        counts_losses=not bounds_late,
+        largest_speed=axis.parameters.largest_speed,
         device_damping=loop.device_damping,
     )
 

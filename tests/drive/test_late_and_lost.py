@@ -115,3 +115,18 @@ def test_a_master_that_runs_late_still_sends_its_heartbeat_in_time(bench: MakeBe
     assert b.rig.skipped_syncs >= 250
     assert len(b.sent(0x77E)) - before >= 15
     assert b.drives[0].state is DriveState.OPERATION_ENABLED
+
+
+def test_what_may_have_acted_in_lost_holds_is_known(bench: MakeBench) -> None:
+    """1.4 and 1.5 N were sent for them, 1.3 N acted before, and stayed where a command was lost; 1.5 N acted last."""
+    b = started(bench)
+    for cycle in range(6):
+        b.run(1, torque=1.0 + 0.1 * cycle)
+    drive, taken = b.rig.drives[0], itertools.count()
+    assert drive.open_time == 0
+    b.tampered.on_receive = lambda message: None if message.arbitration_id == 0x185 and next(taken) < 2 else message
+    b.run(2, torque=1.6)
+    [sample] = b.run(1, torque=1.8)
+    assert (sample.torque_applied, drive.open_time, drive.open_torque) == (1.5, 2, pytest.approx(0.2))
+    b.run(1, torque=1.9)
+    assert drive.open_time == 0

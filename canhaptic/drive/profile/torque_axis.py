@@ -98,6 +98,8 @@ class TorqueAxis(ABC):
             more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back shows; what
             came together counts together.
         longest_gap: The most sample times between two SYNCs since the last `reset`: 1 where none was skipped.
+        open_time, open_torque: Sample times before the last whole sample in which another torque than its own may have
+            acted, and the largest difference between them [N*m or N].
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
     """
 
@@ -163,7 +165,8 @@ class TorqueAxis(ABC):
         self._step = 0.0  # mean displacement per sample time since the last process data [rad or m]
         self._periods = 0  # sample times since the last process data
         self.longest_hold = self.longest_gap = 1
-        self.uncommanded = self.unchanged = 0
+        self.uncommanded = self.unchanged = self.open_time = 0
+        self.open_torque = 0.0
         self._passed: list[int] = []  # per mille: commands that acted, or should have, since the last process data
         self._is_late = False  # a SYNC was skipped before the last one
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
@@ -262,12 +265,13 @@ class TorqueAxis(ABC):
         """Returns the torque of the hold that ended: read back, or believed where nothing is read back."""
         believed = self._acting if self._is_synchronous else self._commanded
         self._acting = self._commanded
-        if self._reads_nothing:
-            return believed
         if self._shows_next:
             reported, self._reported = self._reported, reported
-        if not self._reads_demand:
+        if self._reads_nothing:
+            reported = believed
+        if self._measures:
             self._judge_measured(reported, believed)
+            self._spread = max(abs(reported - believed), abs(reported - self._held_before))
         elif reported == believed or reported != self._held_before:
             self._stale_holds, self._stale_samples = 0, self._periods
             if reported != believed:
@@ -278,12 +282,21 @@ class TorqueAxis(ABC):
             self._stale_holds += 1
             self._stale_samples += self._periods
             self.longest_hold = max(self.longest_hold, self._stale_samples)
-        if self._measures:
-            self._spread = max(abs(reported - believed), abs(reported - self._held_before))
+        self.open_time = self._leave_open(reported, believed) if self._passed else 0
         self._held_before = reported
-        if self._passed:
-            self._passed.clear()
         return reported
+
+    def _leave_open(self, applied: int, believed: int) -> int:
+        """Keeps how far torques of lost holds may have been from `applied`; returns for how many sample times.
+
+        Those are the commands since, or the one before where commands were lost, cut by a limit that is shown now.
+        """
+        is_known = self._reads_demand and not self._shows_next  # in the hold that ended
+        others = (self._held_before, applied if is_known else believed, *self._passed)
+        cut = abs(applied) if applied != believed and self._is_reduced(applied, believed, 0.0) else 1 << 15
+        self.open_torque = max(abs(max(-cut, min(cut, o)) - applied) for o in others) * self.scaling.torque_quantum
+        self._passed.clear()
+        return self._periods - is_known
 
     def _judge_other(self, applied: int, commanded: int, tolerance: float) -> None:
         """Counts a torque that is not its command: smaller ones and older commands are no harm that is not covered."""
