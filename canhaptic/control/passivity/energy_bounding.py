@@ -4,6 +4,11 @@ Device damping b takes at least (b / T) dx^2 out of every hold. With the account
 next hold ends with E_n + (b/T) dx^2 - F dx >= 0 for EVERY motion dx exactly when F^2 <= 4 E_n b / T. A torque f that is
 already under way may cost up to f^2 T / 4b first, so with delay its square is taken off. This is the device-damping
 certificate; what it renders is limited to a stiffness of about 2 b / T.
+
+T is the longest that a hold may be, and of E_n is taken what encoder counts hide: a position is unsure by half a count
+e, so that dx counts as |dx| - 2e in what is dissipated, and e (|F_n| + sum |F_k - F_(k-1)|) of the energy may not have
+come in (`axis_meter`). The proof needs one torque in a hold: where an older one acts in a part of it (window, lag),
+nothing is certified.
 """
 
 from dataclasses import dataclass, field
@@ -16,6 +21,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import (
     Axis,
     AxisMemory,
+    Hold,
     HoldAccount,
     HoldSettings,
     close_hold,
@@ -40,6 +46,8 @@ class _EnergyBoundingSettings:
     """What is fixed for a run."""
 
     device_damping: float  # certain [N*s/m or N*m*s/rad]
+    longest: float  # hold [s]
+    count: float  # of the encoder [m or rad]
     hold: HoldSettings
 
 
@@ -50,6 +58,8 @@ class _EnergyBoundingState:
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)
     energy: RunningSum = field(default_factory=RunningSum)  # E_n [J]
+    torque: float = 0.0  # of the hold that ended [N or N*m]
+    changes: float = 0.0  # sum of the changes of it [N or N*m]
 
 
 def settings_of(
@@ -65,7 +75,10 @@ def settings_of(
             f"energy_bounding: got device_damping {loop.device_damping!r}, expected > 0; it renders nothing "
             "without certain damping: measure it and give passivity.device_damping, or choose another algorithm"
         )
-    return _EnergyBoundingSettings(loop.device_damping, hold_settings(parameters, loop, Certificate.DEVICE_DAMPING))
+    timing = loop.timing
+    promised = Certificate.NONE if timing.late else Certificate.DEVICE_DAMPING
+    hold = hold_settings(parameters, loop, promised)
+    return _EnergyBoundingSettings(loop.device_damping, timing.longest, loop.encoder_count, hold)
 
 
 def step(
@@ -82,8 +95,7 @@ def step(
         begin_model(environment, axis, model, memory, position)
         return AT_REST
     hold = open_hold(settings.hold, axis, memory, position, torque_applied)
-    certain = settings.device_damping * (hold.displacement * hold.displacement) / hold.elapsed
-    energy = add(state.energy, hold.h_i + certain)
+    energy = known_energy(settings, state, hold, torque_applied)
     branch, h_r, contact, spring, damper = follow(environment, model, position, hold)
     share = bounded_share(settings, memory.commands.torques, axis.oldest, energy, abs(spring + damper))
     gen, leak = settle(environment, model, share, hold.h_i, h_r)
@@ -91,6 +103,20 @@ def step(
     account = new(HoldAccount, (branch, h_r, gen, 0.0, leak))
     rendered = environment.damping * share if contact else 0.0
     return close_hold(settings.hold, axis, memory, hold, account, efforts, rendered, model.state, model.h_s)
+
+
+def known_energy(
+    settings: _EnergyBoundingSettings, state: _EnergyBoundingState, hold: Hold, torque_applied: float
+) -> float:
+    """Takes the hold that ended and returns E_n less what the counts of the encoder hide [J]."""
+    axis, count = state.axis, settings.count
+    periods = hold.elapsed / settings.hold.sample_time + (axis.lasted - 1.0)
+    axis.lasted = 1.0
+    moved = max(0.0, abs(hold.displacement) - count)
+    booked = add(state.energy, hold.h_i + settings.device_damping * (moved * moved) / (periods * settings.longest))
+    state.changes += abs(torque_applied - state.torque)
+    state.torque = torque_applied
+    return booked - 0.5 * count * (state.changes + abs(torque_applied))
 
 
 def bounded_share(
@@ -102,10 +128,10 @@ def bounded_share(
         settings: Of the run.
         torques: In flight, a ring [N or N*m].
         oldest: Place of the one whose hold ended; the others act before the wanted one.
-        energy: E_n [J].
+        energy: As `known_energy` has it [J].
         wanted: Size of the torque [N or N*m].
     """
-    square = 4.0 * settings.device_damping / settings.hold.sample_time * energy
+    square = 4.0 * settings.device_damping / settings.longest * energy
     for place in range(oldest + 1 - len(torques), oldest):
         square -= torques[place] * torques[place]
     if wanted * wanted <= square:
