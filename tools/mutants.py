@@ -1,10 +1,12 @@
 """Do the tests notice small slips? Samples mutants of the package: `python -m tools.mutants --sample 300 --seed 1`.
 
 Each mutant is a module with one change that a slip of the hand could make (`tests/mutation/mutator.py`), written into a
-copy of the repository. The tests of its room run there, nearest first, until one fails: then the mutant is killed. One
-that ends no test run within its time is killed as well. What has run is kept in `--kept` (JSON lines), so that the same
-command goes on where it was stopped. A survivor is equivalent, or a test is missing: both are for a person to say, in
-`EQUIVALENT` here or as a test.
+copy of the repository. First of all the tests of the rooms run once there, unchanged, and note what each of them calls
+(`tests/mutation/reached.py`). A mutant then meets the tests that call its function, or, where it is in no function, its
+module: quick ones first, until one fails. That one must fail again with the mutant and pass without it: then the mutant
+is killed. One that ends no test run within its time is killed as well. What has run is kept in `--kept` (JSON lines),
+so that the same command goes on where it was stopped. A survivor is equivalent, or a test is missing: both are for a
+person to say, in `EQUIVALENT` here or as a test.
 
 Exit status 1 when fewer than `--at-least` of the mutants that are not equivalent were killed. 300 mutants take some two
 hours of one processor; `--seconds` ends earlier, and `--only PATH:NUMBER` runs one.
@@ -20,12 +22,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 from tests.mutation.mutator import changes
+from tests.mutation.reached import PLACE
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders of its tests, nearest first
@@ -40,7 +43,15 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
 }
 EQUIVALENT: Final[dict[str, str]] = {}
 """`path: name of the mutant` -> why nobody can notice it."""
-_LONGEST: Final = 240  # s, one folder of tests
+_LONGEST: Final = 600  # s, all tests of a mutant
+_QUICK: Final = 40  # tests that run before all others
+_SITE: Final = """import os
+if os.environ.get("CANHAPTIC_REACHED") and os.environ.get("PYTEST_CURRENT_TEST"):
+    from tests.mutation.reached import watch_process
+    watch_process()
+"""
+Reached = Mapping[str, Sequence[str]]
+"""Function (`module:name`) or module -> tests that call it, quick ones first."""
 
 
 def modules(rooms: Sequence[str]) -> list[Path]:
@@ -80,34 +91,83 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def outcome(copy: Path, path: Path, number: int) -> dict[str, Any]:
-    """Returns `{path, number, name, killed_by}` of one mutant; `killed_by` is None for a survivor."""
+def reached(copy: Path, folders: Sequence[str], into: Path) -> Reached:
+    """Returns which tests call which function, quick ones first; runs them all where `into` is not there yet."""
+    if not into.exists():
+        site = copy / "reached_site"
+        site.mkdir(exist_ok=True)
+        (site / "sitecustomize.py").write_text(_SITE, encoding="utf-8")
+        words = ["-p", "tests.mutation.reached", "-o", "timeout=900", *(f"tests/{folder}" for folder in folders)]
+        _pytest(copy, words, {PLACE: str(into), "PYTHONPATH": f"{copy}{os.pathsep}{site}"}, None)
+    seconds: dict[str, float] = {}
+    callers: dict[str, set[str]] = {}
+    for line in into.read_text(encoding="utf-8").splitlines():
+        one = json.loads(line)
+        seconds[one["test"]] = max(one["seconds"], seconds.get(one["test"], 0.0))
+        for name in one["calls"]:
+            callers.setdefault(name, set()).add(one["test"])
+            callers.setdefault(name.partition(":")[0], set()).add(one["test"])
+    return {name: sorted(tests, key=seconds.__getitem__) for name, tests in callers.items()}
+
+
+def _tests_of(mutant: str, path: Path, callers: Reached) -> Sequence[str]:
+    """Returns the tests that call what a mutant is in."""
+    function = f"{path.as_posix()}:{mutant.partition(':')[0]}"
+    return callers.get(function) or callers.get(path.as_posix(), ())
+
+
+def outcome(copy: Path, path: Path, number: int, callers: Reached) -> dict[str, Any]:
+    """Returns `{path, number, name, tests, killed_by}` of one mutant; `killed_by` is None for a survivor."""
     name, tree = next(islice(_texts(path), number, None))
     target, kept = copy / path, (copy / path).read_bytes()
-    begin = time.monotonic()
-    target.write_text(ast.unparse(tree), encoding="utf-8")
-    try:
-        killer = next((found for room in ROOMS[room_of(path)] if (found := _failure(copy, room))), None)
-    finally:
-        target.write_bytes(kept)
-    seconds = round(time.monotonic() - begin, 1)
-    return {"path": path.as_posix(), "number": number, "name": name, "killed_by": killer, "seconds": seconds}
+    begin, tests = time.monotonic(), _tests_of(name, path, callers)
+    mutant = ast.unparse(tree).encode()
+    killer, passed = None, 0
+    for few in (_QUICK, len(tests)):
+        batch, passed = list(tests[passed:few]), max(passed, few)
+        while batch and killer is None:
+            target.write_bytes(mutant)
+            failed = _failure(copy, batch)
+            if not failed:
+                break
+            again = _failure(copy, [failed]) if "::" in failed else failed
+            target.write_bytes(kept)
+            if "::" not in failed or (again and not _failure(copy, [failed])):
+                killer = failed
+            batch = [test for test in batch if test != failed]
+    target.write_bytes(kept)
+    found = {"path": path.as_posix(), "number": number, "name": name, "tests": len(tests), "killed_by": killer}
+    return {**found, "seconds": round(time.monotonic() - begin, 1)}
 
 
-def _failure(copy: Path, room: str) -> str:
-    """Returns the first test of a folder that fails; "" where all pass."""
-    words = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", "--no-header", f"tests/{room}"]
-    environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+def _failure(copy: Path, tests: Sequence[str]) -> str:
+    """Returns the first test that fails; "" where all pass, and what happened where pytest itself did not end well."""
+    listed = copy / "tests_of_mutant.txt"
+    listed.write_text("\n".join(tests), encoding="utf-8")
     try:
-        done = subprocess.run(
-            [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=_LONGEST
-        )
+        done = _pytest(copy, ["-x", f"@{listed}"], {"PYTHONPATH": str(copy)}, _LONGEST)
     except subprocess.TimeoutExpired:
-        return f"no end of tests/{room} within {_LONGEST} s"
+        return f"no end within {_LONGEST} s"
     if done.returncode == 0:
         return ""
-    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return failed[0][:160] if failed else f"tests/{room} ended with {done.returncode}"
+    known = set(tests)
+    for line in done.stdout.splitlines():
+        if line.startswith(("FAILED", "ERROR")):
+            name = line.split(" ", 1)[1]
+            found = next((test for test in known if name == test or name.startswith(f"{test} - ")), "")
+            return found or f"{line[:160]}"
+    return f"pytest ended with {done.returncode}"
+
+
+def _pytest(
+    copy: Path, words: Sequence[str], more: Mapping[str, str], longest: float | None
+) -> subprocess.CompletedProcess[str]:
+    fixed = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", "--no-header"]
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **more}
+    return subprocess.run(
+        [sys.executable, *fixed, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=longest,
+        check=False,
+    )  # fmt: skip
 
 
 def _read(kept: Path) -> dict[tuple[str, int], dict[str, Any]]:
@@ -140,6 +200,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=1e9, help="starts no further mutant after that time")
     parser.add_argument("--at-least", type=float, default=0.9, help="share that must be killed")
     parser.add_argument("--kept", type=Path, default=ROOT / "bench_output" / "mutants.jsonl")
+    parser.add_argument("--reached", type=Path, default=ROOT / "bench_output" / "reached.jsonl")
     arguments = parser.parse_args()
     if arguments.only:
         path, _, number = arguments.only.rpartition(":")
@@ -151,10 +212,12 @@ def main() -> int:
     until = time.monotonic() + arguments.seconds
     with tempfile.TemporaryDirectory() as folder:
         copy = copied(Path(folder))
+        folders = sorted({folder for room in ROOMS.values() for folder in room if (ROOT / "tests" / folder).is_dir()})
+        callers = reached(copy, folders, arguments.reached)
         for path, number in wanted:
             if (path.as_posix(), number) in done or time.monotonic() > until:
                 continue
-            one = done[path.as_posix(), number] = outcome(copy, path, number)
+            one = done[path.as_posix(), number] = outcome(copy, path, number, callers)
             print(f"{one['path']}:{number}: {one['killed_by'] or 'SURVIVED'} ({one['seconds']} s)", flush=True)
             with arguments.kept.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(one) + "\n")
