@@ -5,7 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.control.certificates.scalar_bounds import (
+    DisplacementResponse,
     displacement_response,
     renderable_by_device_damping,
     renderable_by_hand_force,
@@ -20,6 +22,10 @@ _BY_DAMPING: Final = ("guarded", "energy_bounding")
 _UNPROTECTED: Final = "unprotected"
 """Algorithm that renders the plain wall."""
 _LINEAR_ROTARY: Final = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "N*m*s/rad"), "speed": ("m/s", "rad/s")}
+
+
+LEAN: Final = 0.25
+"""Force of a hand that leans on a wall, as a part of the torque limit."""
 
 
 class Hint(NamedTuple):
@@ -212,9 +218,7 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
         limit = renderable_by_hand_force(response, lag, torque)
         of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""
         held["hand force"] = limit, f"at the torque limit, hand force up to {hand_force:g}{of_each}{more}"
-        limit = start_speed(response, loop.sample_time, lag)
-        text = f"a contact from zero energy begins above this inward speed{more}"
-        hints.append(_hint(axis, "inward speed of a start", "speed", limit, None, text))
+        hints += _felt_hints(axis, response, lag, f"hand force up to {hand_force:g}{of_each}{more}")
     if loop.device_damping and axis.passivity.name in _BY_DAMPING:
         limit = renderable_by_device_damping(loop.device_damping, loop.sample_time, lag)
         held["device damping"] = limit, f"for every user, device_damping {loop.device_damping:g} declared{more}"
@@ -222,6 +226,18 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
         limit = renderable_by_hand_speed(hand_speed, loop.sample_time, lag, torque)
         held["hand speed"] = limit, f"at the torque limit, hand speed up to {hand_speed:g}{more}"
     return [*_held_stiffness(axis, held), *hints]
+
+
+def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text: str) -> list[Hint]:
+    """Returns what a hand that leans on a wall, or comes slowly, feels of it by the hand-force certificate."""
+    push, stiffness = LEAN * axis.parameters.torque_limit, _asked(axis, "stiffness")
+    limit = renderable_by_hand_force(response, lag, push)
+    what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
+    slowest = start_speed(response, axis.loop.sample_time, lag)
+    return [
+        _hint(axis, what, "stiffness", limit, stiffness, f"{text}{_share(limit, stiffness)}"),
+        _hint(axis, "speed of a contact that is felt, from", "speed", slowest, None, f"from zero energy; {text}"),
+    ]
 
 
 def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:

@@ -192,7 +192,7 @@ def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
     limits = {h.what: h.limit for h in stability_hints(load_scene(scene_file(tmp_path), overrides).axes[0])}
     # (m / 2 T^2) F / (F + F_h) with F the torque limit of 20 N
     assert limits["stiffness, certified by hand force"] == pytest.approx(0.2 / 2e-6 * 20 / (20 + 20))
-    assert limits["inward speed of a start"] == pytest.approx(20 * 1e-3 / 0.2)
+    assert limits["speed of a contact that is felt, from"] == pytest.approx(20 * 1e-3 / 0.2)
 
 
 def test_the_quantisation_bound_needs_friction_and_takes_that_of_the_simulated_plant(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 
@@ -38,7 +39,14 @@ def design_report(result: dict[str, Any]) -> RenderableType:
         f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %, "
         f"{result['walls']} walls leant on and pressed by {result['engine']}"
     )
-    parts: list[RenderableType] = [heading, Text(), Text(snippet(result)), *_price(result), _trade(result)]
+    parts: list[RenderableType] = [
+        heading,
+        Text(),
+        Text(snippet(result)),
+        *_price(result),
+        _trade(result),
+        *_felt(result),
+    ]
     return Group(*parts)
 
 
@@ -63,6 +71,34 @@ def _price(result: dict[str, Any]) -> list[Text]:
         words = f" {count} smaller walls are not rendered within the tolerance; try --margin 0.5"
         texts.append(Text(words, style="yellow"))
     return texts
+
+
+def _felt(result: dict[str, Any]) -> list[RenderableType]:
+    """Returns what the hand feels: walls that are held for a push, what drags it, and when a contact begins."""
+    felt, motion = result["felt"], result["unit"]
+    stiffness, effort = _UNITS[motion][0], effort_unit(motion)
+    table = FigureTable(title=f"largest wall within {100.0 * result['tolerance']:g} % at rest", pad_edge=False)
+    for heading in (f"push [{effort}]", f"held [{stiffness}]", f"certified by hand force [{stiffness}]"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for wall in felt["walls"]:
+        certified = "" if wall["certified"] is None else f"{wall['certified']:.3g}"
+        table.add_row(f"{wall['push']:.3g}", f"{wall['held']:.3g}", certified)
+    speed, start = f"{felt['speed']:g} {motion}/s", felt["start_speed"]
+    contact = (
+        f"{felt['slowest']:g} {motion}/s and more" if start == felt["slowest"] else f"above {start:.2g} {motion}/s"
+    ) if start is not None else "none: a hand at any speed goes through it"  # fmt: skip
+    lines = [
+        f" drag before contact, at {speed}: {si(felt['drag'], effort, 2)}",
+        f" contacts with the wall above that meet a force: {contact}",
+    ]
+    uneven = [
+        f"{w['softer_not_held']} of {w['softer']} at {w['push']:.3g} {effort}"
+        for w in felt["walls"]
+        if w["softer_not_held"]
+    ]
+    if uneven:
+        lines.append(f" softer walls that are not held within the tolerance: {', '.join(uneven)}")
+    return [table, *map(Text, lines)]
 
 
 def _trade(result: dict[str, Any]) -> Table:

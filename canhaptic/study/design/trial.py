@@ -21,6 +21,7 @@ import yaml
 
 from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
+from canhaptic.scene.hints import LEAN
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.study.batch.cases import why_not_beforehand
@@ -40,8 +41,6 @@ STIFFEST: Final = 1e8
 _MOST_DAMPING: Final = 1e6  # [N*s/m or N*m*s/rad]
 _HAND: Final = {"stiffness": 300.0, "damping": 3.0}
 """Of a scene without a hand: an ordinary grip."""
-_LEAN: Final = 0.25
-"""Force of the hand that leans, as a part of the torque limit."""
 _DEEPEST: Final = 0.1
 """Depth [m or rad] to which the hand leans into the softest wall that is tried."""
 DURATION: Final = 2.0  # [s]
@@ -85,6 +84,7 @@ class Trial:
 
     Attributes:
         scene: Leaning on the wall; what is shown of a wall is shown of it.
+        hand: Stiffness and damping of the grip [N/m, N*s/m or N*m/rad, N*m*s/rad].
         softest: Wall that is tried [N/m or N*m/rad].
         engine: What computes the trials.
         is_quick: Whether walls are tried compiled.
@@ -100,11 +100,11 @@ class Trial:
             raise InputError(f"{scene.source}: has the axes {names}; a wall is designed for one, make a scene of each")
         [axis] = scene.axes
         self._tolerance = tolerance
-        force = _LEAN * axis.parameters.torque_limit
+        force = LEAN * axis.parameters.torque_limit
         self.softest = force / _DEEPEST
         self._allowance = float(getattr(axis.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
         self._judged = "least_covered" if axis.loop.device_damping else "least_interaction"
-        hand = _hand(axis)
+        hand = self.hand = _hand(axis)
         travel = 2.0 * force / hand["stiffness"]
         motion = {"amplitude": travel, "frequency": _FREQUENCY, "phase": math.pi / 2.0}
         self.scene = _with_user(scene, {"damping": hand["damping"], "push": -force})

@@ -19,6 +19,7 @@ from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.engine import Engine
 from canhaptic.study.comparison import compare
+from canhaptic.study.design.felt_walls import felt_of
 from canhaptic.study.design.trial import ALGORITHM, DAMPING, DURATION, STIFFEST, STIFFNESS, Trial, TrialVerdict
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import places_of
@@ -93,6 +94,7 @@ def design_wall(
     stiffness, damping = trade[0]
     below, verdict = search.below_and_at(stiffness, damping)
     result = _account(trial, verdict, stiffness, damping)
+    result["felt"] = felt_of(trial.scene, ALGORITHM, trial.hand, tolerance, stiffness)
     result |= {"margin": margin, "tolerance": tolerance, "walls": trial.walls}
     result |= {"tried_below": len(below), "failing_below": int((~below).sum())}
     result["trade"] = [{"stiffness": k, "damping": d} for k, d in trade]

@@ -4,8 +4,7 @@
     held     over the last part of the run: mean torque over mean depth is within the tolerance of what was asked, depth
              goes to and fro by no more than the tolerance, and no more energy came out than the allowance
 
-The push has no damping: what swings at first must have died away by the damping of the device when a wall is judged,
-hence `settling_time`.
+What swings at first must have died away by the damping of device and hand when a wall is judged: `settling_time`.
 """
 
 from collections.abc import Sequence
@@ -21,9 +20,6 @@ from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.study.felt.guided import Leg, guided_case
 from canhaptic.study.loop import LoopCase, Recorder, render
 
-_PER_DECADE: Final = 12
-_FINE: Final = 0.005
-"""Part to which the largest stiffness is found."""
 _FURTHEST: Final = 4.0
 """Way that counts as divergence, over the depth asked for."""
 _LEAST_FURTHEST: Final = 0.2  # [m or rad]
@@ -42,6 +38,9 @@ class Leaning:
     rest: float = 0.5  # at the end, over which it is judged [s]
     tolerance: float = 0.05
     allowance: float = 1e-6  # of energy given out [J]
+    damping: float = 0.0  # of the hand [N*s/m or N*m*s/rad]
+    per_decade: int = 12  # walls tried before the largest is bracketed
+    fine: float = 0.005  # part to which the largest stiffness is found
 
 
 def settling_time(mass: float, damping: float) -> float:
@@ -80,7 +79,8 @@ def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0)
     plant = bench.plant.model_copy(update={"initial_position": leaning.clearance, "initial_velocity": 0.0})
     course = (Leg(0.0, push_rate=-leaning.push / leaning.rise), Leg(leaning.rise))
     wall = SpringDamperWall(stiffness=stiffness, damping=damping)
-    case = guided_case(replace(bench.case, environment=wall), plant, GuidedHand(), course, bench.effects, bench.seed)
+    hand = GuidedHand(damping=leaning.damping)
+    case = guided_case(replace(bench.case, environment=wall), plant, hand, course, bench.effects, bench.seed)
     period = case.sample_time_ns * 1e-9
     deepest = max(_FURTHEST * leaning.push / stiffness, _LEAST_FURTHEST)
     run = render(case, round(leaning.duration / period), Recorder(furthest=deepest))
@@ -113,13 +113,13 @@ def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float
         softest: Stiffness tried first [N/m or N*m/rad].
         stiffest: Largest that is tried.
     """
-    walls = np.geomspace(softest, stiffest, 2 + int(_PER_DECADE * np.log10(stiffest / softest))).tolist()
+    walls = np.geomspace(softest, stiffest, 2 + int(leaning.per_decade * np.log10(stiffest / softest))).tolist()
     passed = [held(bench, stiffness, leaning).passed for stiffness in walls]
     if True not in passed:
         return LargestHeld(0.0, 0, 0)
     last = len(passed) - 1 - passed[::-1].index(True)
     low, high = walls[last], walls[min(last + 1, len(walls) - 1)]
-    while high > (1.0 + _FINE) * low:
+    while high > (1.0 + leaning.fine) * low:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if held(bench, middle, leaning).passed else (low, middle)
     return LargestHeld(float(low), last, passed[:last].count(False))

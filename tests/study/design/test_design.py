@@ -12,6 +12,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.study.batch import run_scalar
 from canhaptic.study.comparison import compare
 from canhaptic.study.design.design_report import snippet
+from canhaptic.study.design.felt_walls import felt_of
 from canhaptic.study.design.trial import Trial
 from canhaptic.study.design.wall import _ONE_BY_ONE, _rounded, design_wall
 
@@ -154,3 +155,37 @@ def test_a_rig_that_renders_no_wall_is_told_what_to_change():
 
 def test_numbers_are_rounded_down():
     assert [_rounded(value) for value in (1569.9, 0.012349, 0.0, 149.0, 1e8)] == [1560.0, 0.0123, 0.0, 149.0, 1e8]
+
+
+PULLED = ["bus.rate=100", "passivity.hand_force=5 N", "simulation.plant.damping=1", "passivity.device_damping_bound=1"]
+
+
+@pytest.fixture(scope="module")
+def felt():
+    trial = Trial(load_scene(DEMO, PULLED), 0.05, "python")
+    return felt_of(trial.scene, "guarded", trial.hand, 0.05, 100.0)
+
+
+def test_a_wall_said_to_be_felt_is_held_in_a_scene_and_one_beyond_the_certificate_is_not(felt):
+    [_, wall, _] = felt["walls"]
+    assert wall["push"] == 5.0
+    assert 0.3 * wall["certified"] < wall["held"] < 1.05 * wall["certified"]
+    for stiffness, is_held in ((0.95 * wall["held"], True), (1.3 * wall["certified"], False)):
+        scene = load_scene(
+            DEMO,
+            [
+                *PULLED,
+                f"environment={{type: spring_damper_wall, stiffness: {stiffness!r}}}",
+                "simulation.user={damping: 5, push: -5}",
+                "simulation.plant.initial_position=0.02",
+            ],
+        )
+        run = compare(scene, ["guarded"], duration=4.0, repeats=0).result["axes"]["handle"]["algorithms"]["guarded"]
+        assert (run["stiffness_at_rest"]["share"] > 0.95) == is_held
+
+
+def test_a_contact_is_felt_above_the_speed_that_the_hand_can_take_away(felt):
+    """(1 + delay) F_h T / m, one sample late; the hand that is tried pushes as well, which takes time."""
+    slowest = 2.0 * 5.0 * 0.01 / 0.2
+    assert slowest < felt["start_speed"] < 1.5 * slowest
+    assert felt["drag"] == 0.0
