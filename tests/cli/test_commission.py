@@ -24,7 +24,7 @@ def test_a_right_configuration_ends_with_status_zero_and_values_to_paste(
     assert status == 0
     assert report["status"] == "ok"
     assert report["snippet"] == out.read_text()
-    assert "moving_mass: 0.2249" in report["snippet"]
+    assert "moving_mass: 0.2247" in report["snippet"]
 
 
 def test_what_differs_ends_with_status_one(capsys: pytest.CaptureFixture[str]) -> None:
