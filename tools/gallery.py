@@ -121,8 +121,8 @@ GALLERY: Final[tuple[Entry, ...]] = (
     ),
     Entry(
         "A map of walls and rates",
-        "96 walls and rates under two algorithms: what holds, what is missing in (4), what is left of stiffness and "
-        "damping. No bus could carry the highest rates.",
+        "96 walls and rates under two algorithms: the stiffest wall, what is missing in (4), what is left of stiffness "
+        "and damping. No bus could carry the highest rates.",
         (
             "canhaptic sweep configs/demo.yaml --vary environment.stiffness=100:1e5:log:16 "
             "--vary bus.rate=100:3200:log:6 --controllers unprotected,guarded --duration 4 --beyond-bus --out map.h5",

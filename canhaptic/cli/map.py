@@ -44,7 +44,7 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _lines(columns: list[list[Panel]]) -> list[dict[str, object]]:
+def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
     """Returns every line that is drawn, as plain values."""
     return [
         {"panel": panel.title, "line": line.label, "x": panel.x_label, "y": panel.y_label,
@@ -53,7 +53,7 @@ def _lines(columns: list[list[Panel]]) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def _print(columns: list[list[Panel]], shares: dict[str, float]) -> None:
+def _print(columns: list[list[Panel | None]], shares: dict[str, float]) -> None:
     for name, share in shares.items():
         write_line(f" {name}: {100.0 * share:.3g} % of the scenes pass")
     for column in columns:

@@ -12,7 +12,11 @@ from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 Found = Mapping[str, Any]
 _COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY)
 _MARKS: Final = "osv^<>DPX*hpd"
-_THEORY: Final = (("Colgate", "--", "#404040"), ("eigenvalues", "-.", "#404040"), ("certificate", ":", "#000000"))
+_THEORY: Final = (
+    ("Colgate", "--", "#404040"),
+    ("eigenvalues", "-.", "#404040"),
+    ("largest certificate", ":", "#000000"),
+)
 _OUR: Final = "guarded"
 _WORDS: Final = {"passive": "passive, device included", "near": "and stiffness within 5 %"}
 _LEAST_DAMPING: Final = 0.05
@@ -54,8 +58,6 @@ def _draw_border(panel: Any, found: Found, delay: int, key: str) -> None:
         _, style, colour = next(kind for kind in _THEORY if name.startswith(kind[0]))
         places = [p["damping"] for p in points], [p["stiffness"] for p in points]
         panel.plot(*places, linestyle=style, color=colour, linewidth=1.3, label=name)
-        if name.startswith("certificate") and points:
-            panel.annotate(name.partition(": ")[2], (points[0]["damping"], points[0]["stiffness"]), fontsize=7.0)
     if any(border["open"] and border["delay"] == delay for border in found["borders"]):
         most = max(border["passive"] for border in found["borders"])
         panel.annotate("all that was tried", (0.0, most), xytext=(4, -12), textcoords="offset points", fontsize=7.0)

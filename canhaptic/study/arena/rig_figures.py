@@ -17,15 +17,14 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.errors import ParameterError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.study.arena.arena_cases import label_of, rounded, scene_under, with_loop
-from canhaptic.study.batch import run_batch, run_scalar, scene_with, spectral_radius, why_not_batchable
+from canhaptic.study.batch import run_batch, run_scalar, scene_with, why_not_batchable
 from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.field_figures import asked_impedance, m_width, rendered_impedance, stiffest_walls
 from canhaptic.study.loop import Array, LoopCase, LoopRun, render
-from canhaptic.study.map.z_width import colgate_stiffness
+from canhaptic.study.map.theory import theory_of
 from canhaptic.study.scenes import cycles_of, loop_case
 
 DAMPINGS: Final = (0.0, 0.05, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)  # [N*s/m]
@@ -97,42 +96,22 @@ def _at_delay(scene: Scene, delay: int) -> Scene:
 def theory(rig: Path, delay: int) -> dict[str, Rows]:
     """Returns the lines of theory in the K-B plot by name, each a list of damping and stiffness.
 
-    Colgate's condition for every hand; the border up to which the loop with the hand of the rig is stable, by its
-    eigenvalues, both of the plain wall; and the largest stiffness that each certificate of `guarded` holds.
+    Of the plain wall, and the largest stiffness that a certificate of `guarded` holds; see `study.map.theory`.
     """
-    scene = _at_delay(scene_under(rig, "unprotected"), delay)
-    [axis] = scene.axes
-    device, period = simulation_of(axis).plant.damping, scene.bus.sample_time
-    fine = np.concatenate([np.linspace(0.0, device, 21), [d for d in DAMPINGS if d > device]])
-    colgate = [(d, colgate_stiffness(device, float(d), period, delay)) for d in fine]
+    plain, ours = (_at_delay(scene_under(rig, name), delay) for name in ("unprotected", "guarded"))
+    device = simulation_of(plain.axes[0]).plant.damping
+    fine = [*np.linspace(0.0, device, 21).tolist(), *(damping for damping in DAMPINGS if damping > device)]
+    found = {d: theory_of(scene_with(plain, {"environment.damping": d})) for d in fine}
+    certified = theory_of(ours).certificate
     return {
-        "Colgate, plain wall": _points(colgate),
-        "eigenvalues, plain wall": _points(_stable(scene)),
-        **{
-            f"certificate of guarded: {name}": _points([(DAMPINGS[0], limit), (DAMPINGS[-1], limit)])
-            for name, limit in _certified(_at_delay(scene_under(rig, "guarded"), delay)).items()
-        },
+        "Colgate, plain wall": _points({d: one.colgate for d, one in found.items()}),
+        "eigenvalues, plain wall": _points({d: one.eigenvalues for d, one in found.items()}),
+        "largest certificate of guarded": _points(dict.fromkeys(DAMPINGS, certified)),
     }
 
 
-def _certified(scene: Scene) -> dict[str, float]:
-    hints = stability_hints(scene.axes[0])
-    return {h.certificate: h.limit for h in hints if h.certificate and h.certificate != "largest" and h.limit}
-
-
-def _stable(scene: Scene) -> list[tuple[float, float]]:
-    stiffnesses = tried_stiffnesses(100)
-    count = len(stiffnesses)
-    border = []
-    for damping in DAMPINGS:
-        walls = {"environment.stiffness": stiffnesses, "environment.damping": np.full(count, damping)}
-        radii = spectral_radius(scene, walls)
-        border.append((damping, float(stiffest_walls(stiffnesses, radii < 1.0, np.full(count, np.nan)).passive)))
-    return border
-
-
-def _points(line: Sequence[tuple[float, float]]) -> Rows:
-    return [{"damping": rounded(float(d)), "stiffness": rounded(float(k))} for d, k in line if k > 0.0]
+def _points(line: Mapping[float, float | None]) -> Rows:
+    return [{"damping": rounded(d), "stiffness": rounded(k)} for d, k in line.items() if k]
 
 
 def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Rows:

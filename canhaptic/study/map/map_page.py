@@ -11,11 +11,14 @@ from canhaptic.study.map.panel import Cells, Lines, Panel, common_limits
 from canhaptic.view.html_page import require_bokeh, write_page
 
 _WIDTH, _HEIGHT = 560, 380
-_DASHES: Final = {"measured": "solid", "colgate": "dashed", "abbott_okamura": "dotted"}
+_DASHES: Final = {
+    "measured": "solid", "ours": "solid", "colgate": "dashed", "abbott_okamura": "dotted", "eigenvalues": "dashdot",
+    "certificate": "dotdash",
+}  # fmt: skip
 _BLANK: Final = "#F2F2F2"
 
 
-def write_map(columns: Sequence[Sequence[Panel]], caption: str, path: Path) -> None:
+def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Path) -> None:
     """Writes panels as a page.
 
     Raises:
@@ -61,8 +64,16 @@ def _lines(place: Any, panel: Lines) -> None:
 
     for line in panel.lines:
         given = {"x": line.x, "y": line.y}
-        place.line(**given, color=line.colour, line_dash=_DASHES[line.style], line_width=2, legend_label=line.label)
-        dots = place.scatter(**given, color=line.colour, size=6 if line.style == "measured" else 2, name=line.label)
+        place.line(
+            **given,
+            color=line.colour,
+            line_dash=_DASHES[line.style],
+            line_width=4 if line.style == "ours" else 2,
+            legend_label=line.label,
+        )
+        dots = place.scatter(
+            **given, color=line.colour, size=6 if line.style in ("measured", "ours") else 2, name=line.label
+        )
         tips = [("", "$name"), (panel.x_label, "@x"), (panel.y_label, "@y")]
         place.add_tools(HoverTool(renderers=[dots], tooltips=tips))
     if panel.note:

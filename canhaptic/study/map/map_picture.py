@@ -13,13 +13,19 @@ from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 _LETTERS: Final = 80
 """Of the caption over one column."""
 _LINES: Final[dict[str, dict[str, Any]]] = {
-    "measured": {"linewidth": 2.0, "marker": "o", "markersize": 4.0},
+    "measured": {"linewidth": 1.4, "markersize": 4.5, "fillstyle": "none"},
+    "ours": {"linewidth": 2.6, "markersize": 4.5, "fillstyle": "none", "zorder": 5},
     "colgate": {"linewidth": 1.4, "linestyle": "--", "zorder": 4},
     "abbott_okamura": {"linewidth": 1.4, "linestyle": ":"},
+    "eigenvalues": {"linewidth": 1.2, "linestyle": "-."},
+    "certificate": {"linewidth": 1.2, "linestyle": (0, (1, 3))},
 }
+_MANY: Final = 5
+"""Lines from which a legend is written smaller."""
+_MARKS: Final = "osv^<>DPX*hpd"
 
 
-def draw_map(columns: Sequence[Sequence[Panel]], caption: str, path: str | Path) -> None:
+def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str | Path) -> None:
     """Draws panels into a file; its suffix says how.
 
     Raises:
@@ -67,7 +73,8 @@ def _mark_values(place: Any, panel: Panel) -> None:
 def _draw_lines(place: Any, panel: Lines) -> None:
     place.grid(visible=True)
     for line in panel.lines:
-        place.plot(line.x, line.y, label=line.label, color=line.colour, **_LINES[line.style])
+        mark = _MARKS[line.number % len(_MARKS)] if line.style in ("measured", "ours") else None
+        place.plot(line.x, line.y, label=line.label, color=line.colour, marker=mark, **_LINES[line.style])
     if panel.note:
         place.text(
             0.0,
@@ -78,7 +85,8 @@ def _draw_lines(place: Any, panel: Lines) -> None:
             color="#606060",
             va="top",
         )
-    place.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=8.0, loc="best")
+    size = 8.0 if len(panel.lines) <= _MANY else 6.5
+    place.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=size, loc="best")
 
 
 def _draw_cells(figure: Any, place: Any, panel: Cells, limits: tuple[float, float]) -> None:

@@ -7,10 +7,15 @@ from typing import Final, Literal
 import numpy as np
 
 from canhaptic.study.loop import Array
-from canhaptic.view.palette import BLUE, GREEN, ORANGE, PURPLE, SKY
+from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 
-_COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY)
+_COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY, VERMILION, GREY)
+_BLACK: Final = ("ours", "abbott_okamura", "eigenvalues", "certificate")
 _FEW: Final = 8
+_LOG_SPAN: Final = 8.0
+"""Ratio of largest and least value from which an axis is logarithmic."""
+CurveStyle = Literal["measured", "ours", "colgate", "abbott_okamura", "eigenvalues", "certificate"]
+"""What a line is of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,13 +25,13 @@ class PanelCurve:
     label: str
     x: Array
     y: Array
-    style: Literal["measured", "colgate", "abbott_okamura"]
+    style: CurveStyle
     number: int = 0
 
     @property
     def colour(self) -> str:
-        """As #RRGGBB; what holds at every level is black."""
-        return "#000000" if self.style == "abbott_okamura" else _COLOURS[self.number % len(_COLOURS)]
+        """As #RRGGBB; what holds at every level is black, and so is the algorithm that is meant for a rig."""
+        return "#000000" if self.style in _BLACK else _COLOURS[self.number % len(_COLOURS)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,3 +121,13 @@ def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
     if cells[0].value_log:
         return low, max(high, 10.0 * low)
     return low, high if high > low else low + 1.0
+
+
+def is_log(values: Array) -> bool:
+    """Returns whether an axis of these values is logarithmic."""
+    return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
+
+
+def positive(values: Array) -> Array:
+    """Returns values for a logarithmic axis: NaN where there is no place for them."""
+    return np.where(values > 0.0, values, np.nan)

@@ -8,14 +8,14 @@ import numpy as np
 from canhaptic.errors import InputError
 from canhaptic.study.loop import Array
 from canhaptic.study.map.field import MapField
-from canhaptic.study.map.panel import Cells, Lines, Panel, PanelCurve
-from canhaptic.study.map.z_width import JUDGEMENTS, border_of, theory_at, usual_judgement
+from canhaptic.study.map.headline import headline
+from canhaptic.study.map.panel import Cells, Lines, Panel, PanelCurve, is_log, positive
+from canhaptic.study.map.theory import theory_at
+from canhaptic.study.map.z_width import JUDGEMENTS, border_of, usual_judgement
 
 _STIFFNESS: Final = "environment.stiffness"
 _PREFERRED: Final = ("bus.rate", "environment.damping")
 _MOST_LINES: Final = 5
-_LOG_SPAN: Final = 8.0
-"""Ratio of largest and least value from which an axis is logarithmic."""
 _LEAST_ENERGY: Final = 1e-6  # [J]
 _ERROR: Final = "position_error.rms"
 
@@ -30,8 +30,8 @@ class Chosen:
     judgement: str | None = None
 
 
-def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel]]:
-    """Returns the panels of a map, one column per algorithm.
+def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]]:
+    """Returns the panels of a map, by columns: all algorithms together on top, then one column per algorithm.
 
     Raises:
         InputError: A key that was not varied or a figure that was not asked for.
@@ -39,9 +39,36 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel]]:
     _check(fields[0], chosen)
     if chosen.metric is not None or not fields[0].is_grid:
         return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
-    columns = [_usual_panels(one, chosen) for one in fields]
+    together = _together(fields, chosen)
+    columns = [_usual_panels(one, chosen, beside=bool(together)) for one in fields]
     rows = [row for row in zip(*columns, strict=True) if any(panel.has_something() for panel in row)]
-    return [list(column) for column in zip(*rows, strict=True)] or columns
+    return _below(together, [list(column) for column in zip(*rows, strict=True)] or columns)
+
+
+def _below(together: list[Lines], columns: list[list[Panel]]) -> list[list[Panel | None]]:
+    """Returns columns with a further row on top, which may be longer or shorter than there are columns."""
+    if not together:
+        return [list(column) for column in columns]
+    blank: list[Panel | None] = [None] * len(columns[0])
+    count = max(len(together), len(columns))
+    tops = [together[i] if i < len(together) else None for i in range(count)]
+    return [[tops[i], *(columns[i] if i < len(columns) else blank)] for i in range(count)]
+
+
+def _together(fields: list[MapField], chosen: Chosen) -> list[Lines]:
+    """Returns the panels of all algorithms, unless one judgement was asked for or one key varied."""
+    if chosen.judgement is not None or len(fields[0].keys) == 1:
+        return []
+    return headline(fields, *_keys(fields[0], chosen))
+
+
+def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
+    """Returns what is searched, what is across and what has one line or panel each."""
+    free = [key for key in field.keys if key != chosen.x] or field.keys
+    z = _STIFFNESS if _STIFFNESS in free else free[-1]
+    others = sorted((key for key in field.keys if key != z), key=_preference)
+    x = chosen.x or others[0]
+    return z, x, chosen.y if chosen.y not in (None, z) else next((key for key in others if key != x), None)
 
 
 def _check(field: MapField, chosen: Chosen) -> None:
@@ -54,20 +81,15 @@ def _check(field: MapField, chosen: Chosen) -> None:
         raise InputError(f"--metric: {chosen.metric!r} is not in the file; sweep again with --metrics {chosen.metric}")
 
 
-def _usual_panels(field: MapField, chosen: Chosen) -> list[Panel]:
-    free = [key for key in field.keys if key != chosen.x] or field.keys
-    z = _STIFFNESS if _STIFFNESS in free else free[-1]
+def _usual_panels(field: MapField, chosen: Chosen, *, beside: bool) -> list[Panel]:
+    """Returns the panels of one algorithm; its border only where it is not in a panel beside the others'."""
     if len(field.keys) == 1:
-        return [
-            _profile(field, z, metric) for metric in ("margin", "stiffness_rendered.share", _ERROR) if field.has(metric)
-        ]
-    others = sorted((key for key in field.keys if key != z), key=_preference)
-    x = chosen.x or others[0]
-    y = chosen.y if chosen.y not in (None, z) else next((key for key in others if key != x), None)
-    judgement = chosen.judgement or usual_judgement(field)
+        profiles = ("margin", "stiffness_rendered.share", _ERROR)
+        return [_profile(field, field.keys[0], metric) for metric in profiles if field.has(metric)]
+    z, x, y = _keys(field, chosen)
     metrics = ("margin", "stiffness_rendered.share", "damping_rendered.mean", _ERROR)
     of_metrics = [_metric_panel(field, Chosen(x, z), metric) for metric in metrics if field.has(metric)]
-    return [_width(field, z, x, y, judgement), *of_metrics]
+    return of_metrics if beside else [_width(field, z, x, y, chosen.judgement or usual_judgement(field)), *of_metrics]
 
 
 def _preference(key: str) -> int:
@@ -84,10 +106,10 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
     levels = [None] if y is None else sorted(field.values[y].tolist())
     if y is not None and len(levels) > _MOST_LINES:
         ranks = np.argsort(field.values[y])
-        cells, rows = _positive(border.value[order][:, ranks].T), field.values[y][ranks]
+        cells, rows = positive(border.value[order][:, ranks].T), field.values[y][ranks]
         return Cells(
             f"{title}, {note}", field.label(x), field.label(y), places, rows, cells, field.label(z),
-            _is_log(places), _is_log(rows), value_log=True,
+            is_log(places), is_log(rows), value_log=True,
         )  # fmt: skip
     lines: list[PanelCurve] = []
     for colour, level in enumerate(levels):
@@ -95,7 +117,7 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
             border.value if level is None else border.value[:, int(np.flatnonzero(field.values[y or ""] == level)[0])]
         )
         of_level = "" if level is None or y is None else f", {y.rpartition('.')[2]} {level:.3g}"
-        lines.append(PanelCurve(f"measured{of_level}", places, _positive(kept[order]), "measured", colour))
+        lines.append(PanelCurve(f"measured{of_level}", places, positive(kept[order]), "measured", colour))
         if z == _STIFFNESS and field.algorithm == "unprotected":
             lines += _theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
     if border.open.any():
@@ -105,7 +127,7 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
             why = ", no Coulomb friction" if line.style == "abbott_okamura" else ", the wall's damping is too large"
             note += f"; {line.label}: 0{why}"
     shown = tuple(line for line in lines if np.isfinite(line.y).any())
-    return Lines(title, field.label(x), field.label(z), shown, _is_log(places), _is_log(field.values[z]), note)
+    return Lines(title, field.label(x), field.label(z), shown, is_log(places), is_log(field.values[z]), note)
 
 
 def _theory(
@@ -116,15 +138,11 @@ def _theory(
     lines = []
     if all(one.colgate is not None for one in found):
         values = np.array([one.colgate for one in found], dtype=float)
-        lines.append(PanelCurve(f"Colgate{of_level}", places, _positive(values), "colgate", colour))
+        lines.append(PanelCurve(f"Colgate{of_level}", places, positive(values), "colgate", colour))
     if colour == 0 and all(one.abbott_okamura is not None for one in found):
         values = np.array([one.abbott_okamura for one in found], dtype=float)
-        lines.append(PanelCurve("Abbott-Okamura", places, _positive(values), "abbott_okamura"))
+        lines.append(PanelCurve("Abbott-Okamura", places, positive(values), "abbott_okamura"))
     return lines
-
-
-def _positive(values: Array) -> Array:
-    return np.where(values > 0.0, values, np.nan)
 
 
 def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
@@ -149,7 +167,7 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
         places = field.values[x], field.values[y]
     limits = (0.0, 1.2) if kind == "share" else None
     return Cells(
-        title, field.label(x), field.label(y), *places, values, label, _is_log(places[0]), _is_log(places[1]),
+        title, field.label(x), field.label(y), *places, values, label, is_log(places[0]), is_log(places[1]),
         value_log=kind in ("energy", "error"), limits=limits, contour=0.95 if kind == "share" else None,
         dots=not field.is_grid, more_is_worse=kind in ("energy", "error"),
     )  # fmt: skip
@@ -207,8 +225,4 @@ def _profile(field: MapField, key: str, metric: str) -> Panel:
     places = field.values[key][order]
     line = PanelCurve(field.algorithm, places, flat[order], "measured")
     log = kind in ("energy", "error")
-    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), _is_log(places), log)
-
-
-def _is_log(values: Array) -> bool:
-    return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
+    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), is_log(places), log)

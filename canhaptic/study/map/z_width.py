@@ -1,30 +1,14 @@
-"""Z-width: the largest stiffness that passes at every value of the other keys, and what theory says of it.
+"""Z-width: the largest stiffness that passes at every value of the other keys, and the largest that is also near."""
 
-Colgate and Schenkel, "Passivity of a class of sampled-data systems", Journal of Robotic Systems 14, 1997: with the
-damping b of the device a sampled wall H(z) is passive for every user if and only if, at every frequency,
-
-    b > T / (2 - 2 cos wT) * Re{(1 - e^-jwT) H(e^jwT)}
-
-For a spring k without delay that is b > k T / 2. Abbott and Okamura (IEEE Trans. Robotics 21, 2005) add the encoder:
-the Coulomb friction of the device must cover half a count of the spring, k < 2 f_c / count: for a wall without a damper
-and without delay, on a device that has such friction; nothing is said of any other.
-"""
-
-import math
-from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from canhaptic.control.balance import PASSIVE_TOLERANCE
-from canhaptic.scene.hints import quantisation_bound
-from canhaptic.scene.models import Scene
-from canhaptic.study.batch import scene_with
+from canhaptic.study.field_figures import NEAR
 from canhaptic.study.loop import Array
 from canhaptic.study.map.field import MapField, Mask
-from canhaptic.study.scenes import viscous_friction
-from canhaptic.study.sweep.chunk import BATCHED, RADIUS
-from canhaptic.study.sweep.places import batch_key
+from canhaptic.study.sweep.chunk import RADIUS
 
 JUDGEMENTS: Final = {
     "stable": "stable",
@@ -40,13 +24,15 @@ _ENERGIES: Final = {
     "settled": "interaction",
     "covered": "least_covered",
 }
-_ANGLES: Final = 4096
+SHARE: Final = "stiffness_rendered.share"
 
 
 class _Border(NamedTuple):
-    """The largest value of a key that passes, and all below it; shape of the other keys of a field.
+    """The largest value of a key that passes with all below it, or the largest near one of these.
 
-    NaN where a scene was not run; 0 where not even the least passes; `open` where the largest does, too.
+    Of the shape of the other keys of a field.
+
+    NaN where a scene was not run; 0 where not even the least passes, or none is near; `open` where the largest passes.
     """
 
     value: Array
@@ -86,7 +72,12 @@ def passing_share(field: MapField, judgement: str) -> float:
     return float((_passes(field, judgement) & judged).sum() / max(1, judged.sum()))
 
 
-def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> _Border:
+def common_judgement(field: MapField) -> str:
+    """Returns how all algorithms are judged beside each other: as displays, device included, where that is known."""
+    return next((name for name in ("covered", "passive") if field.has(_ENERGIES[name])), "margin")
+
+
+def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, near: bool = False) -> _Border:
     """Returns the largest value of a key that passes, the worst over every key that is not kept.
 
     Args:
@@ -94,6 +85,7 @@ def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> _Bo
         key: Whose largest value is asked, as environment.stiffness.
         kept: Keys that the result has as dimensions, in this order.
         judgement: A name of `JUDGEMENTS`.
+        near: Whether to return the largest of these values at which the stiffness is rendered within `NEAR`.
     """
     order = [field.keys.index(name) for name in (key, *kept)]
     others = [i for i in range(len(field.keys) + 1) if i not in order]
@@ -104,59 +96,10 @@ def border_of(field: MapField, key: str, kept: list[str], judgement: str) -> _Bo
     rank = np.argsort(field.values[key])
     good = np.asarray((passed | ~judged).all(axis=folded))[rank]
     known = np.asarray(np.asarray(judged.any(axis=folded)).all(axis=0))
-    count = np.logical_and.accumulate(good, axis=0).sum(axis=0)
-    largest = np.where(count > 0, values[np.maximum(count, 1) - 1], 0.0)
-    return _Border(np.where(known, largest, np.nan), known & (count == len(values)))
-
-
-def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
-    """Returns the largest stiffness [N/m or N*m/rad] that the condition above permits.
-
-    Args:
-        damping: b of the device [N*s/m or N*m*s/rad].
-        wall_damping: Of the wall, on the backward difference of the position [N*s/m or N*m*s/rad].
-        sample_time: T [s].
-        delay: Whole holds, inside H.
-    """
-    angle = np.linspace(math.pi / _ANGLES, math.pi, _ANGLES)
-    forward = 1.0 - np.exp(-1j * angle)
-    common = forward * np.exp(-1j * delay * angle) / (2.0 * (1.0 - np.cos(angle)))
-    of_spring, of_damper = sample_time * common.real, (common * forward).real
-    left = damping - wall_damping * of_damper
-    if float(left.min()) <= 0.0:
-        return 0.0
-    asked = of_spring > 0.0
-    return float((left[asked] / of_spring[asked]).min())
-
-
-class _Theory(NamedTuple):
-    """What theory permits at one place of a map [N/m or N*m/rad]; None where it says nothing."""
-
-    colgate: float | None
-    abbott_okamura: float | None
-
-
-def theory_at(field: MapField, values: Mapping[str, float]) -> _Theory:
-    """Returns the lines of theory for the plain wall at some values of a field's keys.
-
-    Args:
-        field: Whose scene and axis are meant.
-        values: Key -> value; keys that no formula knows are left out.
-    """
-    scene = _scene_at(field, values)
-    [axis] = scene.axes
-    simulation, environment = axis.simulation, axis.environment.parameters
-    if simulation is None or not hasattr(environment, "stiffness"):
-        return _Theory(None, None)
-    delay = scene.bus.delay
-    device = simulation.plant.damping + viscous_friction(simulation)
-    wall = float(getattr(environment, "damping", 0.0))
-    colgate = colgate_stiffness(device, wall, scene.bus.sample_time, delay)
-    friction = quantisation_bound(axis)
-    friction = friction if friction and math.isfinite(friction) else None
-    return _Theory(colgate, friction if delay == 0 and wall == 0.0 else None)
-
-
-def _scene_at(field: MapField, values: Mapping[str, float]) -> Scene:
-    names = {batch_key(key, field.index, field.axis): value for key, value in values.items()}
-    return scene_with(field.scene, {name: value for name, value in names.items() if name in BATCHED})
+    below = np.logical_and.accumulate(good, axis=0)
+    is_open = known & below[-1]
+    if near:
+        shares = field.figure(SHARE).transpose(*order, *others)
+        below &= np.asarray(((np.abs(shares - 1.0) <= NEAR) | ~judged).all(axis=folded))[rank]
+    column = values.reshape(-1, *(1,) * (below.ndim - 1))
+    return _Border(np.where(known, np.where(below, column, 0.0).max(axis=0), np.nan), is_open)

@@ -14,7 +14,8 @@ from canhaptic.study.map.map_page import write_map
 from canhaptic.study.map.map_picture import draw_map
 from canhaptic.study.map.panel import Cells, Lines, _edges_of
 from canhaptic.study.map.panels import Chosen, panels_of
-from canhaptic.study.map.z_width import _Border, _passes, border_of, colgate_stiffness, theory_at, usual_judgement
+from canhaptic.study.map.theory import colgate_stiffness, theory_at
+from canhaptic.study.map.z_width import _Border, _passes, border_of, usual_judgement
 from canhaptic.study.sweep import sweep
 from canhaptic.study.sweep.sweep_table import SweepTable
 
@@ -179,7 +180,7 @@ def test_scenes_that_were_refused_or_not_run_are_blank(tmp_path):
 def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
     with SweepTable(two_controllers) as table:
         fields = fields_of(table)
-        columns = panels_of(fields, Chosen())
+        columns = panels_of(fields, Chosen(judgement="covered"))
         chosen = panels_of(fields, Chosen(x="environment.damping", y="bus.rate", metric="margin"))
     assert [len(column) for column in columns] == [4, 4]
     width = columns[0][0]
@@ -196,6 +197,44 @@ def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
     [[cells], _] = chosen
     assert isinstance(cells, Cells)
     assert cells.values.shape == (2, 2)
+
+
+def test_on_top_are_all_algorithms_in_one_panel_with_theory(two_controllers):
+    with SweepTable(two_controllers) as table:
+        fields = fields_of(table)
+        columns = panels_of(fields, Chosen())
+        stiffnesses, rates = (fields[0].values[key] for key in ("environment.stiffness", "bus.rate"))
+        expected = {}
+        for field in fields:
+            passes = (field.figure("least_covered") >= -1e-9) & (field.figure("diverged") == 0.0)
+            near = np.abs(field.figure("stiffness_rendered.share") - 1.0) <= 0.05
+            for j, damping in enumerate((0.0, 2.0)):
+                for i in range(len(rates)):
+                    largest = 0.0
+                    for k, stiffness in enumerate(stiffnesses):
+                        if not passes[k, i, j, 0]:
+                            break
+                        largest = stiffness if near[k, i, j, 0] else largest
+                    expected[field.algorithm, damping, i] = largest or np.nan
+    assert [len(column) for column in columns] == [4, 4]
+    for damping, column in zip((0.0, 2.0), columns, strict=True):
+        panel = column[0]
+        assert isinstance(panel, Lines)
+        lines = {line.label: line for line in panel.lines}
+        assert [line.style for name, line in lines.items() if name in ("unprotected", "guarded")] == [
+            "measured",
+            "ours",
+        ]
+        for name in ("unprotected", "guarded"):
+            np.testing.assert_array_equal(lines[name].y, [expected[name, damping, i] for i in range(len(rates))])
+        assert ("Colgate, plain wall" in lines) == (damping == 0.0)  # its damper of 2 N*s/m is beyond the device's
+        assert "largest certificate of guarded" in lines
+
+
+def test_the_eigenvalues_of_a_hand_that_hardly_holds_are_at_colgates_bound(plain_wall):
+    with SweepTable(plain_wall) as table:
+        theory = theory_at(fields_of(table)[0], {"bus.rate": 400.0, "simulation.plant.damping": 1.0})
+    assert theory.eigenvalues == pytest.approx(800.0, rel=0.04)
 
 
 @pytest.mark.parametrize("kind", [pytest.param("grid", marks=pytest.mark.slow), "samples", "one key"])
