@@ -157,7 +157,7 @@ def _with_type(value: Parameters | None) -> dict[str, Any] | None:
 
 
 class ComponentByDisplay(ComponentOf):
-    """Annotation of a `ComponentSpec` whose table depends on the kind of display that the axis is.
+    """Annotation of a `ComponentSpec` whose table depends on the kind of display that the axis, or the group, is.
 
     Args:
         impedance: Of an axis that takes motion and gives torque.
@@ -174,10 +174,12 @@ class ComponentByDisplay(ComponentOf):
 
     def read(self, value: Any, info: ValidationInfo) -> ComponentSpec:
         """Returns what a section names, from the table of the kind of display that the axis is."""
-        axis = info.data.get("parameters")
-        if getattr(axis, "admittance", None) is None:
-            return super().read(value, info)
-        return self._admittance.read(value, info)
+        axis, names = info.data.get("parameters"), info.data.get("axes")
+        context: Any = info.context
+        is_display = getattr(axis, "admittance", None) is not None
+        if axis is None and names:
+            is_display = context.displays.issuperset(names)
+        return self._admittance.read(value, info) if is_display else super().read(value, info)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         impedance = super().__get_pydantic_json_schema__(schema, handler)["oneOf"]

@@ -17,9 +17,14 @@ def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: D
             faults.add(entry.mark, "simulation.admittance: got one, but the axis has no `admittance`; add it there")
         return
     at = entry.value_at("admittance")
-    if axis.group or axis.simulated_drive is not None:
-        what = f"group {axis.group!r} renders on this axis" if axis.group else "this axis moves a simulated mechanism"
-        faults.add(at, f"got an admittance display, but {what}; expected an axis that renders by itself")
+    if axis.simulated_drive is not None:
+        faults.add(
+            at, "got an admittance display, but this axis moves a simulated mechanism; expected a plant of its own"
+        )
+    if scene.bus.rpdo == "event":
+        faults.add(
+            at, "got an admittance display with rpdo: event, whose commands act at no known time; use synchronous"
+        )
     if simulation is not None and simulation.admittance is None:
         faults.add(at, "got an admittance display, but simulation.admittance is missing; add loop, grip and sensor")
     if not scene.simulated:

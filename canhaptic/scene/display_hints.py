@@ -2,7 +2,6 @@
 
 from math import pi, sqrt
 
-from canhaptic.control.admittance.display_environment import DisplayEnvironment
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.scene.hints import Hint
 from canhaptic.scene.models import AxisScene, Scene
@@ -22,17 +21,18 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     doubt = properties.force_error + (0.0 if properties.sampling == "mean" else 0.25 * properties.force_slew * time)
     text = "acts on the account like so much dry friction; slew T / 4 for point samples, and the error of a value"
     hints = [Hint(name, "force doubt of the account", doubt, None, effort, text)]
-    known = axis.passivity.parameters
+    group = next((group for group in scene.groups if group.name == axis.group), None)
+    chosen = (axis.passivity, axis.environment) if group is None else (group.passivity, group.network)
+    known, rendered = (part.parameters for part in chosen)
     if isinstance(known, GuardedDisplayParameters):
-        hints += _of_guard(axis, known, speed_unit)
+        asked = getattr(rendered, "inertia", getattr(rendered, "mass", None))
+        hints += _of_guard(axis, known, speed_unit, asked)
         hints += _of_faults(axis, known, scene)
     return hints
 
 
-def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str) -> list[Hint]:
+def _of_guard(axis: AxisScene, known: GuardedDisplayParameters, speed_unit: str, asked: float | None) -> list[Hint]:
     properties, name = display_properties(axis), axis.parameters.name
-    environment = axis.environment.parameters
-    asked = environment.inertia if isinstance(environment, DisplayEnvironment) else None
     unit = "kg" if axis.parameters.unit == "m" else "kg*m^2"
     time, gain, mass = properties.sample_time, known.loop_gain, known.drive_mass
     holds = properties.delay + 1 + known.max_consecutive_losses

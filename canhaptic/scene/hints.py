@@ -63,6 +63,8 @@ def group_hints(scene: Scene) -> list[Hint]:
     """
     hints = []
     for group in scene.groups:
+        if any(scene.axis(name).parameters.admittance is not None for name in group.axes):
+            continue  # see `display_hints`
         axes = [
             replace(
                 axis, passivity=group.passivity,

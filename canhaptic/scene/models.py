@@ -16,7 +16,12 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAda
 from pydantic import ValidationInfo as Info
 from pydantic_core import PydanticCustomError
 
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_ENVIRONMENTS
+from canhaptic.control.admittance import (
+    DISPLAY_ALGORITHMS,
+    DISPLAY_ENVIRONMENTS,
+    DISPLAY_GROUP_ALGORITHMS,
+    DISPLAY_NETWORKS,
+)
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
@@ -75,7 +80,19 @@ Algorithm = Annotated[
         ComponentOf(DISPLAY_ALGORITHMS, "algorithm of an admittance display", "algorithm"),
     ),
 ]
-GroupAlgorithm = Annotated[ComponentSpec, ComponentOf(GROUP_ALGORITHMS, "group algorithm", "algorithm", LOOP_KEYS)]
+GroupAlgorithm = Annotated[
+    ComponentSpec,
+    ComponentByDisplay(
+        ComponentOf(GROUP_ALGORITHMS, "group algorithm", "algorithm", LOOP_KEYS),
+        ComponentOf(DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", "algorithm"),
+    ),
+]
+GroupNetwork = Annotated[
+    ComponentSpec,
+    ComponentByDisplay(
+        ComponentOf(NETWORKS, "network"), ComponentOf(DISPLAY_NETWORKS, "network of several admittance displays")
+    ),
+]
 
 
 def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Literal["m"]:
@@ -89,6 +106,7 @@ class SceneContext(UnitContext):
 
     bus: BusParameters | None = None  # once it is validated
     code: OwnCode = field(default_factory=lambda: OwnCode(Path()))
+    displays: set[str] = field(default_factory=set)  # axes that are admittance displays, once they are validated
 
 
 class RunParameters(Parameters):
@@ -217,7 +235,7 @@ class GroupScene:
     name: Name
     axes: tuple[str, ...]
     kinematics: Annotated[ComponentSpec, ComponentOf(KINEMATICS, "kinematics")]
-    network: Annotated[ComponentSpec, ComponentOf(NETWORKS, "network")]
+    network: GroupNetwork
     passivity: GroupAlgorithm
 
 
@@ -237,6 +255,11 @@ class MechanismScene:
     axes: Annotated[tuple[str, ...], AfterValidator(_as_many_as_move_it)]
     hand: Annotated[TaskHand | None, WrapValidator(_in_its_unit)] = None
     substeps: int = 1
+
+
+def _known_displays(axes: tuple[AxisScene, ...], info: Info[SceneContext]) -> tuple[AxisScene, ...]:
+    info.context.displays = {axis.parameters.name for axis in axes if axis.parameters.admittance is not None}
+    return axes
 
 
 def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
@@ -262,7 +285,7 @@ class Scene:
     run: RunParameters
     log: LogParameters
     bus: Annotated[BusParameters, AfterValidator(_known_bus)]
-    axes: tuple[Annotated[AxisScene, WrapValidator(_in_its_unit)], ...]
+    axes: Annotated[tuple[Annotated[AxisScene, WrapValidator(_in_its_unit)], ...], AfterValidator(_known_displays)]
     simulation: SimulationParameters | None
     bus_effects: Annotated[BusEffects | None, OnDemand("canhaptic.sim.bus.bus_effects:BusEffects")] = None
     bus_name: BusName = ""  # of the first bus; empty where the only one has no name

@@ -5,9 +5,9 @@ from typing import cast
 import can
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.control.admittance import build_display_controller
+from canhaptic.control.admittance import build_display_controller, build_display_group
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.axis_meter import AxisMeter
+from canhaptic.control.axis_meter import Accuracy, AxisMeter
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import plain
 from canhaptic.control.mechanisms.kinematics import Kinematics
@@ -124,8 +124,9 @@ def build_axis_meters(scene: Scene) -> list[AxisMeter]:
 
 def _axis_meter(axis: AxisScene) -> AxisMeter:
     accuracy = accuracy_of(axis)
-    is_display = axis.parameters.admittance is not None  # its effort is not that of an environment
-    environment = None if axis.group or is_display else plain(cast(Environment, axis.environment.parameters))
+    if axis.parameters.admittance is not None:  # its controller knows what its sensor leaves open
+        return AxisMeter(Accuracy(sample_time=accuracy.sample_time))
+    environment = None if axis.group else plain(cast(Environment, axis.environment.parameters))
     return AxisMeter(accuracy, environment)
 
 
@@ -135,6 +136,8 @@ def build_group(scene: Scene, group: GroupScene) -> GroupController:
     Raises:
         ParameterError: Network, kinematics and axes do not fit together, or a value is missing.
     """
+    if any(scene.axis(name).parameters.admittance is not None for name in group.axes):
+        return _build_display_group(scene, group)
     loops = [loop_as_known(scene.axis(name)) for name in group.axes]
     kinematics = cast(Kinematics, group.kinematics.parameters)  # every class of KINEMATICS is one
     network = cast(NetworkEnvironment, group.network.parameters)  # every class of NETWORKS is one
@@ -152,6 +155,22 @@ def build_group(scene: Scene, group: GroupScene) -> GroupController:
             "or no such limit"
         )
     return build_group_controller(network, kinematics, group.passivity.name, group.passivity.parameters, loops)
+
+
+def _build_display_group(scene: Scene, group: GroupScene) -> GroupController:
+    axes = [scene.axis(name) for name in group.axes]
+    others = [axis.parameters.name for axis in axes if axis.parameters.admittance is None]
+    if others:
+        raise ParameterError(
+            f"group {group.name!r} has admittance displays and {', '.join(others)}, which is none; expected one kind"
+        )
+    if group.kinematics.name != "identity":
+        raise ParameterError(
+            f"group {group.name!r}: kinematics {group.kinematics.name!r}: expected identity; the certificate of the "
+            "velocity loops is in the coordinates of the motors"
+        )
+    properties = [display_properties(axis) for axis in axes]
+    return build_display_group(group.network.parameters, group.passivity.name, group.passivity.parameters, properties)
 
 
 def build_mechanism(of: MechanismScene, sample_time_ns: int) -> Mechanism:

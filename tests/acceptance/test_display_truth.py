@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tools.displays.direct import run
+from tools.displays.group import false_group_claims, random_group, with_true_group_bounds
 from tools.displays.judge import false_claims
 from tools.displays.random_display import random_display, with_true_bounds
 
@@ -17,6 +18,16 @@ def test_no_account_claims_what_the_plant_denies(batch: int) -> None:
         judged = with_true_bounds(random_display(seed), _CYCLES)
         if judged is not None:
             assert not false_claims(*judged), seed
+
+
+def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
+    exchanged = 0.0
+    for seed in range(8, 20):
+        judged = with_true_group_bounds(random_group(seed), 250)
+        if judged is not None:
+            assert not false_group_claims(*judged), seed
+            exchanged = min(exchanged, judged[1].given_by_one)
+    assert exchanged < -0.1  # one axis alone gave out what came in by the other
 
 
 def test_the_guard_says_yes_where_it_is_due() -> None:

@@ -98,7 +98,7 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
                 row, acting = 0, command
             for part in range(1, _PARTS + 1):
                 plant.advance_to((k - 1) * period + part * period // _PARTS, acting)
-                before = _watch(found, plant, before, period * 1e-9 / _PARTS)
+                before = watch(found, plant, before, period * 1e-9 / _PARTS)
         shown = plant.read_force()
         position = plant.encoder_position
         if count:
@@ -114,7 +114,7 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
     return found
 
 
-def _watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float) -> _Motion:
+def watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float) -> _Motion:
     """Takes the largest slew, acceleration and speed within a part of a hold; returns what it is now."""
     force, velocity, position = plant.force, plant.velocity, plant.position
     found.slew = max(found.slew, abs(force - before[0]) / time)

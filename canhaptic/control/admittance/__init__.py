@@ -1,8 +1,10 @@
 """Admittance displays: force in, velocity out. The tables of what is rendered and of the algorithms that render it."""
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.multi_axis.group_controller import GroupController
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.registry import load
 from canhaptic.units import Parameters
@@ -26,6 +28,18 @@ DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
 """Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""
 
 
+DISPLAY_NETWORKS: Final[dict[str, str]] = {
+    "virtual_mass": f"{_HERE}.group_environment:GroupMass",
+    "guided_path": f"{_HERE}.group_environment:PathMass",
+}
+"""The same of what several displays render together."""
+
+DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
+    "guarded": f"{_HERE}.display_group:GuardedDisplayGroup",
+}
+"""The same of the algorithms of several displays; every class takes (environment, parameters, properties of each)."""
+
+
 def build_display_controller(
     environment: Any, algorithm_name: str, parameters: Parameters | None, properties: DisplayProperties
 ) -> Controller:
@@ -42,4 +56,23 @@ def build_display_controller(
     """
     algorithm = load(DISPLAY_ALGORITHMS, algorithm_name, "admittance algorithm")
     controller: Controller = algorithm(environment, parameters or algorithm.parameters_type(), properties)
+    return controller
+
+
+def build_display_group(
+    environment: Any, algorithm_name: str, parameters: Parameters, properties: Sequence[DisplayProperties]
+) -> GroupController:
+    """Returns the controller of several admittance displays with one account, at rest.
+
+    Args:
+        environment: What is rendered, a class of `DISPLAY_NETWORKS`.
+        algorithm_name: A name of `DISPLAY_GROUP_ALGORITHMS`.
+        parameters: The algorithm's own `parameters_type`.
+        properties: Of each axis.
+
+    Raises:
+        ParameterError: Unknown name, or parts that do not fit together.
+    """
+    algorithm = load(DISPLAY_GROUP_ALGORITHMS, algorithm_name, "algorithm of several admittance displays")
+    controller: GroupController = algorithm(environment, parameters, properties)
     return controller

@@ -307,6 +307,7 @@ class GuardedDisplay(DisplayController):
     ) -> None:
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
+        self.energy_allowance = parameters.energy_allowance
 
     def _command_unseen(self) -> float:
         return miss(self._settings, self._state, self._memory)

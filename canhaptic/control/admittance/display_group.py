@@ -1,0 +1,281 @@
+"""Several admittance displays with one account: what came in by one axis may go out by another.
+
+Each axis has a drive of its own, so that the margins of `velocity_loop` add up: W = E - sum V_i, and the losses of all
+commands under way add up too. A wish that does not fit is cut as a whole, in all axes by one factor, so that it keeps
+its direction: the loss is convex in the factor, hence the chord between a factor that fits and one that does not gives
+a larger one that fits.
+"""
+
+from collections.abc import Sequence
+from math import isfinite, sqrt
+from typing import ClassVar, Final
+
+from canhaptic.control.admittance.group_environment import GroupMass
+from canhaptic.control.admittance.late_margin import LateMargin, fall, margin_memory, oldest, rise
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
+from canhaptic.control.admittance.motion import (
+    DisplayMotion,
+    display_memory,
+    limited,
+    motion_settings,
+    send,
+    sent,
+    whole,
+)
+from canhaptic.control.admittance.port import BookedHold, Port, begin_port, book, port_settings
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.velocity_loop import (
+    LoopState,
+    gained,
+    loss_under_way,
+    lost_unseen,
+    may_limit,
+    reserve,
+)
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
+from canhaptic.control.passivity.settlement import settle
+from canhaptic.errors import ControlError, ParameterError
+from canhaptic.kernels import list_of_zeros
+from canhaptic.units import Parameters
+
+_CHORDS: Final = 6  # each leaves a part of the gap to the largest factor only
+_CLOSE: Final = 0.999  # of the budget used: near enough
+
+
+class _GroupAxis:
+    """What one axis of a group knows and remembers."""
+
+    def __init__(
+        self, environment: GroupMass, place: int, parameters: GuardedDisplayParameters, properties: DisplayProperties
+    ) -> None:
+        self.loop_settings = loop_settings(parameters, properties)
+        lag = self.loop_settings.mass / self.loop_settings.gain_least
+        self.port_settings = port_settings(properties)
+        self.motion_settings = motion_settings(environment.of_axis(place), properties, lag)
+        self.port, self.motion, self.loop = Port(), DisplayMotion(), LoopState()
+        kept = self.loop_settings.delay + self.loop_settings.losses + 2
+        self.memory = display_memory(self.port_settings, self.motion_settings, kept, list_of_zeros)
+        self.leads = list_of_zeros(properties.latency + 1)
+
+    def begin(self, position: float, force: float) -> None:
+        """Takes the first sample."""
+        begin_port(self.port, self.memory.positions, position, force)
+
+    def change(self, moved: float | None) -> float:
+        """Returns by how much the margin changed in the hold that ended, at least [J]; `moved` None: not seen."""
+        commands = self.memory.commands
+        if moved is not None:
+            return gained(self.loop_settings, self.loop.lead, commands, self.motion, moved)
+        if self.loop_settings.integral == 0.0:
+            return -lost_unseen(self.loop_settings, commands, self.motion)
+        return 0.0 if self.port.missed else -self.used()
+
+    def used(self) -> float:
+        """Returns the largest loss of the margin by all that is under way [J]."""
+        return loss_under_way(self.loop_settings, self.loop.lead, self.memory.commands, self.motion)
+
+    def acted(self) -> float:
+        """Returns the way commanded in the hold that ended [m or rad]."""
+        return sent(self.motion, self.memory.commands, self.loop_settings.delay) * self.port_settings.sample_time
+
+    def limit(self, wish: float, position: float, velocity: float) -> float:
+        """Returns the nearest command that the limits of the axis allow [m/s or rad/s]."""
+        wish = limited(self.motion_settings, self.motion, self.memory.commands, wish, position, velocity)
+        return whole(self.motion_settings, wish)
+
+    def replace_newest(self, speed: float) -> None:
+        """Puts another command in the place of the newest."""
+        self.memory.commands[self.motion.newest] = self.motion.speed = speed
+
+
+class GuardedDisplayGroup:
+    """A mass on several axes, with the certificate of their velocity loops; a `GroupController`.
+
+    Args:
+        environment: What is rendered.
+        parameters: For every axis: over-estimates of the largest.
+        properties: Of each axis; sample time, delay and latency are the same for all.
+
+    Attributes:
+        axes: How many.
+        energy_resolution: Sum of what was unsure in the energy of all axes, which the account has taken off [J].
+
+    Raises:
+        ParameterError: Parts do not fit together, or `largest_hand_force` is declared.
+    """
+
+    parameters_type: ClassVar[type[Parameters]] = GuardedDisplayParameters
+    is_certified: ClassVar[bool] = True
+
+    def __init__(
+        self, environment: GroupMass, parameters: GuardedDisplayParameters, properties: Sequence[DisplayProperties]
+    ) -> None:
+        if len({(p.sample_time, p.delay, p.latency) for p in properties}) > 1:
+            raise ParameterError(
+                "got axes that differ in sample time, delay or force.latency, expected the same for all"
+            )
+        if parameters.largest_hand_force:
+            raise ParameterError(
+                f"guarded: largest_hand_force: got {parameters.largest_hand_force:g}, expected 0 for several axes: "
+                "what such a hand can take is proved for one axis only"
+            )
+        environment.require(len(properties))
+        self.axes = len(properties)
+        self._environment, self._parameters, self._properties = environment, parameters, tuple(properties)
+        self._time, self._allowance = properties[0].sample_time, parameters.energy_allowance
+        self.max_consecutive_losses, self.energy_allowance = parameters.max_consecutive_losses, self._allowance
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything; see `GroupController`."""
+        self._each = [
+            _GroupAxis(self._environment, place, self._parameters, of) for place, of in enumerate(self._properties)
+        ]
+        self._margin = LateMargin()
+        self._memory = margin_memory(self._properties[0].latency, list_of_zeros)
+        self._h_s = self._surplus = self._taken = 0.0
+        self._is_unsure = self._started = False
+        self._last = group_at_rest(self.axes)
+
+    @property
+    def energy_resolution(self) -> float:
+        """Sum of what was unsure in the energy of all axes [J]."""
+        return sum(axis.port.doubt for axis in self._each)
+
+    def hold(self) -> GroupBalance:
+        """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+        speeds = (0.0,) * self.axes
+        if self._started:
+            self._fall([axis.change(None) for axis in self._each])
+            for axis in self._each:
+                axis.loop.lead += axis.acted()
+                axis.port.missed += 1
+                send(axis.motion, axis.memory.commands, 0.0)
+        last = self._last.account
+        account = AT_REST._replace(h_s=last.h_s, h_dis=last.h_dis, branch=Branch.HELD.value)
+        return GroupBalance(speeds, account, speeds)
+
+    def lasted(self, periods: float) -> None:
+        """Counts the SYNCs that were skipped as samples that were lost."""
+        for _ in range(round(periods) - 1):
+            self.hold()
+
+    def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
+        """Accounts for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
+        if not len(positions) == len(torques_applied) == self.axes or not isfinite(sum((*positions, *torques_applied))):
+            self.reset()
+            raise ControlError(
+                f"group controller: got positions {tuple(positions)} and applied forces {tuple(torques_applied)}, "
+                f"expected {self.axes} finite numbers each; the velocities are zero and the controller is to be reset, "
+                "check encoders and force sensors"
+            )
+        forces = [-torque for torque in torques_applied]
+        if not self._started:
+            self._started = True
+            for axis, position, force in zip(self._each, positions, forces, strict=True):
+                axis.begin(position, force)
+            return self._last
+        holds, h_i = self._take(positions, forces)
+        before = [axis.motion.speed for axis in self._each]
+        velocities = [hold.moved / hold.elapsed for hold in holds]
+        wish = self._environment.speeds_after(before, forces, list(positions), self._time)
+        limits = zip(self._each, wish, positions, velocities, strict=True)
+        certificate = self._send([axis.limit(speed, position, velocity) for axis, speed, position, velocity in limits])
+        if self._reaches_limit(velocities):
+            certificate = Certificate.NONE.value
+        account = self._settle(h_i, before, velocities, certificate)
+        commands = tuple(axis.motion.speed for axis in self._each)
+        apart = (h_i - sum(hold.energy for hold in holds)) / self.axes  # known by the encoders: of no axis alone
+        self._last = GroupBalance(commands, account, tuple(hold.energy + apart for hold in holds))
+        return self._last
+
+    def _take(self, positions: Sequence[float], forces: Sequence[float]) -> tuple[list[BookedHold], float]:
+        """Books the hold that ended on every axis and brings the margin up to date; returns (holds, h_i [J])."""
+        missed = self._each[0].port.missed
+        holds = [
+            book(axis.port_settings, axis.port, axis.memory.positions, position, force)
+            for axis, position, force in zip(self._each, positions, forces, strict=True)
+        ]
+        moved = [None if missed else hold.moved for hold in holds]
+        changes = [axis.change(way) for axis, way in zip(self._each, moved, strict=True)]
+        if missed and self._each[0].loop_settings.integral > 0.0:
+            changes = [0.0] * self.axes  # all is deducted by now
+        for axis, hold in zip(self._each, holds, strict=True):
+            axis.loop.lead += axis.acted() - hold.moved
+        self._fall(changes)
+        energy = sum(hold.energy for hold in holds)
+        if self._is_unsure or not holds[0].is_booked:
+            return holds, energy
+        then, free = oldest(self._margin, self._memory), self._h_s - self._surplus
+        kept = [
+            reserve(axis.loop_settings, axis.leads[then], hold.speed)
+            for axis, hold in zip(self._each, holds, strict=True)
+        ]
+        rise(self._margin, self._memory, then, free + energy - sum(kept), self._taken)
+        return holds, max(free + energy, self._memory.before[then] - self._taken) - free
+
+    def _fall(self, changes: Sequence[float]) -> None:
+        fall(self._margin, self._memory, sum(changes), self._taken)
+        for axis in self._each:
+            axis.leads[self._margin.place] = axis.loop.lead
+
+    def _send(self, wish: Sequence[float]) -> int:
+        """Sends the largest part of a wish that is certified; returns by which certificate it was cut."""
+        for axis, speed in zip(self._each, wish, strict=True):
+            send(axis.motion, axis.memory.commands, speed)
+        budget, used = self._margin.known + self._allowance, sum(axis.used() for axis in self._each)
+        if used <= budget:
+            return Certificate.EXACT.value
+        low, high, above = 0.0, 1.0, used
+        below = self._used_at(wish, 0.0)
+        for _ in range(_CHORDS if below <= budget else 0):
+            part = low + (high - low) * (budget - below) / (above - below)
+            used = self._used_at(wish, part)
+            if used > budget:  # by rounding
+                high, above = part, used
+                continue
+            low, below = part, used
+            if used >= _CLOSE * budget:
+                break
+        self._used_at(wish, low)
+        return Certificate.VELOCITY_LOOP.value
+
+    def _used_at(self, wish: Sequence[float], part: float) -> float:
+        """Puts a part of a wish in the place of the newest commands; returns what is then used [J]."""
+        for axis, speed in zip(self._each, wish, strict=True):
+            axis.replace_newest(whole(axis.motion_settings, part * speed))
+        return sum(axis.used() for axis in self._each)
+
+    def _reaches_limit(self, velocities: Sequence[float]) -> bool:
+        """Whether the torque of a drive with an integral may have reached its limit, now or before."""
+        for axis, velocity in zip(self._each, velocities, strict=True):
+            if axis.loop_settings.integral > 0.0 and not self._is_unsure:
+                acceleration = axis.port_settings.acceleration
+                self._is_unsure = may_limit(
+                    axis.loop_settings, axis.loop.lead, velocity, axis.motion.speed, acceleration
+                )
+        return self._is_unsure
+
+    def _settle(self, h_i: float, before: list[float], velocities: Sequence[float], certificate: int) -> EnergyBalance:
+        """Dissipates and leaks what neither the mass nor the drives can give back; returns the account."""
+        environment, under_way = self._environment, sum(axis.used() for axis in self._each)
+        speeds, carried = [axis.motion.speed for axis in self._each], under_way
+        for axis, velocity in zip(self._each, velocities, strict=True):
+            fastest = abs(velocity) + axis.port_settings.acceleration * self._time
+            carried += reserve(axis.loop_settings, axis.loop.lead, fastest)
+        ceiling = max(environment.stored(speeds), environment.stored(before), carried)
+        slack = self._margin.known + self._allowance - under_way
+        lost = environment.lost(before, self._time)
+        h_s, surplus, h_r, deficit, leak, paid = settle(self._h_s + h_i, self._surplus, lost, ceiling, slack)
+        taken = h_r + leak - paid
+        self._margin.known -= taken
+        self._taken += taken
+        self._h_s, self._surplus = h_s, surplus
+        is_still = not any(speeds) and not any(before)
+        branch = Branch.DEPLETED if deficit > 0.0 else Branch.FREE if is_still else Branch.EXACT
+        norm = sqrt(sum(speed * speed for speed in speeds))
+        return EnergyBalance(
+            norm, h_i, 0.0, h_i, h_r, h_s, surplus, 0.0, deficit, leak, paid, branch.value, environment.damping,
+            certificate, 0.0,
+        )  # fmt: skip

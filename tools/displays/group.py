@@ -1,0 +1,129 @@
+"""Several random admittance displays with one account, in a loop of floats, judged by the sum of true energies."""
+
+from dataclasses import dataclass, replace
+from random import Random
+
+from canhaptic.control.admittance import build_display_group
+from canhaptic.control.admittance.group_environment import GroupMass, PathMass
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.balance import Certificate
+from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+from tools.displays.direct import Display, Outcome, watch
+from tools.displays.judge import ROUNDING
+from tools.displays.random_display import random_display
+
+_PARTS = 4
+"""Parts of a hold in which slew and acceleration are watched; a power of two."""
+
+
+@dataclass(frozen=True)
+class DisplayGroup:
+    """The axes, each with a rig and a hand of its own, and what they render together."""
+
+    axes: tuple[Display, ...]
+    environment: GroupMass
+    parameters: GuardedDisplayParameters
+
+
+@dataclass
+class GroupOutcome:
+    """What one run came to; energies in [J]."""
+
+    axes: list[Outcome]
+    least: float = 0.0  # true sum through all sensors
+    believed: float = 0.0
+    overclaimed: float = 0.0  # believed above true, at most
+    uncertified: int = 0
+    given_by_one: float = 0.0  # least true energy of one axis alone
+
+
+def random_group(seed: int) -> DisplayGroup:
+    """Returns two displays that differ in rig, sensor and hand, with one account."""
+    random, first = Random(seed), random_display(2 * seed, "guarded")
+    known = first.parameters
+    assert isinstance(known, GuardedDisplayParameters)
+    second = random_display(2 * seed + 1, "guarded")
+    plant = first.plant.model_copy(update={"mass": first.plant.mass * random.uniform(0.7, 1.0)})
+    shared = {key: getattr(first.properties, key) for key in ("sample_time", "delay", "latency")}
+    sensor = second.simulation.sensor.model_copy(update={"latency": first.properties.latency})
+    other = replace(
+        second, plant=plant, commands_lost=first.commands_lost, samples_lost=first.samples_lost,
+        simulation=first.simulation.model_copy(update={"sensor": sensor}),
+        properties=second.properties.model_copy(update=shared),
+    )  # fmt: skip
+    mass, damping = random.choice([0.2, 1.0, 4.0]), random.choice([0.0, 5.0])
+    environment = GroupMass(mass=mass, damping=damping, lower=(-0.03, -1.0), upper=(1.0, 0.05))
+    if random.random() < 0.5:
+        corners = ((-0.02, 0.0), (0.02, 0.0), (0.02, 0.03))
+        environment = PathMass(mass=mass, damping=damping, points=corners, closed=random.random() < 0.5)
+    return DisplayGroup((first, other), environment, known.model_copy(update={"largest_hand_force": 0.0}))
+
+
+def run_group(group: DisplayGroup, cycles: int) -> GroupOutcome:
+    """Returns what so many SYNCs came to."""
+    axes, random = group.axes, Random(group.axes[0].seed)
+    properties, period = [axis.properties for axis in axes], round(axes[0].properties.sample_time * 1e9)
+    controller = build_display_group(group.environment, "guarded", group.parameters, properties)
+    plants = [AdmittancePlant(a.plant, a.simulation, a.user, a.effects, period, a.seed) for a in axes]
+    found = GroupOutcome([Outcome() for _ in axes])
+    queue, acting, rows = [[0.0] * len(axes) for _ in range(properties[0].delay)], [0.0] * len(axes), [0] * len(axes)
+    for plant in plants:
+        plant.begin(0)
+    before = [(plant.force, plant.velocity, plant.position) for plant in plants]
+    for k in range(cycles):
+        if k:
+            for place, command in enumerate(queue.pop(0)):
+                if rows[place] < axes[place].commands_lost and random.random() < 0.3:
+                    rows[place] += 1
+                else:
+                    rows[place], acting[place] = 0, command
+            for place, plant in enumerate(plants):
+                for part in range(1, _PARTS + 1):
+                    plant.advance_to((k - 1) * period + part * period // _PARTS, acting[place])
+                    before[place] = watch(found.axes[place], plant, before[place], period * 1e-9 / _PARTS)
+        shown = [-plant.read_force() for plant in plants]
+        counts = [p.encoder_count for p in properties]
+        positions = [
+            round(plant.encoder_position / c) * c if c else plant.encoder_position
+            for plant, c in zip(plants, counts, strict=True)
+        ]
+        lost = k > 3 and random.random() < axes[0].samples_lost
+        balance = controller.hold() if lost else controller.step(positions, shown)
+        queue.append(list(balance.torques))
+        energies = [-plant.energy().motor for plant in plants]
+        found.least, found.given_by_one = min(found.least, sum(energies)), min(found.given_by_one, *energies)
+        found.believed += balance.account.h_i
+        if properties[0].latency == 0 and not lost:
+            found.overclaimed = max(found.overclaimed, found.believed - sum(energies))
+        found.uncertified += balance.account.certificate == Certificate.NONE.value
+    return found
+
+
+def with_true_group_bounds(group: DisplayGroup, cycles: int) -> tuple[DisplayGroup, GroupOutcome] | None:
+    """Returns a group whose declared slew and acceleration hold, with its run; None where none was found."""
+    for _ in range(3):
+        found = run_group(group, cycles)
+        axes, is_true = [], True
+        for axis, seen in zip(group.axes, found.axes, strict=True):
+            declared = axis.properties
+            is_true = is_true and seen.slew <= declared.force_slew and seen.acceleration <= declared.handle_acceleration
+            bounds = {
+                "force_slew": max(declared.force_slew, 1.5 * seen.slew),
+                "handle_acceleration": max(declared.handle_acceleration, 1.5 * seen.acceleration),
+            }
+            axes.append(replace(axis, properties=declared.model_copy(update=bounds)))
+        if is_true:
+            return group, found
+        group = replace(group, axes=tuple(axes))
+    return None
+
+
+def false_group_claims(group: DisplayGroup, found: GroupOutcome) -> list[str]:
+    """Returns what the account of a group says and the plants deny; the declarations being true."""
+    claims = []
+    if found.overclaimed > ROUNDING:
+        claims.append(f"the account is {found.overclaimed:.3g} J above the energy that came in")
+    allowance = group.parameters.energy_allowance
+    if not found.uncertified and found.least < -allowance - ROUNDING:
+        claims.append(f"certified to {-allowance:.3g} J, {found.least:.3g} J by the plants")
+    return claims
