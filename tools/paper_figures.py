@@ -44,6 +44,9 @@ class PaperFigure:
 
 
 _BOTH: Final = {"no_delay": (), "one_sample_late": LATE}
+_PLAIN: Final = "passivity={algorithm: unprotected}"
+_WITH_PLAIN: Final = {**_BOTH, "unprotected": (_PLAIN,), "one_sample_late_unprotected": (*LATE, _PLAIN)}
+_STIFFER: Final = "environment.stiffness=500 N/m"
 _COLUMNS: Final = (("no_delay", "without delay: the paper's loop"), ("one_sample_late", "one sample late"))
 _CAPPED: Final = "one_sample_late_mass_known"
 _GUARDED: Final = (
@@ -51,20 +54,23 @@ _GUARDED: Final = (
     "hand_push: 20 N}"
 )
 FIGURES: Final[dict[str, PaperFigure]] = {
-    "fig4": PaperFigure("Fig. 4: the original algorithm at 40 Hz", "paper_fig4_40hz.yaml", _BOTH, _COLUMNS),
-    "fig5": PaperFigure("Fig. 5: the original algorithm at 100 Hz", "paper_fig5_100hz.yaml", _BOTH, _COLUMNS),
+    "fig4": PaperFigure("Fig. 4: the original algorithm at 40 Hz", "paper_fig4_40hz.yaml", _WITH_PLAIN, _COLUMNS),
+    "fig5": PaperFigure("Fig. 5: the original algorithm at 100 Hz", "paper_fig5_100hz.yaml", _WITH_PLAIN, _COLUMNS),
     "fig7": PaperFigure(
         "Fig. 7: the paper's algorithm at 40 Hz",
         "paper_fig7_40hz.yaml",
         {
-            **_BOTH,
+            **_WITH_PLAIN,
             _CAPPED: (*LATE, "passivity.moving_mass=0.25 kg"),
             "guarded": (_GUARDED,),
             "one_sample_late_guarded": (*LATE, _GUARDED),
+            "stiffer": (_STIFFER,),
+            "stiffer_unprotected": (_STIFFER, _PLAIN),
+            "stiffer_guarded": (_STIFFER, _GUARDED),
         },
         (_COLUMNS[0], (_CAPPED, "one sample late, damping capped for the mass")),
     ),
-    "fig8": PaperFigure("Fig. 8: the paper's algorithm at 100 Hz", "paper_fig8_100hz.yaml", _BOTH, _COLUMNS),
+    "fig8": PaperFigure("Fig. 8: the paper's algorithm at 100 Hz", "paper_fig8_100hz.yaml", _WITH_PLAIN, _COLUMNS),
     "fig9": PaperFigure(
         "Fig. 9: energy exchanged and dissipated at 100 Hz", "paper_fig9_100hz.yaml", _BOTH, _COLUMNS, energy=True
     ),
