@@ -72,7 +72,21 @@ def test_every_figure_of_the_paper_has_its_scene_picture_and_runs() -> None:
 
 
 def test_figure_9_is_the_run_of_figure_8() -> None:
-    assert COMMITTED["fig9"] == COMMITTED["fig8"]
+    assert COMMITTED["fig9"] == {label: COMMITTED["fig8"][label] for label in COMMITTED["fig9"]}
+
+
+@pytest.mark.parametrize("name", ["fig4", "fig5", "fig7", "fig8"])
+def test_without_delay_the_plain_wall_is_nearer_as_the_page_says(name: str) -> None:
+    found = COMMITTED[name]
+    assert found["unprotected"]["position_rms_error"] < found["no_delay"]["position_rms_error"]
+    assert found["unprotected"]["least_interaction_of_the_plant"] == 0.0
+
+
+def test_a_stiffer_wall_tells_the_algorithms_apart_as_the_page_says() -> None:
+    least = {label: found["least_interaction_of_the_plant"] for label, found in COMMITTED["fig7"].items()}
+    assert least["stiffer"] < least["stiffer_unprotected"] < -0.1
+    assert least["stiffer_guarded"] == 0.0
+    assert least["one_sample_late_unprotected"] < -1.0
 
 
 @pytest.mark.parametrize("name", FIGURES)
