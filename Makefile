@@ -7,6 +7,9 @@ BIN := $(VENV)/bin
 JOBS ?= auto
 SOURCES := canhaptic tests tools
 
+# The tests start hundreds of processes: none compiles the package anew, even where this variable is set.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: demo test test-all test-socketcan format bench docs docs-version clean
 
 # One stamp per set of extras: a changed pyproject.toml installs again.
@@ -31,12 +34,12 @@ test: $(VENV)/.installed-dev
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -q -n $(JOBS) -m "not slow"
+	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "not slow"
 
 # Tests that need Debian's `chromium` or `tshark` skip, visibly, where those are absent.
 test-all: test $(VENV)/.installed-report,export,docs,release
 	$(BIN)/python tools/record.py --check
-	$(BIN)/pytest -q -n $(JOBS) -m slow
+	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m slow
 
 # Linux's own CAN stack in a virtual machine; the packages it needs are named in tests/socketcan_vm/README.md.
 test-socketcan: $(VENV)/.installed-dev

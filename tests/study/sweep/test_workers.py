@@ -74,6 +74,7 @@ def test_workers_that_die_again_and_again_end_the_sweep_with_what_was_finished(d
     assert path.read_bytes() == serial
 
 
+@pytest.mark.slow  # three processes that each import dask
 def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bits(demo, tmp_path, serial):
     pytest.importorskip("distributed")
     killed = []
