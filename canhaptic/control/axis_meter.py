@@ -147,3 +147,14 @@ class AxisMeter:
         resolution = accuracy.position * (self._changes + size) + self._uneven
         if resolution > self.resolution:
             self.resolution = resolution
+
+
+class SilentMeter(AxisMeter):
+    """Of an axis whose algorithm takes off its account itself what its sensors leave open: an admittance display."""
+
+    def leave_open(self, torque: float, time: int, booked: float) -> None:
+        """Takes nothing."""
+
+    def take(self, position: float, torque: float, deadline: int, balance: EnergyBalance) -> None:
+        """Takes the position [m or rad]."""
+        self.position = position

@@ -7,7 +7,7 @@ import can
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.admittance import build_display_controller, build_display_group
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.axis_meter import Accuracy, AxisMeter
+from canhaptic.control.axis_meter import AxisMeter, SilentMeter
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import plain
 from canhaptic.control.mechanisms.kinematics import Kinematics
@@ -123,11 +123,10 @@ def build_axis_meters(scene: Scene) -> list[AxisMeter]:
 
 
 def _axis_meter(axis: AxisScene) -> AxisMeter:
-    accuracy = accuracy_of(axis)
-    if axis.parameters.admittance is not None:  # its controller knows what its sensor leaves open
-        return AxisMeter(Accuracy(sample_time=accuracy.sample_time))
+    if axis.parameters.admittance is not None:
+        return SilentMeter()
     environment = None if axis.group else plain(cast(Environment, axis.environment.parameters))
-    return AxisMeter(accuracy, environment)
+    return AxisMeter(accuracy_of(axis), environment)
 
 
 def build_group(scene: Scene, group: GroupScene) -> GroupController:

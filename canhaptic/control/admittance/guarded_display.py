@@ -276,12 +276,13 @@ def _settle(
     """
     loop, motion, commands = state.loop, state.motion, memory.display.commands
     under_way = loss_under_way(settings.loop, loop.lead, commands, motion)
-    largest = 0.0
-    for command in commands:
-        if abs(command) > abs(largest):
-            largest = command
-    kept = environment.stored(memory.display.inner, largest, state.axis.position)
-    ceiling = max(kept, reserve(settings.loop, loop.lead, speed) + under_way)
+    ceiling, largest = reserve(settings.loop, loop.lead, speed) + under_way, 0.0
+    if state.h_s + h_i > ceiling:
+        for command in commands:
+            if command * command > largest * largest:
+                largest = command
+        kept = environment.stored(memory.display.inner, largest, state.axis.position)
+        ceiling = kept if kept > ceiling else ceiling
     lost = environment.damping * before * before * settings.port.sample_time
     slack = state.margin.known + settings.allowance - under_way
     if settings.hand.force > 0.0:

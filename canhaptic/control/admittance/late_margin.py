@@ -33,7 +33,10 @@ def margin_memory(latency: int, make_buffer: MakeBuffer) -> MarginMemory:
 def fall(margin: LateMargin, memory: MarginMemory, change: float, taken: float) -> None:
     """Takes the change of W in the hold that ended [J], and what was taken from the account so far [J]."""
     margin.known += change
-    place = margin.place = margin.place + 1 if margin.place + 1 < len(memory.changes) else 0
+    place = margin.place + 1
+    if place == len(memory.changes):
+        place = 0
+    margin.place = place
     memory.changes[place] = change
     memory.before[place] = margin.known + taken
 
@@ -46,9 +49,10 @@ def oldest(margin: LateMargin, memory: MarginMemory) -> int:
 
 def rise(margin: LateMargin, memory: MarginMemory, then: int, value: float, taken: float) -> None:
     """Takes what W was at the place `then` at least, by the force [J]."""
-    for place in range(len(memory.changes)):
-        if place != then:
-            value += memory.changes[place]
+    if then != margin.place:
+        for place in range(len(memory.changes)):
+            if place != then:
+                value += memory.changes[place]
     if value > margin.known:
         margin.known = value
     if then == margin.place:

@@ -1,7 +1,7 @@
 """The motion of what is rendered, its limits, and the commands under way."""
 
 from dataclasses import dataclass
-from math import copysign, inf
+from math import inf
 from typing import Final, NamedTuple
 
 from canhaptic.control.admittance.display_environment import DisplayEnvironment
@@ -89,22 +89,28 @@ def limited(
     the way that the drive needs to follow; from beyond it the command leads back, slowly: a drive without an integral
     yields to a hand that pushes.
     """
-    last, step = motion.speed, settings.step
-    high = (last if last > 0.0 else 0.0) + step
-    low = (last if last < 0.0 else 0.0) - step
-    high, low = min(high, settings.fastest), max(low, -settings.fastest)
+    last, step, most = motion.speed, settings.step, settings.fastest
+    high = last + step if last > 0.0 else step
+    low = last - step if last < 0.0 else -step
     ahead = position + settings.lag * velocity
     for age in range(settings.delay):
-        ahead += settings.sample_time * sent(motion, commands, age)
+        ahead += settings.sample_time * commands[motion.newest - age]
     span = settings.sample_time + settings.lag
     room, rest = (settings.high - ahead) / span, (settings.low - ahead) / span
-    wish = min(wish, room if room > 0.0 else _BACK * room)
-    wish = max(wish, rest if rest < 0.0 else _BACK * rest)
-    return min(max(wish, low), high)
+    if room < 0.0:
+        room *= _BACK
+    if rest > 0.0:
+        rest *= _BACK
+    wish = room if wish > room else wish
+    wish = rest if wish < rest else wish
+    high, low = most if high > most else high, -most if low < -most else low
+    wish = low if wish < low else wish
+    return high if wish > high else wish
 
 
 def whole(settings: DisplayMotionSettings, speed: float) -> float:
     """Returns a command in whole quanta, towards zero [m/s or rad/s]."""
-    if settings.quantum == 0.0 or abs(speed) == inf:
+    quantum = settings.quantum
+    if quantum == 0.0 or speed in (inf, -inf):
         return speed
-    return copysign(int(abs(speed) / settings.quantum + 1e-9) * settings.quantum, speed) if speed else 0.0
+    return int(speed / quantum + 1e-9 if speed > 0.0 else speed / quantum - 1e-9) * quantum

@@ -99,13 +99,15 @@ def book(settings: PortSettings, port: Port, positions: Buffer, position: float,
     """
     holds = port.missed + 1
     moved = position - port.position
-    for _ in range(port.missed):
-        _put(port, positions, nan)
-    _put(port, positions, position)
-    port.position, port.moved, port.missed = position, moved, 0
+    port.position, port.moved = position, moved
     port.waiting += holds
-    oldest = port.newest + 1 if port.newest + 1 < len(positions) else 0
-    then = positions[oldest]  # the position that belongs to the force
+    then = position  # the position that belongs to the force
+    if settings.latency:
+        for _ in range(port.missed):
+            _put(port, positions, nan)
+        _put(port, positions, position)
+        then = positions[port.newest + 1 if port.newest + 1 < len(positions) else 0]
+    port.missed = 0
     elapsed = holds * settings.sample_time
     if isnan(then):
         return new(BookedHold, (0.0, 0.0, False, moved, elapsed))

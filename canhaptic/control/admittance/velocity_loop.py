@@ -109,7 +109,8 @@ def _by_damping(settings: VelocityLoopSettings, command: float, moved: float) ->
     """Returns the least c D (D / T - r) with D unsure by a count and c by its range [J]."""
     time, count = settings.sample_time, settings.count
     turn = 0.5 * command * time  # D of the least value
-    nearest = min(max(turn, moved - count), moved + count)
+    nearest = turn if turn > moved - count else moved - count
+    nearest = nearest if nearest < moved + count else moved + count
     power = nearest * (nearest / time - command)
     return (settings.gain_least if power > 0.0 else settings.gain) * power
 

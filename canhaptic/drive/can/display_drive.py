@@ -87,10 +87,8 @@ class DisplayDrive(ServoDrive):
 
     def fault(self, now: int) -> StopReason:
         """Returns why the rig must stop because of this drive; NONE while all is well."""
-        if self.force.is_beyond_range:
-            return StopReason.FORCE_RANGE
-        if self.force.is_frozen:
-            return StopReason.FORCE_FROZEN
+        if self.force.is_wrong:
+            return StopReason.FORCE_RANGE if self.force.is_beyond_range else StopReason.FORCE_FROZEN
         return super().fault(now)
 
     def command_per_mille(self, torque: float) -> int:

@@ -69,21 +69,28 @@ class ForceReading:
         """
         if elapsed == self._taken_at:
             return self.value
-        since, self._taken_at = elapsed - max(self._taken_at, 0), elapsed
-        change, self._impulse = impulse - self._impulse, impulse
-        sensor, time = self._sensor, elapsed / _NS_PER_S
+        sensor, last = self._sensor, self._taken_at
+        change, self._impulse, self._taken_at = impulse - self._impulse, impulse, elapsed
+        time = elapsed / _NS_PER_S
         if sensor.freeze_at is not None and time >= sensor.freeze_at:
             return self.value
-        if sensor.sampling == "mean":
-            force = change * _NS_PER_S / since if since else 0.0
-        error = sensor.offset + sensor.drift * time + (sensor.fault_offset if time >= sensor.fault_at else 0.0)
+        error = sensor.offset + sensor.drift * time
+        if time >= sensor.fault_at:
+            error += sensor.fault_offset
         if sensor.noise:
-            error += sensor.noise * min(3.0, max(-3.0, self._random.gauss(0.0, 1.0)))
-        shown = sensor.gain * force + error
+            deviation = self._random.gauss(0.0, 1.0)
+            error += sensor.noise * (-3.0 if deviation < -3.0 else 3.0 if deviation > 3.0 else deviation)
         if sensor.sampling == "impulse":
             shown = sensor.gain * impulse + error * time
+        else:
+            if sensor.sampling == "mean":
+                since = elapsed - last if last > 0 else elapsed
+                force = change * _NS_PER_S / since if since else 0.0
+            shown = sensor.gain * force + error
         if sensor.quantum:
             shown = round(shown / sensor.quantum) * sensor.quantum
-        self._late.append(shown)
-        self.value = self._late.popleft()
-        return self.value
+        if self._late:
+            self._late.append(shown)
+            shown = self._late.popleft()
+        self.value = shown
+        return shown

@@ -145,5 +145,8 @@ class DisplayServo(Servo):
         self._has_taken = False
         if self._mode_display.value == CYCLIC_SYNC_POSITION and self.machine.state is DriveState.OPERATION_ENABLED:
             self.torque = 0.0  # until the target of this SYNC acts
+        entry = self._force
         counts = round(self.motor.read_force() / self._per_count + self._force_offset) if self.is_running else 0
-        self._force.value = int(max(self._force.low, min(self._force.high, counts)))
+        if not entry.low <= counts <= entry.high:
+            counts = int(entry.low if counts < entry.low else entry.high)
+        entry.value = counts
