@@ -181,17 +181,11 @@ def run_case(case: Case, seed: str, folder: Path) -> Outcome:
     with os.fdopen(reader, encoding="utf-8") as answer:
         text = answer.read()
     _, status, used = os.wait4(child, 0)
-    per_mb = 1 << 20 if sys.platform == "darwin" else 1 << 10
-    memory = used.ru_maxrss / per_mb
-    if status or not text:
-        return Outcome([], f"killed by signal {os.WTERMSIG(status)}", 0.0, memory)
+    if status or not text:  # it left no figure of what it shared with this process
+        return Outcome([], f"killed by signal {os.WTERMSIG(status)}", 0.0, 0.0)
     said = json.loads(text)
-    return Outcome(
-        [tuple(pair) for pair in said["statuses"]],
-        said["trouble"],
-        said["longest"],
-        memory - said["begun"] / per_mb + _BARE,
-    )
+    memory = (used.ru_maxrss - said["begun"]) / (1 << 20 if sys.platform == "darwin" else 1 << 10) + _BARE
+    return Outcome([tuple(pair) for pair in said["statuses"]], said["trouble"], said["longest"], memory)
 
 
 def _in_child(case: Case, seed: str, folder: Path) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from canhaptic.study.accuracy.candidates import OURS
 from canhaptic.study.accuracy.plant_solvers import PlantSide
 from tests.study.accuracy.accuracy_scenes import FOLDER, REPOSITORY, SCENES
 
-DEAR = 10.0  # evaluations a period: such rungs are measured anew by the slow tests only
+DEAR = 6.0  # evaluations a period: such rungs are measured anew by the slow tests only
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 
 
