@@ -23,12 +23,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import islice
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import Any, Final
 
 from tests.mutation.mutator import changes
-from tests.mutation.reached import PLACE
+from tests.mutation.reached import CHOSEN, PLACE
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders of its tests, nearest first
@@ -91,13 +91,20 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def reached(copy: Path, folders: Sequence[str], into: Path) -> Reached:
-    """Returns which tests call which function, quick ones first; runs them all where `into` is not there yet."""
+def reached(copy: Path, folders: Sequence[str], into: Path, budget: float) -> Reached:
+    """Returns which tests call which function, quick ones first; runs them all where `into` is not there yet.
+
+    Args:
+        copy: Of the repository.
+        folders: Of tests.
+        into: Where what they call is noted.
+        budget: Time that the tests of one function may take together [s]; slower ones are left out.
+    """
     if not into.exists():
         site = copy / "reached_site"
         site.mkdir(exist_ok=True)
         (site / "sitecustomize.py").write_text(_SITE, encoding="utf-8")
-        words = ["-p", "tests.mutation.reached", "-o", "timeout=900", *(f"tests/{folder}" for folder in folders)]
+        words = ["-o", "timeout=900", *(f"tests/{folder}" for folder in folders)]
         _pytest(copy, words, {PLACE: str(into), "PYTHONPATH": f"{copy}{os.pathsep}{site}"}, None)
     seconds: dict[str, float] = {}
     callers: dict[str, set[str]] = {}
@@ -107,7 +114,12 @@ def reached(copy: Path, folders: Sequence[str], into: Path) -> Reached:
         for name in one["calls"]:
             callers.setdefault(name, set()).add(one["test"])
             callers.setdefault(name.partition(":")[0], set()).add(one["test"])
-    return {name: sorted(tests, key=seconds.__getitem__) for name, tests in callers.items()}
+    found = {}
+    for name, tests in callers.items():
+        ordered = sorted(tests, key=seconds.__getitem__)
+        total = accumulate(seconds[test] for test in ordered)
+        found[name] = [test for test, sofar in zip(ordered, total, strict=True) if sofar <= budget]
+    return found
 
 
 def _tests_of(mutant: str, path: Path, callers: Reached) -> Sequence[str]:
@@ -145,7 +157,8 @@ def _failure(copy: Path, tests: Sequence[str]) -> str:
     listed = copy / "tests_of_mutant.txt"
     listed.write_text("\n".join(tests), encoding="utf-8")
     try:
-        done = _pytest(copy, ["-x", f"@{listed}"], {"PYTHONPATH": str(copy)}, _LONGEST)
+        files = dict.fromkeys(test.partition("::")[0] for test in tests)
+        done = _pytest(copy, ["-x", *files], {"PYTHONPATH": str(copy), CHOSEN: str(listed)}, _LONGEST)
     except subprocess.TimeoutExpired:
         return f"no end within {_LONGEST} s"
     if done.returncode == 0:
@@ -162,7 +175,18 @@ def _failure(copy: Path, tests: Sequence[str]) -> str:
 def _pytest(
     copy: Path, words: Sequence[str], more: Mapping[str, str], longest: float | None
 ) -> subprocess.CompletedProcess[str]:
-    fixed = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", "--no-header"]
+    fixed = [
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "tests.mutation.reached",
+        "-p",
+        "no:cacheprovider",
+        "-m",
+        "not slow",
+        "--no-header",
+    ]
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **more}
     return subprocess.run(
         [sys.executable, *fixed, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=longest,
@@ -200,6 +224,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=1e9, help="starts no further mutant after that time")
     parser.add_argument("--at-least", type=float, default=0.9, help="share that must be killed")
     parser.add_argument("--kept", type=Path, default=ROOT / "bench_output" / "mutants.jsonl")
+    parser.add_argument("--budget", type=float, default=600.0, help="s of tests for one mutant, as they were noted")
     parser.add_argument("--reached", type=Path, default=ROOT / "bench_output" / "reached.jsonl")
     arguments = parser.parse_args()
     if arguments.only:
@@ -213,7 +238,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         copy = copied(Path(folder))
         folders = sorted({folder for room in ROOMS.values() for folder in room if (ROOT / "tests" / folder).is_dir()})
-        callers = reached(copy, folders, arguments.reached)
+        callers = reached(copy, folders, arguments.reached, arguments.budget)
         for path, number in wanted:
             if (path.as_posix(), number) in done or time.monotonic() > until:
                 continue

@@ -5,7 +5,7 @@
 
 import pytest
 
-from tools.bench.truth import is_false, outcome_of, table_of
+from tools.bench.truth import fault_table, is_false, outcome_of, outcome_with_fault, table_of
 from tools.truth.judge import Outcome
 
 SCENES = 150
@@ -48,3 +48,12 @@ class TestNoFalseClaim:
         counted = [outcome for outcome in outcomes if outcome.counts]
         assert len(counted) > 0.85 * scenes
         assert table_of(outcomes)[0]["runs"] == len(counted)
+
+
+def test_faults_of_bus_drive_and_host_leave_no_false_claim_either():
+    outcomes = [outcome_with_fault(seed) for seed in range(24)]
+    assert {o.seed: o.false_claims for o in outcomes if is_false(o)} == {}
+    assert not any(outcome.went_on for outcome in outcomes)
+    rows = fault_table(outcomes)
+    assert sum(row["runs"] for row in rows) == len(outcomes)
+    assert sum(outcome.status == "stopped" for outcome in outcomes) > 6

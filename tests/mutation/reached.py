@@ -2,8 +2,8 @@
 
     CANHAPTIC_REACHED=FILE pytest -p tests.mutation.reached
 
-writes one JSON line a test: its name, how long it took, and `module:function` of all that it called. Processes that it
-starts note theirs as well, where `watch_process` is called in them (the tool's `sitecustomize.py` does).
+writes one JSON line for each test: its name, how long it took, and `module:function` of all that it called. Processes
+that it starts note theirs as well, where `watch_process` is called in them (the tool's `sitecustomize.py` does).
 """
 
 import json
@@ -20,6 +20,8 @@ import pytest
 
 PLACE: Final = "CANHAPTIC_REACHED"
 """Name of the environment variable with the file."""
+CHOSEN: Final = "CANHAPTIC_CHOSEN"
+"""Name of the environment variable with a file of names of tests, one a line: those alone run, in that order."""
 _PACKAGE: Final = f"{Path(__file__).resolve().parents[2] / 'canhaptic'}{os.sep}"
 _called: set[tuple[str, str]] = set()
 
@@ -36,9 +38,19 @@ def named(called: tuple[str, str]) -> str:
     return f"canhaptic/{path[len(_PACKAGE) :]}:{function.split('.<locals>')[0]}"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leaves the tests chosen."""
+    if CHOSEN in os.environ:
+        names = Path(os.environ[CHOSEN]).read_text(encoding="utf-8").splitlines()
+        places = {name: place for place, name in enumerate(names)}
+        items[:] = sorted((i for i in items if i.nodeid in places), key=lambda item: places[item.nodeid])
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Watches one test, its fixtures included."""
+    if PLACE not in os.environ:
+        return (yield)
     _called.clear()
     begin = time.perf_counter()
     threading.settrace(_note)

@@ -67,7 +67,10 @@ def _readers(experiment: Experiment) -> list[_Force]:
             readers.append(_of_plant(motor))
         else:
             of = next(of for of in mechanisms if axis.parameters.name in of.axes)
-            readers.append(_of_stage(motor.shared.mechanism, of, motor.axis))
+            if of.mechanism.name == "xy_stage":
+                readers.append(_of_stage(motor.shared.mechanism, of, motor.axis))
+            else:
+                readers.append(_of_linkage(motor, of, experiment))
     return readers
 
 
@@ -142,5 +145,21 @@ def _of_stage(stage: Any, of: MechanismScene, axis: int) -> _Force:
                 rate += motion.amplitude * omega * state.item(sine + 1)
             total += k[body] * stretch + d[body] * rate
         return float(total)
+
+    return force
+
+
+def _of_linkage(motor: Any, of: MechanismScene, experiment: Experiment) -> _Force:
+    """Returns what is left of M dv/dt where motor and bearing are taken off: hand, stop, and what the pose changes."""
+    mechanism, axis, period = motor.shared.mechanism, motor.axis, experiment.rig.bus.sample_time
+    damping: float = of.mechanism.parameters.damping  # type: ignore[attr-defined]
+    before = [mechanism.velocities, motor.torque()]
+
+    def force() -> float:
+        inertia, velocities = mechanism._place.inertia, mechanism.velocities  # noqa: SLF001 - of the plant itself
+        rates = [(now - then) / period for now, then in zip(velocities, before[0], strict=True)]
+        row = (inertia.a, inertia.b) if axis == 0 else (inertia.b, inertia.c)
+        torque, before[1], before[0] = before[1], motor.torque(), velocities
+        return float(row[0] * rates[0] + row[1] * rates[1] - torque + damping * velocities[axis])
 
     return force

@@ -20,6 +20,7 @@ from canhaptic.errors import CanHapticError, SceneError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import scene_from_mapping
+from tools.truth.faults import FaultWatch
 from tools.truth.hand_watch import HandWatch
 from tools.truth.scenes import SOURCE, TruthScene
 
@@ -27,6 +28,8 @@ ROUNDING: Final = 1e-9
 """Energy that counts as none [J]."""
 TOUCH: Final = 0.5
 """Force of a contact that counts [N]."""
+LOSS_LIMIT: Final = 0.01
+"""Energy given out beyond what is declared at which a rig stops by default [J]."""
 _TRIES: Final = 4
 
 
@@ -48,11 +51,19 @@ class Outcome:
     declared: bool  # whether hand force and push were within what was declared
     false_claims: tuple[str, ...]
     text: str = ""
+    reaction: str = ""  # why the rig stopped
+    to_zero: int = 0  # sample times from a fault until no drive gave a torque any more
+    lost: float = 0.0  # true energy given out beyond what is declared and the resolution, of the worst port [J]
 
     @property
     def counts(self) -> bool:
         """Whether it ran for long enough and touched."""
         return self.status == "completed" and max(self.peak, self.asked) >= TOUCH
+
+    @property
+    def went_on(self) -> bool:
+        """Whether it gave out more than declared, by more than the limit that stops a run, and was not stopped."""
+        return self.status == "completed" and self.lost > LOSS_LIMIT and "algorithm:guarded" in self.tags
 
     @property
     def is_silent(self) -> bool:
@@ -94,18 +105,23 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
         return _refused(scene, str(error)), None
     status, text = "completed", ""
     with experiment:
-        watch, asked = HandWatch(experiment, scene.outward), _Asked(experiment)
+        watch, asked, faults = HandWatch(experiment, scene.outward), _Asked(experiment), FaultWatch(experiment, scene)
 
         def each(cycles: int) -> None:
             watch(cycles)
             asked()
+            faults(cycles)
 
         try:
             run(experiment.cycle, max(1, round(scene.duration / loaded.bus.sample_time)), progress=each)
         except CanHapticError as error:
             status, text = "stopped", str(error)
         account = experiment_account(experiment, status, 1.0)
-    return _outcome(scene, account, watch, asked, status, text), watch
+        reaction, to_zero = "", 0
+        if status == "stopped":
+            reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
+    outcome = _outcome(scene, account, watch, asked, status, text)
+    return replace(outcome, reaction=reaction, to_zero=to_zero), watch
 
 
 def _refused(scene: TruthScene, text: str) -> Outcome:
@@ -167,7 +183,13 @@ def _outcome(
         declared=declared,
         false_claims=tuple(claims),
         text=text,
+        lost=max(_lost(port, account["truth"][name], section) for name, port in ports.items()),
     )
+
+
+def _lost(port: Mapping[str, Any], truth: Mapping[str, float], section: Mapping[str, Any]) -> float:
+    least = truth["least_at_handle"] if section.get("device_damping") else truth["least_interaction"]
+    return float(-least - section.get("energy_allowance", 0.0) - _resolution(port))
 
 
 def _resolution(port: Mapping[str, Any]) -> float:

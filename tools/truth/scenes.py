@@ -13,9 +13,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from tools.truth.five_bar import make_five_bar
+
 SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "truth.yaml")
 """Where paths of a scene start from."""
 _RATES: Final = {40: 0.25, 100: 0.35, 250: 0.2, 500: 0.1, 1000: 0.1}
+_FIVE_BARS: Final = 0.4
+"""Share of the stages that are a five-bar linkage instead."""
 _RATES_OF_GROUPS: Final = {250: 0.5, 500: 0.3, 1000: 0.2}
 
 
@@ -28,6 +32,7 @@ class TruthScene:
     tags: frozenset[str]
     outward: tuple[int, ...]  # of each axis: sign out of the wall; 0: along the torque
     duration: float = field(default=1.0)  # [s]
+    begin: float = 0.0  # of a fault, from the first SYNC [s]
 
     @property
     def promises(self) -> bool:
@@ -93,6 +98,10 @@ def random_scene(seed: int) -> TruthScene:
     values.update(axes=[axis], simulation=simulation)
     _bus_effects(chance, values, 1.0 / rate)
     outward = _group(chance, group, values) if group else _one_axis(chance, values)
+    if group == "xy_box" and np.random.default_rng([seed, 21]).random() < _FIVE_BARS:
+        chance.tags -= {"group:xy_box"}
+        chance.tags.add("group:five_bar")
+        make_five_bar(np.random.default_rng([seed, 22]), values)
     _declare_falsely(chance, values)
     chance.tags.add(f"rate:{rate}")
     return TruthScene(seed, values, frozenset(chance.tags), outward, values["duration"])
