@@ -66,7 +66,7 @@ class Cycle:
 
     Attributes:
         ledgers: The account of each axis; of one in a group its part of the interaction.
-        meters: What is known of axes and groups beside their ledgers.
+        meters: What is known of axes and groups in addition to their ledgers.
         judge: What the simulated plant says of them; None without truth.
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.

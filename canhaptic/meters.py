@@ -1,4 +1,4 @@
-"""What a run knows of its ports beside their ledgers, hold by hold: for the account, and for every row of the log."""
+"""What a run knows of its ports in addition to their ledgers, hold by hold: for the account and the rows of the log."""
 
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
@@ -14,7 +14,7 @@ _measured: Final = tuple.__new__  # makes a record at half the cost of calling i
 
 
 class Promise(NamedTuple):
-    """What the certificates of a controller rest on beside what is declared of hand and device."""
+    """What the certificates of a controller rest on in addition to the declarations of hand and device."""
 
     max_consecutive_losses: int = 0  # sample times without a new torque that they survive
     energy_allowance: float = 0.0  # they promise a sum of interaction of minus this at least [J]

@@ -95,7 +95,7 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
 
 
 def _measured(meters: RunMeters, place: int, promise: Promise) -> dict[str, Any]:
-    """Returns what is known of a port beside its ledger."""
+    """Returns what is known of a port in addition to its ledger."""
     measured, least = meters.measured(place), meters.least_at_handle[place]
     return {
         "energy_resolution": measured.energy_resolution,

@@ -34,7 +34,7 @@ class Truth(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What a run knows of a port beside the balances of its holds; all but the effort add up from its first SYNC."""
+    """What a run knows of a port besides the balances of its holds; all but the effort are sums since SYNC 0."""
 
     energy_resolution: float  # largest |booked - true| sum of interaction [J]
     device_dissipated: float  # by the declared damping of the device, at least [J]

@@ -275,7 +275,7 @@ def simulate(
 
     Args:
         scene: A scene file, a mapping with the keys of one, or a scene that was loaded.
-        changes: Values laid over the scene, by path: `{"environment.stiffness": "500 N/m"}`. Not for a loaded scene.
+        changes: Replace values of the scene, by path: `{"environment.stiffness": "500 N/m"}`. Not for a loaded scene.
         duration: Length of the run [s]; by default the scene's.
         progress: Whether a progress bar is shown in a terminal or a notebook.
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.

@@ -64,7 +64,7 @@ class _Page:
         common = _common(several) if len(several) > 1 and all(map(_chosen, several)) else []
         heading = ", ".join(f"`{path}`" for path in listed)
         if common:
-            yield f"\n### {heading}: beside `{_chosen(several[0]).partition(':')[0]}`\n"
+            yield f"\n### {heading}: with every `{_chosen(several[0]).partition(':')[0]}`\n"
             yield from self._keys(listed[0], several[0], common)
         for each in several:
             kind = f"`{_chosen(each)}`" if _chosen(each) else each.get("title", "")

@@ -97,7 +97,7 @@ def _ports(log: EnergyLog, rows: slice) -> dict[str, Any]:
 
 
 def _record(log: EnergyLog, name: str, rows: slice) -> dict[str, Any]:
-    """What is known of a port beside its ledger."""
+    """What is known of a port in addition to its ledger."""
     record = PortRecord(log, name, rows.start)
     record.take(log, rows.start, rows.stop)
     return record.account()

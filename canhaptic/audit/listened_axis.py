@@ -86,7 +86,7 @@ class ListenedAxis:
                 self._fields.setdefault(field.object_index, self._signed(field))
 
     def _signed(self, field: PdoField) -> int:
-        """Returns the value of a field; the force is an integer with a sign, whatever its object."""
+        """Returns the value of a field; the force is a signed integer in every object."""
         force = self._drive.force
         if force is not None and field.object_index == force.object_index and field.raw >> (field.bits - 1) == 1:
             return field.raw - (1 << field.bits)

@@ -1,4 +1,4 @@
-"""What an energy log says of a port beside its ledger, read piece by piece: of a finished log, or of one that grows."""
+"""What an energy log holds of a port in addition to its ledger, read in pieces from a finished or a growing log."""
 
 from typing import Any
 

@@ -111,7 +111,7 @@ def _write_files(log: EnergyLog, result: dict[str, Any], arguments: argparse.Nam
             if not set(other.ports) & set(log.ports):
                 raise InputError(
                     f"{other.path}: has the ports {', '.join(other.ports)} and none of {', '.join(log.ports)}; nothing "
-                    "of it can lie over this run"
+                    "of it can be drawn over this run"
                 )
         for path in pictures:
             draw_energy(log, path, arguments.start, arguments.stop, others)

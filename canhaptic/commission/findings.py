@@ -11,7 +11,7 @@ from canhaptic.view.table_style import plain_table
 
 
 class StepVerdict(Enum):
-    """Of one row."""
+    """Verdict of one row."""
 
     AGREES = "agrees"  # measured, and as configured
     DIFFERS = "differs"  # measured, and not as configured: paste the value found

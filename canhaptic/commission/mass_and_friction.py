@@ -14,14 +14,14 @@ _Array = NDArray[np.float64]
 
 _FEWEST_EQUATIONS: Final = 20
 _RANGES: Final = 6
-"""Of speed, in each of which friction is found by itself."""
+"""Ranges of speed; friction is found in each by itself."""
 _FEWEST_RANGES: Final = 3
 _FEWEST_OF_A_RANGE: Final = 8
 """Windows in each direction that a range of speed needs."""
 _OVERLAP: Final = 2.0
 """Windows begin every quarter of their length: n of them tell as much as n / 4 that do not overlap."""
 _PARTS: Final = 8
-"""Of a window, in each of which the axis must move on."""
+"""Parts of a window; the axis must move on in each."""
 _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0
 
 

@@ -70,7 +70,7 @@ class Session:
 
     @property
     def rig(self) -> Rig:
-        """Of the experiment."""
+        """The rig of the experiment."""
         return self.experiment.rig
 
     @property

@@ -26,7 +26,7 @@ _SWEEP: Final = (2.0, 8.0, 4.0)  # [Hz] first and last, [s]
 _HALF_BASE: Final = 0.02  # [s] of the weights of the estimate
 _SURE: Final = 2.0  # standard deviations
 _DERATING: Final = 0.5
-"""Of what brakes the axis for certain: warmth, grease and wear take some of it away."""
+"""Certain part of the braking force that was measured: warmth, grease and wear reduce it."""
 _RATTLE: Final = 64  # cycles
 _SCALE_TOLERANCE: Final = 0.1
 _MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}

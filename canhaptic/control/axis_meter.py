@@ -1,4 +1,4 @@
-"""What a run knows of an axis beside its ledger: how well its energy is known, and what the device dissipated.
+"""What a run knows of an axis in addition to its ledger: how well its energy is known, and what the device dissipated.
 
 **Position.** A position p_k = x_k + e_k, |e_k| <= e, is booked as -f_k (p_k - p_(k-1)). The sum of n holds is wrong by
 -sum f_k (e_k - e_(k-1)), by parts at most e (|f_n| + sum |f_k - f_(k-1)|), with f_0 = 0: a torque that stays leaves
@@ -8,7 +8,7 @@ nothing open however long the axis moves.
 sum (share |f_k| + offset) |x_k - x_(k-1)|, if the axis does not turn back within a hold.
 
 **Late.** Where the algorithm does not bound it itself, an estimate: a torque before that acts for a time theta into a
-hold leaves open |f_k - f_(k-1)| theta v, with v twice the largest mean speed of the holds beside it.
+hold leaves open |f_k - f_(k-1)| theta v, with v twice the largest mean speed of its two neighbours.
 
 **Lost.** After lost process data the displacement D of n holds is known, and the torque f of the last of them, read
 back. Booked is -f D, true is -sum f_j D_j, where f_j is a torque sent since then, or the one before where commands were
@@ -23,7 +23,7 @@ a bound for every hand, so that for a slow one it is large; an algorithm that kn
 (`certificates.lost_samples`).
 
 **Device.** A damping of b at least dissipates b D^2 / t at least in a time t in which the axis moves by D
-(Cauchy-Schwarz), whatever the torque did.
+(Cauchy-Schwarz), for every torque.
 """
 
 from dataclasses import dataclass
@@ -150,7 +150,7 @@ class AxisMeter:
 
 
 class SilentMeter(AxisMeter):
-    """Of an axis whose algorithm takes off its account itself what its sensors leave open: an admittance display."""
+    """Meter of an admittance display: its algorithm itself subtracts the uncertainty of its sensors."""
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
         """Takes nothing."""

@@ -117,7 +117,7 @@ def account_verdict(account: Mapping[str, Any]) -> Verdict:
     Where a damping of the device is declared, certificates promise the sum at the handle and not this one.
 
     Args:
-        account: As `LedgerSummary.as_json` has it, with what is known beside the ledger.
+        account: As `LedgerSummary.as_json` has it, with what is known in addition.
     """
     least, resolution = account["least_interaction"], account.get("energy_resolution")
     if resolution is None:  # of an older log, which does not hold it

@@ -10,7 +10,7 @@ class EnergyLossMeter:
     """The energy that came in by one port, from the torques applied and the positions read alone.
 
     What lost samples leave open is not taken off: a controller books it at its worst, and a run would end for energy
-    that nobody gave out. What the damping of the device certainly dissipates is added, as a certificate by damping
+    that was never given out. What the damping of the device certainly dissipates is added, as a certificate by damping
     counts on it.
 
     Args:

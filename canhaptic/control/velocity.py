@@ -159,7 +159,7 @@ class AdaptiveWindow:
 
     @property
     def velocity(self) -> float:
-        """Of the newest sample [m/s or rad/s]."""
+        """Velocity at the newest sample [m/s or rad/s]."""
         return self.window.velocity
 
     @velocity.setter

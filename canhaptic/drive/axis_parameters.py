@@ -45,7 +45,7 @@ class BusParameters(Parameters):
     master_id: _NodeId = 126
     """Node ID of the master's heartbeat."""
     heartbeat_period: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.02
-    """Of the drives and of the master, which sends at the nearest SYNC."""
+    """Period of the heartbeats of drives and master; the master sends at the nearest SYNC."""
     heartbeat_timeout: Annotated[float, quantity("s", ge=5e-3, le=30.0)] = 0.1
     """Silence after which either side counts the other as lost; at least three periods are always granted."""
     hold_cycles: Annotated[int, quantity("count", ge=0, le=1000)] = 2

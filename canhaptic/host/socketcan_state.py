@@ -180,14 +180,14 @@ def _judge_controller(
 ) -> None:
     bitrate = (data.get("bittiming") or {}).get("bitrate", data.get("bittiming_bitrate"))
     if bitrate is None:
-        judged.note("bit rate", "not told", f"cannot be compared with bus.bitrate {bus.bitrate}")
+        judged.note("bit rate", "not reported", f"cannot be compared with bus.bitrate {bus.bitrate}")
     elif bitrate != bus.bitrate:
         name = judged.channel
         command = f"ip link set {name} down; ip link set {name} up type can bitrate {bus.bitrate}"
         judged.refuse("bit rate", bitrate, f"expected {bus.bitrate} as bus.bitrate says; correct it, or: {command}")
     else:
         judged.well("bit rate", bitrate)
-    _judge_state(str(data.get("state", "not told")), judged)
+    _judge_state(str(data.get("state", "not reported")), judged)
     _judge_modes(data.get("ctrlmode") or [], judged)
     _judge_restart(data.get("restart_ms"), bus, judged)
     _judge_errors(data.get("berr_counter") or {}, statistics, judged)
@@ -223,7 +223,7 @@ def _least_restart(bus: BusSettings) -> int:
 
 def _judge_restart(restart: object, bus: BusSettings, judged: _Judged) -> None:
     if not isinstance(restart, int):
-        judged.note("restart-ms", "not told", "cannot be checked; `restart-ms 0` is what a rig wants")
+        judged.note("restart-ms", "not reported", "cannot be checked; `restart-ms 0` is what a rig wants")
         return
     if restart == 0:
         judged.well("restart-ms", "0 (by hand)")

@@ -1,4 +1,4 @@
-"""Kernels: functions that run as they stand in the cycle, and compiled by numba in sweeps; one source for both.
+"""Kernels: functions that Python runs in the cycle and numba compiles for sweeps; one source for both.
 
 A kernel is a function on numbers and records. It keeps nothing, raises nothing, and calls `math`, other kernels and the
 methods of an environment only. What it works on comes in four forms:

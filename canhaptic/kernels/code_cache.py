@@ -62,7 +62,7 @@ class CheckedCache(_Cache):  # type: ignore[misc]
 
 
 def _is_whole(content: bytes, version: str = "") -> bool:
-    """Returns whether the digest at the end is that of the rest, without the version that stands before an index."""
+    """Returns whether the digest at the end is that of the rest, without the version in front of an index."""
     start = len(pickle.dumps(version, protocol=-1)) if version else 0
     return content[-_DIGEST:] == hashlib.sha256(content[start:-_DIGEST]).digest()
 

@@ -21,7 +21,7 @@ from canhaptic.kernels.code_cache import CheckedCache, kept_code
 
 _OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
 _INNER: Final = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Of functions that are never called from Python: a fifth less to compile."""
+"""Options of functions that are never called from Python: a fifth less to compile."""
 METHODS: Final = (
     "contact",
     "true_state",

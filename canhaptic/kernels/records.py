@@ -50,7 +50,7 @@ def records_of(values: Iterable[Any]) -> Records:
 
 
 def number_in(state: Any, name: str) -> Any:
-    """Returns a number of a dataclass, or of the record that stands for it."""
+    """Returns a number of a dataclass, or of the record in its place."""
     return state[name] if isinstance(state, np.void) else getattr(state, name)
 
 

@@ -21,7 +21,7 @@ class BusLogWriter:
     Args:
         path: The file; an existing one is replaced. With the suffix .blf, .trc or .asc the run is recorded as candump
             text next to it (PATH.log), which survives a kill, and converted on closing.
-        channel: Name of the bus, as it shall stand in every line; one for each bus where there are several.
+        channel: Name of the bus in every line; one for each bus where there are several.
         pace: "real" or "free".
         file_size: Bytes after which the file is put aside as NAME.00001.log, ...; 0 for one file without limit.
         files: How many files are kept in all when `file_size` is given.

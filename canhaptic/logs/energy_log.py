@@ -95,7 +95,7 @@ class EnergyLogWriter:
             timing: Of this cycle.
             truths: One per port when the log was made with truth.
             deadline: Sample times since the first SYNC; None: none was skipped.
-            measured: One per port; none where nothing is known beside the balances.
+            measured: One per port; none where nothing but the balances is known.
 
         Raises:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.

@@ -28,13 +28,13 @@ _FEW_BITS: Final = (8, 16, 24)
 """Where substeps are to be chosen too."""
 _SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
 FLOOR: Final = 2e-13
-"""Of the travel: errors below it are those of the reference, or rounding: they count as equal, and tell no order."""
+"""Part of the travel below which errors are those of the reference, or rounding: they count as equal."""
 LEAST_ORDER: Final = 0.5
-"""Of the declared order: where the errors of a scene fall by less, no setting of it is advised or chosen."""
+"""Part of the declared order: where the errors of a scene fall by less, no setting of it is advised or chosen."""
 _CEILING: Final = 3e-2
-"""Of the travel: errors above it are not yet in the range where an order shows."""
+"""Part of the travel above which errors do not yet show an order."""
 _FINE: Final = AccuracyParameters(substeps=16)
-"""Of the run that the torques are taken from."""
+"""Accuracy of the run that the torques are taken from."""
 
 
 @dataclass(frozen=True, slots=True)

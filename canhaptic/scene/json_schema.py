@@ -30,11 +30,11 @@ _WORDS: Final = {
 _OF_AXIS: Final = {
     "bus": "The bus that the drive is on; needed where there are several.",
     "drive": "Profile of a drive, by its name or path: keys of an axis, laid under these.",
-    "environment": "Keys of the section `environment` for this axis alone, laid over it.",
-    "passivity": "Keys of the section `passivity` for this axis alone, laid over it.",
+    "environment": "Keys that replace those of the section `environment` for this axis alone.",
+    "passivity": "Keys that replace those of the section `passivity` for this axis alone.",
 }
 _OF_GROUP: Final = {
-    "name": "Of the group, in messages, tables and logs.",
+    "name": "Name of the group in messages, tables and logs.",
     "axes": "The motor axes, in the order of the kinematics.",
     "kinematics": "From motor axes to task space.",
     "network": "What is rendered in task space.",
@@ -48,7 +48,7 @@ _OF_SIMULATION: Final = {
     "effects": "What else plant, drive and hand do; each chosen by `type`, and absent unless named.",
     "bus": "What the simulated bus does to its frames.",
     "mechanisms": "What several motors move together; each chosen by `type`.",
-    "axes": "By the name of an axis: its own `drive`, `plant`, `user` and `effects`, laid over those of all.",
+    "axes": "By the name of an axis: its own `drive`, `plant`, `user` and `effects`, which replace those of all.",
 }
 _OF_MECHANISM: Final = {
     "axes": "The axes of its motors, in the order of the mechanism.",

@@ -1,4 +1,4 @@
-"""A scene file to a `Scene`: read, laid over with overrides, laid out, validated, cross-checked.
+"""A scene file to a `Scene`: read, overridden, laid out, validated, cross-checked.
 
 Every fault found on the way is noted with its line; all of them are raised together, before anything is built.
 """
@@ -37,7 +37,7 @@ def load_scene(
 
     Args:
         path: The scene file.
-        overrides: Values laid over it, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
+        overrides: Replace values of the file, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
         leave_code: Whether such files, and plug-ins, are left unread instead: for a look at the rest of a scene, from
             which nothing is built.

@@ -129,5 +129,5 @@ def _is_damped(scene: Scene, axes: tuple[str, ...]) -> bool:
 
 
 def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:
-    """Returns what certificates rest on beside hand and device."""
+    """Returns what certificates rest on in addition to hand and device."""
     return {f"{name}.{key}": value for key, value in promise_of(parameters)._asdict().items()}

@@ -127,7 +127,7 @@ class SimulationParameters(Parameters):
     """Values of the simulation that belong to no axis."""
 
     seed: Annotated[int, quantity("1", ge=0, le=1e9)] = 0
-    """Of everything random in the simulation."""
+    """Seed of everything random in the simulation."""
     compiled: bool = False
     """Whether plants run compiled by numba (the extra `fast`); seconds of compiling, for stiff scenes."""
 
@@ -301,7 +301,7 @@ class Scene:
 
     @property
     def accuracy_tolerance(self) -> float | None:
-        """Of `accuracy: {auto: ...}` [m or rad]; None where accuracy is given."""
+        """Tolerance of `accuracy: {auto: ...}` [m or rad]; None where accuracy is given."""
         return self.auto_accuracy.auto if self.auto_accuracy else None
 
     @property

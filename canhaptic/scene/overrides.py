@@ -1,4 +1,4 @@
-"""Overrides from the command line: `axes.0.node_id=5` laid over the scene before it is checked.
+"""Overrides from the command line: `axes.0.node_id=5` replaces a value of the scene before it is checked.
 
 The path is keys and list indices joined by dots (a key that contains a dot is quoted); the value is YAML.
 """

@@ -176,7 +176,7 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> Mechanism:
     """Returns a simulated mechanism, at rest until the last of its drives is enabled.
 
     Raises:
-        ParameterError: It cannot stand where its parameters say.
+        ParameterError: It cannot be in the pose of its parameters.
     """
     parameters = cast(MechanismParameters, of.mechanism.parameters)  # every class of MECHANISMS is one
     return parameters.build(of.hand, sample_time_ns, of.substeps)

@@ -21,20 +21,20 @@ from canhaptic.sim.plant.plant import AccuracyParameters, Plant
 from canhaptic.sim.plant.propagator import Array
 
 _PRODUCTS: Final = 6_000
-"""Of the plant that is timed: about 25 ms; the halved steps cost six times that."""
+"""Products of the plant that is timed: about 25 ms; the halved steps cost six times that."""
 _FEWEST, _MOST = 50, 1000  # periods
 _BITS_COARSER: Final = 6
 _NS_PER_US: Final = 1e3
 _FLOOR: Final = 1e-9
-"""Of the travel: differences below it tell no order."""
+"""Part of the travel below which differences show no order."""
 _COARSE: Final = 0.03
-"""Of the travel: a difference of halved steps from which on no order can be relied on."""
+"""Part of the travel: at larger differences of halved steps no order can be relied on."""
 _SUSPECT: Final = 1e3
 """Times the bracket of events: a difference of halved steps above it is no matter of brackets."""
 
 
 class ErrorEstimate(NamedTuple):
-    """Of the position at any SYNC, largest over the periods that it was found over."""
+    """Error of the position at any SYNC, the largest over the periods in which it was found."""
 
     size: float  # [m or rad]
     travel: float  # of the position over those periods [m or rad]
@@ -42,7 +42,7 @@ class ErrorEstimate(NamedTuple):
 
 
 class PlantPrice(NamedTuple):
-    """Of one axis."""
+    """Price of the plant of one axis."""
 
     unit: str
     microseconds: float  # per period, of the plant alone

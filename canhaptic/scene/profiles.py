@@ -1,6 +1,6 @@
 """Drive profiles: what is known of a make of drive, laid under the axis that names it by `drive: NAME`.
 
-A profile is a YAML file with keys of an axis, in `configs/drives/` or, given as a path that ends in .yaml, beside the
+A profile is a YAML file with keys of an axis, in `configs/drives/` or, given as a path that ends in .yaml, next to the
 scene. The axis's own keys win, key by key. What belongs to the rig and not to the make (name, node ID, dictionary,
 scale, limits) cannot be in a profile. Where a drive is simulated, its twin has the same deviations (`twins`).
 """
@@ -18,7 +18,7 @@ from canhaptic.units import shown
 
 _PROFILES: Final = shipped("configs") / "drives"
 _PROFILE_KEY: Final = "drive"
-"""Of an axis: its drive profile."""
+"""Key of an axis: its drive profile."""
 _OF_THE_RIG: Final = frozenset(
     ("name", "node_id", "eds", "unit", "counts_per_unit", "direction", "transmission", "rated_torque", "torque_limit")
 )

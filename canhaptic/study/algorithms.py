@@ -27,9 +27,9 @@ class _AbleAxis(NamedTuple):
 
     @property
     def remark(self) -> str:
-        """What it was told, in words; "" where nothing."""
+        """What it takes from the plant, in words; "" where nothing."""
         shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.told if key != "device_damping_bound"]
-        return f"told {', '.join(shown)} of the plant" if self.told else ""
+        return f"from the plant: {', '.join(shown)}" if self.told else ""
 
 
 def own_algorithms(scene: Scene) -> list[str]:
@@ -79,7 +79,7 @@ def group_under(group: GroupScene, name: str) -> GroupScene:
 
 
 def _with_known_plant(axis: AxisScene) -> _AbleAxis:
-    """Returns an axis whose algorithm is told the simulated plant where the scene says nothing."""
+    """Returns an axis whose algorithm takes from the simulated plant what the scene does not declare."""
     plant = simulation_of(axis).plant
     told = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
     values = {key: getattr(plant, PLANT_OF[key]) for key in told}
@@ -87,7 +87,7 @@ def _with_known_plant(axis: AxisScene) -> _AbleAxis:
 
 
 def able_under(axis: AxisScene, name: str, scene: Scene) -> _AbleAxis:
-    """Returns an axis under an algorithm, told of the plant only where that cannot do without.
+    """Returns an axis under an algorithm, which takes from the plant only what it cannot do without.
 
     Raises:
         ParameterError: It cannot be built even so.

@@ -1,4 +1,4 @@
-"""Every algorithm on one scene, beside the continuous environment, judged by the plant's own energies.
+"""Every algorithm on one scene, next to the continuous environment, judged by the plant's own energies.
 
     user + plant -> continuous environment        the reference: no sampling, no encoder, no limit of the torque
     user + plant -> encoder -> algorithm -> delay -> torque quantum and limit -> plant        once per algorithm
@@ -61,7 +61,7 @@ def compare(
         rate: SYNCs per second instead of the scene's, also beyond what its bus could carry; not over CAN.
         over_can: Over the whole CAN path instead of `DirectRig`.
         repeats: Interleaved timings of a step, of which the least counts; 0 for none.
-        progress: Told the number of cycles done so far, of all runs together.
+        progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
         InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.

@@ -55,7 +55,7 @@ def compare_displays(
         scene: Whose axes are admittance displays, with drives simulated in this process.
         algorithms: Names of `DISPLAY_ALGORITHMS`; all of them by default.
         duration: [s]; by default the scene's.
-        progress: Told the number of cycles done so far, of all runs together.
+        progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
         InputError: The drives are not simulated in this process.

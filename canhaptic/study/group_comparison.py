@@ -42,7 +42,7 @@ def compare_groups(
             own algorithm.
         algorithms: Names of `GROUP_ALGORITHMS`; all of them by default.
         duration: [s]; by default the scene's.
-        progress: Told the number of cycles done so far, of all runs together.
+        progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
         InputError: The drives are not simulated in this process.

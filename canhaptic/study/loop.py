@@ -43,7 +43,7 @@ class Case(Protocol):
 class LoopCase:
     """One algorithm, one environment, one plant, and the loop between them.
 
-    `loop` is what the algorithm is told, the rest is what is so.
+    `loop` is what the algorithm assumes, the rest is what is true.
     """
 
     environment: Environment

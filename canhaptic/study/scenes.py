@@ -16,7 +16,7 @@ from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.loop import LoopCase
 
 _DEFAULT_DURATION: Final = 5.0
-"""Of scenes that name none [s]."""
+"""Duration of scenes that name none [s]."""
 _PER_MILLE: Final = 1e-3
 
 

@@ -37,7 +37,7 @@ class TouchHand:
 
     Attributes:
         touched: What runs now.
-        changes: Laid over the scene, by key.
+        changes: Values that replace those of the scene, by key.
     """
 
     def __init__(self, scene: Scene, axis: str | None = None, pace: TouchPace = "even") -> None:
@@ -58,7 +58,7 @@ class TouchHand:
         far_end.close()
 
     def begin(self, changes: dict[str, str]) -> None:
-        """Begins a run anew with values laid over the scene; what is wrong with them leaves the old run as it is.
+        """Begins a run anew with changed values; an error in them leaves the old run as it is.
 
         Raises:
             InputError: Anything is wrong.

@@ -2,7 +2,7 @@
 
 At an even pace master and drives run in lock-step, and each cycle waits for its time on the wall clock. One that comes
 late is caught up, and none is left out: a browser that takes the processor does not turn one hold into two, which no
-algorithm was told of. At real pace late SYNCs are skipped, as on a rig.
+algorithm knows of. At real pace late SYNCs are skipped, as on a rig.
 
 What crosses: an array in shared memory with the last place of the pointer (never waited for), and a pipe with rows. A
 pointer that stops sending leaves its last place there, and the hand stays where it is. A reader that does not read
@@ -56,7 +56,7 @@ class TouchJob:
         number: Of the run; another number in shared memory ends it.
         text: The scene.
         source: Its file.
-        overrides: Laid over it.
+        overrides: Values that replace those of the scene.
         axis: That is touched; None for the first.
         allow_code: Whether files that the scene names may run.
         pace: "even" or "real".

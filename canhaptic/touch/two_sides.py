@@ -1,6 +1,6 @@
 """A scene twice in one rig: a handle under `unprotected`, its twin under a passivity algorithm, held by one hand.
 
-Both are axes of one rig, on a bus each, moved by the same SYNC: whatever the computer does to one it does to the other.
+Both are axes of one rig, on a bus each, moved by the same SYNC: every delay of the computer affects both.
 Nothing real moves, so a page that keeps the processor busy does not end the run: the link policy waits long.
 """
 
@@ -25,7 +25,7 @@ _GUARDED: Final = "guarded"
 _PATIENCE: Final = 10.0  # [s] until a silent peer counts as lost
 _LOST_CYCLES: Final = 2000
 _HAND: Final = {"stiffness": 300.0, "damping": 3.0}
-"""Of a scene without a hand [N/m, N*s/m] or [N*m/rad, N*m*s/rad]."""
+"""Hand of a scene without one [N/m, N*s/m] or [N*m/rad, N*m*s/rad]."""
 _ROOM: Final = 0.1
 """Half of what is shown of a scene whose hand does not move [m or rad]."""
 
@@ -56,7 +56,7 @@ class TouchScene:
         shown: Least and largest place that is shown, of each direction [m or rad].
         start: Where the handle is at the start [m or rad].
         solid: Where it is solid: [low, high] along an axis, or what is outside of a box, by direction [m or rad].
-        stiffness_key: Path of the stiffness in the scene; the damping is beside it. Empty where there is none.
+        stiffness_key: Path of the stiffness in the scene; the damping is in the same section. Empty: none.
     """
 
     scene: Scene

@@ -41,7 +41,7 @@ class Panels:
     def port(self, series: PortSeries, others: Mapping[str, PortSeries], plane: TaskPlane | None) -> Any:
         """Returns the tab of one port: path, position, torque, energy, surplus, damping; those that show something.
 
-        Below them stands force over position, where the port has a position; `others` are further runs by their names.
+        Below them is force over position, where the port has a position; `others` are further runs by their names.
         """
         facts = series.facts
         marks = ColumnDataSource(series.contacts)

@@ -88,7 +88,7 @@ class PortPanels:
             panel.line("time", name, source=self._source, name=name, **style)
 
     def _other(self, panel: Any, *names: str) -> None:
-        """Draws the runs that lie over this one."""
+        """Draws the other runs over this one."""
         for (label, source), colour in zip(self._others, cycle(OVERLAID)):
             for name in names:
                 style = {"color": colour, "line_width": 1.0, "line_dash": [3, 2], "legend_label": label}

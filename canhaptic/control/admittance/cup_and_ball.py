@@ -29,7 +29,7 @@ class CupAndBall(DisplayEnvironment):
     ball: Annotated[float, quantity("kg", gt=0.0, le=1e3)] = 0.6
     """Mass of the ball."""
     length: Annotated[float, quantity("m", gt=0.0, le=100.0)] = 0.45
-    """Of the pendulum: the radius of the cup."""
+    """Length of the pendulum: the radius of the cup."""
 
     @property
     def inertia(self) -> float:

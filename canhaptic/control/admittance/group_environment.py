@@ -71,7 +71,7 @@ class GroupMass(Parameters):
 class PathMass(GroupMass):
     """`guided_path`: a mass on straight pieces from point to point; it moves along them and nowhere else.
 
-    Along the path the hand feels the mass, across it the drives stand still. A handle beside the path is led back.
+    Along the path the hand feels the mass, across it the drives stand still. A handle off the path is led back.
     """
 
     points: tuple[tuple[float, ...], ...]
@@ -79,7 +79,7 @@ class PathMass(GroupMass):
     closed: bool = False
     """Whether the last point is joined to the first."""
     return_time: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 0.1
-    """Time constant with which a handle beside the path is led back."""
+    """Time constant with which a handle off the path is led back."""
 
     @model_validator(mode="after")
     def _is_a_line(self) -> "PathMass":

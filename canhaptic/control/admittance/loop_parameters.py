@@ -9,7 +9,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class GuardedDisplayParameters(Parameters):
-    """Of an admittance display: what the certificate rests on."""
+    """Parameters of an admittance display on which its certificate rests."""
 
     drive_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
     """OVER-estimate of the mass that the drive moves up to the sensor."""

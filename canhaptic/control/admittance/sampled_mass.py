@@ -28,7 +28,7 @@ _EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.v
 
 
 class NothingToChoose(Parameters):
-    """Of an admittance display: nothing to choose."""
+    """Parameters of an admittance display: none."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class TankDisplayParameters(Parameters):
-    """Of an admittance display: the tank."""
+    """Parameters of an admittance display with an energy tank."""
 
     initial: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
     """In the tank at the start."""

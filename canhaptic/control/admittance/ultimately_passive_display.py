@@ -29,7 +29,7 @@ _STABLE = 0.5
 
 
 class UltimatelyPassiveDisplayParameters(Parameters):
-    """Of an admittance display: how fast the surplus is dissipated."""
+    """Parameters of an admittance display: how fast the surplus is dissipated."""
 
     alpha: Annotated[float, quantity("m/N/s/J", "rad/N/m/s/J", ge=0.0, le=1e6)] = 1.0
     """Slip per force and per joule of surplus."""

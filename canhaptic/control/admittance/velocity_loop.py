@@ -12,7 +12,7 @@ and rho(s) the integral of r from s to H, W falls by at most (maximum over every
 
 (complete the square in v; int r rho = R^2 / 2). Within a hold this is convex in H, so that its largest value is at a
 SYNC. Commands that satisfy `loss <= W + allowance`, all that are under way and the new one, keep E >= -allowance for
-every hand: whatever it does in the first hold, the rest of the sequence still fits what is left. A command of 0 adds
+every hand: after any motion in the first hold, the rest of the sequence still fits what is left. A command of 0 adds
 nothing and always fits; so does any between 0 and one that fits, as the loss is convex in it.
 
 W is known from below in two ways, and the larger counts: from the force, E less the largest V; and from the encoder

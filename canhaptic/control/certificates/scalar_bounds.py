@@ -9,7 +9,7 @@ force without limit. With D_i the displacement in hold i and K the response of t
 
     D_1 = e^(-bT/m) D_0 + integral over both holds of K(s) (f(s) + u(s)) ds,   K >= 0,
 
-so D_1 grows with u, and u = F_h throughout is the worst user whatever he did before. The integrals have closed forms
+so D_1 grows with u, and u = F_h throughout is the worst user after any motion. The integrals have closed forms
 (`DisplacementResponse`); without damping they are T^2/2m for the torque of either hold and T^2/m for the hand.
 Where b and m are only bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0
 its least value, at the upper bound of b and the under-estimate of m; each response is largest at the under-estimates
@@ -18,7 +18,7 @@ counts as 0.
 Since D_1 is bounded by a rising function of D_0, bounds chain over the holds whose torque is under way (delay), and
 the energy taken out, sum(f_i D_i) + F D, is largest when every D_i is: a bound D_1 < 0 therefore certifies energy that
 comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
-Dry friction F_c of the device may push out as well as hold: F_h + F_c stands for F_h (`device_friction_bound`).
+Dry friction F_c of the device may push out as well as hold: F_h + F_c takes the place of F_h (`device_friction_bound`).
 
 **Device damping.** The device itself dissipates at least (b/T) D^2 in a hold of displacement D (Cauchy-Schwarz). For
 every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the torques under way, keeps
@@ -228,7 +228,7 @@ def start_speed(response: DisplacementResponse, sample_time: float, delay: int, 
 
     (1 + delay) F_h T / m with an ideal encoder. One count leaves count / (j T) of the speed over j holds unsure, in
     which the hand can have gained F_h T (j - 1) / 2m; at high rates the best j gives sqrt(2 count F_h / m) in all,
-    whatever the rate. A slower start needs a credit or certain device damping.
+    at every rate. A slower start needs a credit or certain device damping.
     """
     unsure = min(count / holds + 0.5 * (holds - 1) * response.hand for holds in range(1, WINDOW + 1))
     return ((1 + delay) * response.hand + unsure) / (sample_time * response.retained ** (1 + delay))

@@ -15,7 +15,7 @@ class CoulombSurface(LinearSpring):
     friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
     """Effort at which it slides."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
-    """Of the bristle before it slides."""
+    """Stiffness of the bristle before it slides."""
 
     relaxes: ClassVar[bool] = True
 

@@ -10,7 +10,7 @@ class LinearSpring(Parameters):
     """A spring with the stored energy k x^2 / 2, and a damper in parallel."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
-    """Of the spring."""
+    """Stiffness of the spring."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Coefficient of the damper in parallel with the spring; it acts in contact only."""
 

@@ -49,7 +49,7 @@ class OwnEnvironment(Parameters):
     side: Literal["both", "below", "above"] = "both"
     """Where it is felt: everywhere, or only below or above its position, as a wall is."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
-    """Of the damper; it acts in contact only."""
+    """Damping coefficient; the damper acts in contact only."""
 
     linear_stiffness: ClassVar[None] = None
     relaxes: ClassVar[bool] = False

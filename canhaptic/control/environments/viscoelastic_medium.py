@@ -11,7 +11,7 @@ class ViscoelasticMedium(LinearSpring):
     """Dough: stiff against a quick motion, yielding to a slow one; it remembers for about its relaxation time."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
-    """Of the spring that gives way."""
+    """Stiffness of the spring that relaxes."""
     relaxation_time: Annotated[float, quantity("s", gt=0.0)]
     """Time in which a spring left alone falls to 1/e: series damping over stiffness."""
 

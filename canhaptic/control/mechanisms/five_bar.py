@@ -76,7 +76,7 @@ class FiveBar(FromMechanism, Parameters):
     assembly: Literal["up", "down"] = "up"
     """Side of the line from first to second elbow on which the handle is: left of it (up) or right."""
     least_sine: Annotated[float, quantity("1", gt=0.0, lt=1.0)] = 0.1
-    """Of the angle between the distal links, and between each distal link and its proximal one."""
+    """Least sine of the angle between the distal links, and between each distal link and its proximal one."""
     workspace_lower: tuple[float, ...] | None = None
     """Least task coordinates [m or rad] of the workspace, beyond which nothing is rendered; None: no such limit."""
     workspace_upper: tuple[float, ...] | None = None

@@ -28,7 +28,7 @@ class Identity(FromMechanism, Parameters):
 
     @property
     def dimensions(self) -> int:
-        """Of task space."""
+        """Dimensions of task space."""
         return self.axes
 
     def mechanism(self) -> IdentityMap:

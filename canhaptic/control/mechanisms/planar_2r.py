@@ -56,7 +56,7 @@ class Planar2R(FromMechanism, Parameters):
     elbow: Literal["relative", "absolute"] = "relative"
     """Whether q2 turns the second link against the first (motor at the elbow) or against the base (parallelogram)."""
     least_sine: Annotated[float, quantity("1", gt=0.0, lt=1.0)] = 0.1
-    """Of the angle between the links; stretched or folded further than that, the pose is singular."""
+    """Least sine of the angle between the links; stretched or folded further than that, the pose is singular."""
     workspace_lower: tuple[float, ...] | None = None
     """Least task coordinates [m or rad] of the workspace, beyond which nothing is rendered; None: no such limit."""
     workspace_upper: tuple[float, ...] | None = None

@@ -80,7 +80,7 @@ class Transmission(FromMechanism, Parameters):
 
     @property
     def dimensions(self) -> int:
-        """Of task space."""
+        """Dimensions of task space."""
         return len(self.matrix)
 
     def mechanism(self) -> LinearMap:

@@ -2,7 +2,7 @@
 
 The energy of an axis in a group is -torque * displacement as for any other (eq. 2), but alone it proves nothing: what
 comes in by one axis may go out by another. Store, dissipation, surplus and certificate are those of the group; the
-balance of the axis says `Branch.GROUP`, and its h_i is all that stands in it.
+balance of the axis says `Branch.GROUP`, and it holds h_i alone.
 """
 
 from collections.abc import Sequence
@@ -87,7 +87,7 @@ class AxisGroup:
         return _LIMIT_TEXTS[limit] if before != limit else ""
 
     def sample(self, samples: Sequence[Sample]) -> Sample:
-        """Returns what stands in the log for the group: it has no position, and the norm of its torques.
+        """Returns what the log holds of the group: it has no position, and the norm of its torques.
 
         Args:
             samples: Of the whole rig.

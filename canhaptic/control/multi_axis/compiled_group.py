@@ -17,7 +17,7 @@ from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
 def step(
     world: World, settings: Any, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
 ) -> GroupHold:
-    """Stands for the kernel of an algorithm."""
+    """Placeholder of the kernel of an algorithm."""
     raise NotImplementedError
 
 

@@ -15,7 +15,7 @@ the norms, and 0 for opposed torques. For one axis it is max(0, W f) / m.
 
 **Hand.** W' M^-1 u <= F_h |W|_P |1|_P, u the torque of the hand at the motors, for the torques W of the hold and of the
 1 + delay holds after it. Every hand that pulls each motor axis with F_h or less is covered, however fast the torque
-turns and whatever M is. A hand may push harder against the torque (into a wall) where M does not couple the axes; a
+turns and for every M. A hand may push harder against the torque (into a wall) where M does not couple the axes; a
 harder push ACROSS the torque is covered as long as the torque does not turn, and the axes are equal and not coupled.
 Forces that come from an inertia changing with the pose (Coriolis, centrifugal) count with the hand's.
 
@@ -24,7 +24,7 @@ axis. What it lowers counts only for one axis alone: where M couples them, frict
 counts with the hand's force.
 
 **Mover.** A wall that moves by w in a hold gives the energy that its force takes over w: with u the motion of the
-motors that would go with it, W . u, so that D - u stands wherever D is multiplied by a torque. u is known in advance.
+motors that would go with it, W . u, so that D - u replaces D where it is multiplied by a torque. u is known in advance.
 
 **Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d serves every user.
 

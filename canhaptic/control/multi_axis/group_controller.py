@@ -1,7 +1,7 @@
 """What renders on several motor axes at once, and the one account that all of them share.
 
 The torque of every motor is constant during a hold, so the energy that came in is -sum(tau_i dq_i) in MOTOR
-coordinates, exactly, whatever the mechanism between motors and hand (eq. 2). Kinematics only shape the torques.
+coordinates, exactly, for every mechanism between motors and hand (eq. 2). Kinematics only shape the torques.
 """
 
 from collections.abc import Sequence

@@ -25,11 +25,11 @@ from canhaptic.control.recovery import damping_cap
 from canhaptic.kernels import Buffer, Matrix
 
 _NO_CAP: Final = 1e12
-"""Of the damping when the moving mass is not known [N*s/m or N*m*s/rad]: finite, so that at rest it gives no force."""
+"""Cap of the damping when the moving mass is unknown [N*s/m, N*m*s/rad]: finite, so that at rest it gives no force."""
 
 
 class GroupLoop(NamedTuple):
-    """What is fixed for a run, whatever the algorithm."""
+    """What is fixed for a run, with every algorithm."""
 
     delay: int  # whole holds between computation and action
     caps: Buffer  # of the damping, (axes,) [N*s/m or N*m*s/rad]
@@ -41,7 +41,7 @@ class GroupLoop(NamedTuple):
 
 @dataclass(slots=True)
 class Group:
-    """What is remembered from SYNC to SYNC, whatever the algorithm."""
+    """What is remembered from SYNC to SYNC, with every algorithm."""
 
     started: bool = False
     oldest: int = 0  # place of the command whose hold ends next
@@ -49,7 +49,7 @@ class Group:
 
 
 class GroupMemory(NamedTuple):
-    """Buffers, whatever the algorithm."""
+    """Buffers of every algorithm."""
 
     commands: GroupCommands
     ended: GroupHolds

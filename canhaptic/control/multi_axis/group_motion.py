@@ -27,7 +27,7 @@ from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 _NONE, _WORKSPACE, _UNSOLVED = Limit.NONE.value, Limit.WORKSPACE.value, Limit.UNSOLVED.value
 _LONGEST_WINDOW: Final = 0.02
-"""Of the velocity from a coarse encoder [s]."""
+"""Longest window of the velocity from a coarse encoder [s]."""
 
 
 class World(NamedTuple):

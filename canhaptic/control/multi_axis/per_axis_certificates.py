@@ -27,7 +27,7 @@ from canhaptic.control.multi_axis.group_certificates import AxisLimits
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
 
 _PASSES: Final = 24
-"""Of the search for a share; what needs more renders nothing."""
+"""Most passes of the search for a share; an axis that needs more renders nothing."""
 _ROUNDING: Final = 1e-12
 
 
@@ -141,7 +141,7 @@ def write_cells(
         memory: Written.
         coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
         torques: W, (axes,), of which the share l is to be found.
-        fixed: Torques sent whatever l is, on axes without W, (axes,).
+        fixed: Torques sent at every l, on axes without W, (axes,).
     """
     total = added = 0.0
     for i in range(len(torques)):
@@ -237,7 +237,7 @@ def raise_inward(
 ) -> None:  # fmt: skip
     """Writes torques of which axes that move against theirs get more than the share of all.
 
-    Such an axis takes energy in whatever the others do; without it no group would begin from an empty account, as
+    Such an axis takes energy in, independent of the others; without it no group would begin from an empty account, as
     the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of a group turns by it while the account
     is short. What costs nothing at all is sent in debt as well.
 

@@ -3,7 +3,7 @@
     H(x + l s) - H(x) + l L = H_m
 
 H is convex along most steps but not along all (double wells), so the root is bracketed first and then found by Newton
-steps that fall back to halving the bracket. Whatever happens, at most `_EVALUATIONS` evaluations are made; the energy
+steps that fall back to halving the bracket. In every case at most `_EVALUATIONS` evaluations are made; the energy
 that the answer leaves over is booked by the caller, so that an early end costs fidelity and never energy.
 """
 
@@ -20,7 +20,7 @@ EVALUATIONS: Final = 60
 _SEARCH: Final = 20
 """Evaluations for the bracket; halving has the rest."""
 _PIECES: Final = 8
-"""In which a step is searched for a place that takes up the energy received, where its end does not."""
+"""Pieces of a step, searched for a place that takes up the energy received where the end of the step does not."""
 FURTHEST: Final = 2.0
 """Largest share of a step, in either direction; what more energy would need is left over."""
 _ROUNDING: Final = 1e-15

@@ -20,7 +20,7 @@ LITERATURE: Final[dict[str, str]] = {
     "energy_tank": f"{_HERE}.energy_tank:EnergyTank",
     "ultimate_passivity": f"{_HERE}.ultimate_passivity:UltimatePassivity",
 }
-"""Of other authors, for comparison: none of them bounds its torque by a proof. As `ALGORITHMS`."""
+"""Algorithms of other authors, for comparison, as `ALGORITHMS`: none bounds its torque by a proof."""
 
 ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.unprotected:Unprotected",

@@ -44,7 +44,7 @@ class EnergyTankParameters(DamperVelocity):
     """The constant spring and the tank."""
 
     constant_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)] = 0.0
-    """K_c: rendered whatever is in the tank."""
+    """K_c: rendered at every level of the tank."""
     initial_energy: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
     """In the tank at the start; it may be given out."""
     least_energy: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0

@@ -13,7 +13,7 @@ contact: the store begins empty and pushing on fills it. What the account does n
 * beyond it, only while moving inward, a damper brings in what is missing and all of that is stored;
 * and the torque stays below the largest of the declared certificates (`certificates`), which is the proof.
 
-For every user without exception, sum(h_i) >= 0 admits no torque at all: whoever promises more relies on something known
+For every user without exception, sum(h_i) >= 0 admits no torque at all: a larger promise relies on something known
 of the hand or of the device. A hand force of 0 is the usual setting: it covers every hand that does not pull the axis
 along the torque, and is not the same as "never active". Where stiffness or damping cannot be rendered the environment
 gets softer, and the balance says so: `certificate` is not EXACT, `damping_rendered` is below the one asked.

@@ -20,9 +20,9 @@ k T^2 / m is then 0.48 at delay 0 and 0.084 at delay 1; the sampled spring with 
 _LEAD_ROOM: Final = 1.75
 """Lead and damping together over the damping cap: in contact the hold's own negative damping takes the excess."""
 _LONGEST_WINDOW: Final = 0.02
-"""Of the velocity from a coarse encoder [s]."""
+"""Longest window of the velocity from a coarse encoder [s]."""
 _NO_CAP: Final = 1e12
-"""Of the damping when the moving mass is not known [N*s/m or N*m*s/rad]: finite, so that at rest it gives no force."""
+"""Cap of the damping when the moving mass is unknown [N*s/m, N*m*s/rad]: finite, so that at rest it gives no force."""
 
 
 class GuardedParameters(Parameters):

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from canhaptic.kernels import Buffer, MakeBuffer
 
 _WHOLE: Final = 2.0**53
-"""From which on every floating-point number is whole."""
+"""Least floating-point number from which on all are whole."""
 
 
 class Commands(NamedTuple):

@@ -37,8 +37,8 @@ class PassivityObserverParameters(DamperVelocity):
     """How hard the passivity controller may brake."""
 
     damping_limit: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0)] | None = None
-    """Of the passivity controller. Without it the cap from moving mass, delay and sample time holds, so one of the
-    two must be known: the damper wanted grows without bound as the motion comes to rest."""
+    """Damping limit of the passivity controller. Without it the cap from moving mass, delay and sample time holds, so
+    one of the two must be known: the damper wanted grows without bound as the motion comes to rest."""
 
 
 @dataclass(frozen=True, slots=True)

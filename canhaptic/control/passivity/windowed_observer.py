@@ -41,7 +41,7 @@ class WindowedObserverParameters(PassivityObserverParameters):
     """How hard the passivity controller may brake, and how long energy is remembered."""
 
     window: Annotated[int, quantity("count", ge=1, le=100_000)] = 30
-    """Holds that are remembered whatever they brought; as in the source."""
+    """Holds that are remembered, independent of their energy; as in the source."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ class Damper(Parameters):
     ports: Mapping[int, float] = Field(default_factory=dict)
     """b, by index of the port."""
     beside: int | None = None
-    """Storage beside which it acts: its flow is that storage's, and it acts only where the storage is engaged."""
+    """Storage in parallel: the damper has that storage's flow, and acts only where the storage is engaged."""
 
     @model_validator(mode="after")
     def _acts_on_something(self) -> "Damper":

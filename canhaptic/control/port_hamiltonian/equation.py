@@ -41,7 +41,7 @@ def new_workspace(states: int, dissipators: int) -> Workspace:
 
 
 def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Workspace) -> None:
-    """Writes g dc, and how much of the motion every dissipator beside a storage took part in."""
+    """Writes g dc, and how much of the motion every dissipator in parallel to a storage took part in."""
     driven, step = room.driven, room.step
     for i in range(len(driven)):
         row, total = tables.gain[i], 0.0

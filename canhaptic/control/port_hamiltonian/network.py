@@ -155,7 +155,7 @@ class Network:
         )  # fmt: skip
 
     def _rows_of(self, damper: Damper, structure: _Rows, gain: _Rows) -> tuple[list[float], list[float]]:
-        """Returns the rows a and b of a damper; beside a storage they are those of its own flow."""
+        """Returns the rows a and b of a damper; in parallel to a storage they are those of its flow."""
         where = damper.beside
         if where is not None:
             if not 0 <= where < self.states:

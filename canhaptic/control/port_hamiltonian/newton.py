@@ -2,12 +2,12 @@
 
     s = T (J e - sum(a_j phi_j(f_j))) + g dc,    e = e_dg(x, x + s),    f_j = a_j . e + b_j . dc / T
 
-J is skew and e . s = H(x + s) - H(x), so that whatever T is
+J is skew and e . s = H(x + s) - H(x), so that for every T
 
     H(x + s) - H(x) = y . dc - T sum(phi_j f_j),    y = g'e + sum(b_j phi_j),    phi_j f_j >= 0
 
 A network whose state is moved by its ports alone (springs and dampers, no masses) has s = g dc and nothing to solve.
-Else Newton's method solves for s, with a residual that falls from step to step. Beside a double well the residual can
+Else Newton's method solves for s, with a residual that falls from step to step. Near a double well the residual can
 have a minimum that is no solution; from there on the power r . de along a step counts, r the residual and de the change
 of the efforts. Where springs act on masses it is the slope of a potential (the masses' change of velocity, the losses
 and the integral of the springs' discrete gradients) whose every level place is a solution, so that the way goes down
@@ -28,13 +28,13 @@ _EVALUATIONS: Final = 60
 _BY_RESIDUAL: Final = 18
 """Evaluations after which a residual that falls step by step has not fallen enough."""
 _CLOSE: Final = 4e-16
-"""Of the terms of the equation: rounding."""
+"""Rounding, as a part of the terms of the equation."""
 _FLOOR: Final = 1e-11
 """Below it a residual that falls no more is rounding: forces of very stiff springs cancel."""
 _ROUNDING: Final = 1e-14
 """Below it the residual need not fall any more."""
 _HALVINGS: Final = 8
-"""Of a Newton step after which the residual has not fallen; the shortest is taken all the same."""
+"""Halvings of a Newton step after which the residual has not fallen; the shortest is taken all the same."""
 _LEAST_SCALE: Final = 1e-3
 """Added to the root of a stiffness, for states that it leaves without a scale."""
 _STEEP: Final = 0.9

@@ -80,7 +80,7 @@ class TorqueLimiter:
             velocity: Of the axis over the last hold [m/s or rad/s].
 
         Raises:
-            ControlError: The torque or the velocity is not finite. There is no torque that could stand for it.
+            ControlError: The torque or the velocity is not finite. No torque could replace it.
         """
         if torque - torque != 0.0 or velocity - velocity != 0.0:  # true for inf and NaN alone
             self.last = self.low = self.high = 0.0

@@ -19,7 +19,7 @@ class TorqueAxisParameters(Parameters):
     """What the profile needs to know of an axis. Torques are those of the axis: N*m (rotary) or N (linear)."""
 
     name: Name
-    """Of the axis: in messages, tables and logs; no other axis has it."""
+    """Name of the axis in messages, tables and logs; no other axis has it."""
     eds: PrintablePath
     """Object dictionary (EDS or DCF) of the drive."""
     quirks: tuple[str, ...] = ()
@@ -53,7 +53,7 @@ class TorqueAxisParameters(Parameters):
     demand_reported: Literal["before", "after"] = "before"
     """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
     admittance: DisplayParameters | None = None
-    """Of an admittance display: force in, velocity out. None: an impedance display, motion in and torque out."""
+    """Parameters of an admittance display, force in and velocity out. None: an impedance display."""
     vendor_id: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
     """Expected 0x1018:01; any when absent."""
     product_code: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None

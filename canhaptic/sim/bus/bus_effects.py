@@ -64,7 +64,7 @@ class BusEffects(Parameters):
     jitter: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
     """And later again by anything between zero and this; no frame overtakes another of its direction."""
     direction: Literal["both", "to_drive", "to_master"] = "both"
-    """Of the frames that suffer."""
+    """Direction of the frames that are affected."""
     ids: tuple[_CobId, ...] | None = None
     """COB-IDs that suffer; None: all."""
     during: tuple[Window, ...] = ()

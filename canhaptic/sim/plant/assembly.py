@@ -18,7 +18,7 @@ Account = Literal["motor", "user", "dissipated"]
 
 MOTOR: Final = 0  # index of the body that carries motor and encoder
 LEAST_MASS: Final = 1e-12
-"""Of a body [kg or kg*m^2]: below it, forces that are allowed would accelerate it beyond what floats tell apart."""
+"""Least mass of a body [kg or kg*m^2]: a lighter one would be accelerated beyond the resolution of floats."""
 
 
 class Body(NamedTuple):

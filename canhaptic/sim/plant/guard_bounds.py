@@ -15,7 +15,7 @@ Bend.   S_j bounds |(c F (exp(F t) - I))_j| for all t in [0, h]. Then |g''(t) - 
 Start.  At a step h where ||F h|| <= 1/4: X = exp(|F| h) - I is at least |exp(F t) - I| for all t in [0, h], in every
         component, hence E = (|c F| + |c F| X) h^2 / 8 and S = |c F| X.
 
-All are upper bounds whatever the spectrum; they fall as h^2 and as h, so that halving a step decides. They are strict
+All are upper bounds for every spectrum; they fall as h^2 and as h, so that halving a step decides. They are strict
 up to rounding, which is below the part of a guard's largest term that `stepper.py` takes for zero.
 """
 

@@ -1,4 +1,4 @@
-"""For how many whole sample times no guard of a mode can be reached, whatever torques within a limit come.
+"""For how many whole sample times no guard of a mode can be reached by torques within a limit.
 
 With z = [x, u, 1] at the start of a hold, w = z without the torque, Phi the flow over T with the torque taken out and b
 what a unit of torque does to x over T, the starts of the holds are

@@ -1,7 +1,7 @@
 """A hand that is guided from outside: its place and its push go on at rates that are set between two holds.
 
 Place, speed, push and its rate are states that change linearly, so that the plant stays as exact as with any other
-hand, whatever effects it has; `Plant.set_states` changes them at a SYNC.
+hand, with any effects; `Plant.set_states` changes them at a SYNC.
 """
 
 from typing import Annotated, Final
@@ -21,7 +21,7 @@ PUSH_RATE: Final = "hand_push_rate"
 
 
 class GuidedHand(UserParameters):
-    """A grip on the handle, and a push, that go on as they are told."""
+    """A grip on the handle and a push, both set from outside."""
 
     place: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     """Where the hand is at the start."""

@@ -272,7 +272,7 @@ class HybridAutomaton:
         )
 
     def _enter_missing(self) -> None:
-        """Compiles the mode behind the guard that the stepper stands at; it then goes through by itself."""
+        """Compiles the mode behind the guard at which the stepper is; the stepper then goes through by itself."""
         mode, guard = int(self._counts[MODE]), int(self._counts[MISSING])
         self._counts[MISSING] = NONE
         self.connect(mode, guard)

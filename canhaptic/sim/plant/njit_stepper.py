@@ -1,6 +1,6 @@
 """The functions of `stepper.py` compiled by numba, and the machine that runs them; needs the extra `fast`.
 
-The logic is the same source: each function of the stepper is compiled as it stands. Only the six that touch numbers in
+The logic is the same source: each function of the stepper is compiled unchanged. Only the six that touch numbers in
 bulk are others, loops over arrays (`mode_arrays`): for a dozen states a call into BLAS costs more than the product.
 """
 
@@ -28,7 +28,7 @@ def _unrolled_holds(size: int, works: int) -> Callable[..., None]:
     """Returns `free_holds` for a state of `size` and some works, whose numbers are constants of the compiled code.
 
     So LLVM unrolls every loop over them, and the state stays in registers: a sixth of the time. A symmetric form takes
-    its lower triangle, and of the shifted state only the position differs (the hand's deflection stands there).
+    its lower triangle, and of the shifted state only the position differs (it holds the hand's deflection).
     """
 
     def holds(

@@ -32,7 +32,7 @@ from canhaptic.units import Parameters, quantity
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
 _WORTH_LOOKING: Final = 8  # holds without events ahead: a look costs as much as two that are judged
 _TIDY: Final = TICKS << 10
-"""Ticks between two tidyings of rounding: every 1024 sample times, whoever reads in between."""
+"""Ticks between two tidyings of rounding: every 1024 sample times, independent of reads in between."""
 
 
 class PlantParameters(Parameters):
@@ -45,7 +45,7 @@ class PlantParameters(Parameters):
     initial_position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     """Where it is before the start."""
     initial_velocity: Annotated[float, quantity("m/s", "rad/s", ge=-1e3, le=1e3)] = 0.0
-    """With which the plant starts."""
+    """Velocity with which the plant starts."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the motor's body and its bearings."""
@@ -93,7 +93,7 @@ class Plant:
 
     Args:
         parameters: Mass and bearings.
-        user: The hand; None when nobody holds the handle.
+        user: The hand; None for a free handle.
         effects: Effects of `canhaptic.sim.plant.effects`, in the order of the scene.
         sample_time_ns: T [ns]; a whole sample time is cheapest.
         seed: Of every random effect.

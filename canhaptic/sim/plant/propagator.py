@@ -107,7 +107,7 @@ def _congruent(work: Array, change: Array) -> Array:
 
 
 def flow_changes(rates: Array) -> Array:
-    """Returns exp(F) - I of many matrices, shape (n, k, k); each is the same whatever the others are.
+    """Returns exp(F) - I of many matrices, shape (n, k, k); each is independent of the others.
 
     A series of a fixed number of terms at F / 2^h with a norm of at most 1/4, then h doublings, h of each its own.
 

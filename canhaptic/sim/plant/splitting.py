@@ -4,7 +4,7 @@ All such forces act on the motor's body. Over a substep their sum F is constant 
 the mean of each force along the travel that it causes itself (a discrete gradient where the force has a potential),
 found by a bracketed secant. A substep ends at its first event, and what is left of it is solved anew: a force that
 belongs to sliding never acts while the body sticks, and the order in the substep is 2 with events too. The work booked
-is F times travel, so that the balance of energies closes whatever the step (Gonzalez, J. Nonlinear Science 6, 1996).
+is F times travel, so that the balance of energies closes at every step (Gonzalez, J. Nonlinear Science 6, 1996).
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The one stepper as pure functions on tables: interpreted as it stands, or compiled by numba (`compiled.py`).
+"""The one stepper as pure functions on tables: interpreted, or compiled by numba (`compiled.py`).
 
 A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
 strict bound of `guard_bounds.py` does not exclude that it was inside, the step is halved, down to one tick; there the

@@ -6,7 +6,7 @@ from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 
 
 class Timetable:
-    """The scheduled mode changes of a scene around whatever moves it.
+    """The scheduled mode changes of a scene, around the solver that moves it.
 
     Args:
         machine: Whose parts change mode.

@@ -40,9 +40,9 @@ class UserParameters(Parameters):
     """The hand; every part absent unless it is given."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
-    """Of the hand's grip, between voluntary motion and handle."""
+    """Stiffness of the hand's grip, between voluntary motion and handle."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """Of the hand's grip."""
+    """Damping of the hand's grip."""
     push: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)] = 0.0
     """Constant force of the hand, towards +q."""
     rest: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0

@@ -50,9 +50,9 @@ class GripParameters(Parameters):
     mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
     """Behind the sensor: handle, and what of the hand moves with it."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)] = 1e5
-    """Of sensor and grip together."""
+    """Stiffness of sensor and grip together."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """Of sensor and grip together."""
+    """Damping of sensor and grip together."""
 
 
 class AdmittanceSimulation(Parameters):
@@ -211,7 +211,7 @@ class AdmittancePlant(Plant):
     Args:
         parameters: Mass before the sensor, and its bearings.
         display: Loop, grip and sensor.
-        user: The hand; None when nobody holds the handle.
+        user: The hand; None for a free handle.
         effects: Further effects, on the mass before the sensor.
         sample_time_ns: T [ns].
         seed: Of everything random.

@@ -30,7 +30,7 @@ _NEARER: Final = 0.8
 """Part of the scene's own error below which a change is worth naming."""
 _SHOWN: Final = 4
 _CLOCK: Final = 0.1
-"""Time of a cycle below which a difference of two runs is not told from none [us]."""
+"""Time of a cycle below which a difference of two runs is not distinguished from zero [us]."""
 _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 _AIRY: Final = 9
 """Columns that a terminal of 100 characters shows with two spaces between them."""

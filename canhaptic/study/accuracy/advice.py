@@ -11,7 +11,7 @@ from canhaptic.scene.accuracy_choice import LEAST_ORDER
 from canhaptic.study.accuracy.candidates import OURS
 
 _CLOCK: Final = 0.05
-"""Time per period below which a saving is not told from none [us]."""
+"""Time per period below which a saving is not distinguished from zero [us]."""
 Row = Mapping[str, Any]
 
 

@@ -29,7 +29,7 @@ _TOLERANCES: Final = (1e-3, 1e-5, 1e-7, 1e-9)
 _ABSOLUTE: Final = 1e-3
 """Absolute tolerance over relative."""
 _MOST_WORK: Final = 130_000
-"""Of a fixed-step method in one run: finer rungs are left out."""
+"""Most evaluations of a fixed-step method in one run: finer rungs are left out."""
 _WORK: Final = {"semi-implicit Euler": 1, "implicit midpoint": 8, "RK4": 4}
 """Per step, about, in right-hand sides."""
 

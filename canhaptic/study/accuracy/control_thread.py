@@ -1,4 +1,4 @@
-"""What one cycle costs the control thread beside the algorithm: frames, checks and accounts, without the far side.
+"""What one cycle costs the control thread apart from the algorithm: frames, checks and accounts, without the far side.
 
 The rig of the scene runs in lock-step with its simulated drives in one thread; the time that these take is measured
 on the way and taken off.

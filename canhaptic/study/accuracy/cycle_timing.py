@@ -1,6 +1,6 @@
 """Wall times that a busy machine spoils as little as possible: interleaved repeats, their least, their spread.
 
-Beside them runs a fixed workload, so that a table made on one machine can be read on another by its ratios.
+A fixed workload runs with them, so that a table made on one machine can be read on another by its ratios.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ WORKLOAD: Final = f"{_PRODUCTS} products of a 6 x 6 matrix with a vector, called
 
 
 class WallTime(NamedTuple):
-    """Of one candidate."""
+    """Wall-clock time of one candidate."""
 
     least: float  # [s]
     spread: float  # median over least, less one
@@ -37,7 +37,7 @@ def interleaved(
         candidates: By name.
         budget: Shared alike among them [s]; beyond its share a candidate is run twice, a long one once.
         stop: Asked before each run whether to give up; what was measured is returned.
-        progress: Told the part that is done.
+        progress: Called with the part that is done.
     """
     clock = WallClock()
     share = round(budget * 1e9 / max(1, len(candidates)))

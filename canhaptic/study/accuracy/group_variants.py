@@ -22,7 +22,7 @@ from canhaptic.study.loop import Array, Case, LoopRun
 from canhaptic.study.scenes import at_rate
 
 _SUBSTEPS: Final = 8
-"""Of the plants in one sample time of the scene: of order 2, the error of a mechanism is far below that of its loop."""
+"""Substeps of the plants in one sample time: of order 2, the error of a mechanism is far below that of its loop."""
 _TRAVELS: Final = 10.0
 """Distance from the origin that counts as divergence, in that of the continuous run."""
 

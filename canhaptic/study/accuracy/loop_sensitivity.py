@@ -31,7 +31,7 @@ FINEST: Final = 4
 RATES: Final = (0.25, 0.5, 2.0, float(FINEST))
 """Sample rates that are tried, over that of the scene."""
 _SUBSTEPS: Final = 32
-"""Of the plant in one sample time of the scene: as the finest of the ladder, whose error is the floor of this side."""
+"""Substeps of the plant in one sample time of the scene: the finest of the ladder, whose error is the floor here."""
 _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
 
 
@@ -48,7 +48,7 @@ class Continuous(Protocol):
 
     @property
     def impulse(self) -> Array:
-        """Of the rendered force since the start [N*s or N*m*s]."""
+        """Impulse of the rendered force since the start [N*s or N*m*s]."""
 
     @property
     def interaction(self) -> Array:
@@ -115,7 +115,7 @@ class LoopRow:
 
 
 def variants(axis: AxisScene, scene: Scene) -> Sequence[Variant]:
-    """Returns the scene itself and everything beside it, one change each, on a finely solved plant."""
+    """Returns the scene itself and its variants, one change each, on a finely solved plant."""
     axis = _with_substeps(axis, 1.0)
     base = _variant("as it is", axis.passivity.name, axis, scene.bus, loop_case(axis, scene), is_scene=True)
     found = [base, *_rates(base, scene), *_delays(base, scene), *_algorithms(base, scene), *_filters(base, scene)]

@@ -27,11 +27,11 @@ class Part(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the axis or the group."""
+        """Name of the axis or the group."""
 
     @property
     def parameters(self) -> Sequence[AxisParameters]:
-        """Of its axes."""
+        """Parameters of its axes."""
 
     def plants(self, holds: int, stop: Stop, *, with_compiled: bool) -> Plants:
         """Returns the plant side; see `PlantSide`."""

@@ -1,7 +1,7 @@
 """The whole study of one axis or group: references, both ladders, times, advice; can be stopped with what is there.
 
-torques of the scene's own controller -> every method, every setting, every effect left out   beside DOP853
-every rate, delay, algorithm, filter and resolution                                           beside the continuous run
+torques of the scene's own controller -> every method, every setting, every effect left out   against DOP853
+every rate, delay, algorithm, filter and resolution                                           against the continuous run
 """
 
 from collections.abc import Callable, Iterator
@@ -54,7 +54,7 @@ class AccuracyStudy:
             else a tenth of an encoder count.
         duration: Of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
         budget: Time for timings [s]; 0 for none.
-        progress: Told the number of units done, of `UNITS`.
+        progress: Called with the number of units done, of `UNITS`.
         stop: Asked often whether to stop.
     """
 

@@ -91,7 +91,7 @@ def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
 
 
 def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scene:
-    """Returns a scene of one axis under an algorithm that is told the plant where it cannot do without.
+    """Returns a scene of one axis under an algorithm that takes from the plant what it cannot do without.
 
     Raises:
         InputError: The scene has groups or several axes, or own code may not run.

@@ -37,7 +37,7 @@ _AMPLITUDE: Final = 5e-3  # [m]
 _PRESS: Final = -0.05  # middle of the motion of the hand [m]
 _METRICS: Final = ("diverged", "least_covered", "stiffness_rendered.share")
 _RATES: Final = (100.0, 300.0, 1000.0, 3000.0, 8000.0)
-"""Of the M-width [Hz]."""
+"""Rates of the M-width [Hz]."""
 _REPEATS: Final = 5
 Rows = list[dict[str, Any]]
 

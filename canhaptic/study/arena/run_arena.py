@@ -1,4 +1,4 @@
-"""All of an arena: cases to workers, finished ones to the store as they come, then the rig, then what stands where."""
+"""All of an arena: cases to workers, finished ones to the store as they come, then the rig, then the ranking."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
@@ -97,7 +97,7 @@ def run_arena(
         plan: What is run.
         store: Of finished cases.
         executor: Where groups of cases run; None: in this thread.
-        progress: Told how many are finished.
+        progress: Called with how many are finished.
         stop_requested: Asked now and then.
 
     Raises:

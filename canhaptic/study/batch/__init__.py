@@ -72,7 +72,7 @@ def run_batch(
         cycles: SYNCs, at least 2.
         engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and pays, else "python".
         metrics: Names of `ALL`; None for `METRICS`. Those of
-            `CONTINUOUS` march a continuous run beside every loop and are NaN where it has no closed form.
+            `CONTINUOUS` march a continuous run with every loop and are NaN where it has no closed form.
         seeds: Of everything random in each scene, shape (n_scenes,); that of the scene by default.
         stopped: Takes the number of every scene whose plant could not be moved on, and why; its figures are NaN.
 

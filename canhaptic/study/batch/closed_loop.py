@@ -145,7 +145,7 @@ def acting(signals: Signals, place: Interruption, torque: float) -> float:
 def step(
     environment: Environment, settings: Any, state: Any, memory: Any, position: float, torque_applied: float
 ) -> Any:
-    """Stands for the kernel of an algorithm, which whoever runs `run_loop` gives in its place."""
+    """Placeholder of the kernel of an algorithm; the caller of `run_loop` gives another in its place."""
     raise NotImplementedError
 
 

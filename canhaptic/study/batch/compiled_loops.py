@@ -32,7 +32,7 @@ WIDTH = STATES = LENGTH = 0
 
 
 def new_environment(*_numbers: float) -> Any:
-    """Stands for the NamedTuple of an environment."""
+    """Placeholder of the NamedTuple of an environment."""
     raise NotImplementedError
 
 

@@ -15,7 +15,7 @@ WORTH_COMPILING: Final = 1e6
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
-    """Returns the engine that "auto" stands for here.
+    """Returns the engine that "auto" chooses here.
 
     Args:
         engine: As asked for.

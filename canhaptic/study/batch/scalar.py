@@ -26,7 +26,7 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
     Args:
         scene: With a simulated first axis, which is the one that is run; or one group of axes.
         cycles: SYNCs.
-        metrics: Names of `ALL`; None for `METRICS`, which need no continuous run beside the loop.
+        metrics: Names of `ALL`; None for `METRICS`, which need no continuous run.
 
     Raises:
         InputError: The axis is not simulated, or has no continuous run that is asked for.

@@ -27,7 +27,7 @@ BATCH_KEYS: Final[dict[str, tuple[str, ...]]] = {
     "loop": ("delay",),
     "axes.0": ("counts_per_unit", "rated_torque", "torque_limit"),
 }  # fmt: skip
-"""Section -> keys; `environment.stiffness`, `bus.rate`, ... `loop.delay` is 0 or 1 and stands for `bus.rpdo`."""
+"""Section -> keys; `environment.stiffness`, `bus.rate`, ... `loop.delay` is 0 or 1 and replaces `bus.rpdo`."""
 
 
 def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
@@ -97,7 +97,7 @@ def _simulation_with(simulation: AxisSimulation, section: str, name: str, value:
         return replace(simulation, plant=_with(simulation.plant, **{name: value}))
     user, motion = simulation.user, name.removeprefix("motion.")
     if user is None:
-        raise ParameterError(f"varied: got {section}.{name}, but nobody holds the handle; add simulation.user")
+        raise ParameterError(f"varied: got {section}.{name}, but the scene has no hand; add simulation.user")
     if motion == name:
         return replace(simulation, user=_with(user, **{name: value}))
     if user.motion is None:

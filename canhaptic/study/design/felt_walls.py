@@ -18,7 +18,7 @@ from canhaptic.study.felt.slow_hand import SlowHand, enter
 from canhaptic.study.scenes import loop_case, plant_parts
 
 _PUSHES: Final = (0.5 * LEAN, LEAN, 2.0 * LEAN)
-"""Of the torque limit."""
+"""Pushes, as parts of the torque limit."""
 _DEEPEST: Final = 0.1
 """Depth [m or rad] of the softest wall that is tried."""
 _STIFFEST: Final = 4.0

@@ -40,12 +40,12 @@ STIFFEST: Final = 1e8
 """Largest stiffness that a scene may ask for [N/m or N*m/rad]."""
 _MOST_DAMPING: Final = 1e6  # [N*s/m or N*m*s/rad]
 _HAND: Final = {"stiffness": 300.0, "damping": 3.0}
-"""Of a scene without a hand: an ordinary grip."""
+"""Hand of a scene without one: an ordinary grip."""
 _DEEPEST: Final = 0.1
 """Depth [m or rad] to which the hand leans into the softest wall that is tried."""
 DURATION: Final = 2.0  # [s]
 _SLACK: Final = 0.05
-"""Part by which a wall may miss the tolerance and yet not stand against a larger one: where counts and holds happen to
+"""Part by which a wall may miss the tolerance and yet not exclude a larger one: where counts and holds happen to
 fall makes the shares of neighbours differ by some tenths of a per cent."""
 _FREQUENCY: Final = 1.0  # of the hand that presses [Hz]
 _METRICS: Final = (

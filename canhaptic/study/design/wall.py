@@ -27,12 +27,12 @@ from canhaptic.study.sweep.places import places_of
 TOLERANCE: Final = 0.05
 MARGIN: Final = 0.2
 _DECADES: Final = 4.0
-"""Of damping that are tried, below what is hardly rendered."""
+"""Decades of damping that are tried, below what is hardly rendered."""
 _DIGITS: Final = 3
 _SHARES: Final = (1.0, 0.6, 0.3)
-"""Of the stiffest wall: the stiffnesses whose largest damping is shown, so that one can be traded for the other."""
+"""Parts of the stiffest wall whose largest damping is shown, so that one can be traded for the other."""
 _BELOW: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
-"""Of a stiffness: where a damping has to pass, too."""
+"""Parts of a stiffness at which a damping has to pass, too."""
 
 
 class _Places(NamedTuple):
@@ -76,7 +76,7 @@ def design_wall(
         margin: Part by which stiffness and damping could both be larger and still pass.
         tolerance: How far a rendering may be from what is asked, as a part of it.
         engine: Of the trials, as for a sweep.
-        progress: Told the number of walls tried, and how many there can be at most.
+        progress: Called with the number of walls tried, and how many there can be at most.
 
     Raises:
         InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
@@ -199,7 +199,7 @@ def _rounded(value: float) -> float:
 
 
 def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> dict[str, Any]:
-    """Returns what the wall is and costs: its verdict, and one run of it, leant on, beside the continuous wall."""
+    """Returns what the wall is and costs: its verdict, and one run of it, leant on, next to the continuous wall."""
     values = {STIFFNESS: stiffness, DAMPING: damping}
     places = places_of(trial.scene, tuple(values))
     overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]

@@ -1,4 +1,4 @@
-"""Maps of a sweep: how stiff a wall may be over rate, damping and whatever else was varied, and what is left of it.
+"""Maps of a sweep: how stiff a wall may be over rate, damping and every other varied key, and what is left of it.
 
 field     the figures of a sweep by the values of its keys
 z_width   the largest stiffness that passes; theory   what closed forms permit

@@ -11,7 +11,7 @@ from canhaptic.study.map.panel import Cells, Lines, Panel, common_limits
 from canhaptic.view.picture_style import STYLE, matplotlib_figure, save_picture
 
 _LETTERS: Final = 80
-"""Of the caption over one column."""
+"""Letters of the caption over one column."""
 _LINES: Final[dict[str, dict[str, Any]]] = {
     "measured": {"linewidth": 1.4, "markersize": 4.5, "fillstyle": "none"},
     "ours": {"linewidth": 2.6, "markersize": 4.5, "fillstyle": "none", "zorder": 5},

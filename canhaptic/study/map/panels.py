@@ -82,7 +82,7 @@ def _check(field: MapField, chosen: Chosen) -> None:
 
 
 def _usual_panels(field: MapField, chosen: Chosen, *, beside: bool) -> list[Panel]:
-    """Returns the panels of one algorithm; its border only where it is not in a panel beside the others'."""
+    """Returns the panels of one algorithm; its border only where no panel shows it with the others'."""
     if len(field.keys) == 1:
         profiles = ("margin", "stiffness_rendered.share", _ERROR)
         return [_profile(field, field.keys[0], metric) for metric in profiles if field.has(metric)]

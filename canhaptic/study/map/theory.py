@@ -71,7 +71,7 @@ def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
 
 
 def theory_of(scene: Scene) -> Theory:
-    """Returns what theory says of the wall of a scene with one simulated axis, whatever its stiffness is."""
+    """Returns what theory says of the wall of a scene with one simulated axis, for any stiffness."""
     [axis] = scene.axes
     simulation, environment = axis.simulation, axis.environment.parameters
     if simulation is None or not hasattr(environment, "stiffness"):

@@ -73,7 +73,7 @@ def passing_share(field: MapField, judgement: str) -> float:
 
 
 def common_judgement(field: MapField) -> str:
-    """Returns how all algorithms are judged beside each other: as displays, device included, where that is known."""
+    """Returns how all algorithms are judged together: as displays, device included, where that is known."""
     return next((name for name in ("covered", "passive") if field.has(_ENERGIES[name])), "margin")
 
 

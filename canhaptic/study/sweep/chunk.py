@@ -45,7 +45,7 @@ RADIUS: Final = "spectral_radius"
 """Metric of the linear sampled loop, from its eigenvalues; NaN where the loop is not linear."""
 FIGURES: Final = (*ALL, RADIUS)
 USUAL: Final = (*METRICS, RADIUS)
-"""Metrics that need no continuous run beside each scene."""
+"""Metrics that need no continuous run of each scene."""
 STATUS: Final = ("pending", "completed", "refused", "failed")
 COMPLETED, REFUSED, _FAILED = (STATUS.index(name) for name in ("completed", "refused", "failed"))
 ENGINES: Final = ("none", "closed form", "python", "numba", "scalar")

@@ -64,7 +64,7 @@ def _places(document: MarkedMapping, key: str) -> tuple[str, ...]:
 
 
 def _shared(owner: Any, name: str, key: str, own: list[str]) -> tuple[str, ...]:
-    """Returns the shared place where there is one, or where nobody has one of its own."""
+    """Returns the shared place where there is one, or where no axis has one of its own."""
     return (key,) if _has(owner, name) or not own else ()
 
 

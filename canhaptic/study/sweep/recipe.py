@@ -42,7 +42,7 @@ class Recipe:
     Attributes:
         source: File of the scene, the start of relative paths.
         text: The scene.
-        overrides: Laid over it before anything varies.
+        overrides: Values that replace those of the scene before anything varies.
         varied: The keys; of a range only its ends.
         places: Override paths of each key, in the order of `varied`.
         axes: Names of the axes that render by themselves, and of the groups.
@@ -185,7 +185,7 @@ def cycles_in(recipe: Recipe, scene: Scene) -> int:
 
 @lru_cache(maxsize=4096)
 def is_box_permitted(recipe: Recipe, shared: Row) -> bool:
-    """Returns whether every scene with these values is permitted, whatever the ranges give the other keys.
+    """Returns whether every scene with these values is permitted, for all values of the other keys.
 
     Every limit of a scene is a bound from below or above, so that what holds in the corners of a box holds inside.
     """
@@ -242,7 +242,7 @@ def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool =
 
 
 def _under(scene: Scene, controller: str) -> Built:
-    """Returns the scene with every axis under an algorithm, told of the plant what it cannot do without."""
+    """Returns the scene with every axis under an algorithm, which takes from the plant what it cannot do without."""
     axes: list[AxisScene] = []
     remark = ""
     told: tuple[str, ...] = ()

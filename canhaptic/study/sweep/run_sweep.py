@@ -91,7 +91,7 @@ def sweep(
         force: Whether to replace a file that is there.
         pool_if_long: Whether a long sweep that Python runs gets a process on each core where no executor is given.
         in_flight: Chunks submitted and not yet written, at most.
-        progress: Told now and then how far it is.
+        progress: Called now and then with how far it is.
         stop_requested: Asked now and then; True ends the sweep after the chunks under way.
         options: As for `_make_sweep`.
 
@@ -143,7 +143,7 @@ def _make_sweep(
         seed: Of the hypercube.
         duration: Of every scene [s]; by default that of the scene.
         cycles: SYNCs of every scene instead of a duration.
-        metrics: Names of `FIGURES`; by default `USUAL`, which need no continuous run beside each scene.
+        metrics: Names of `FIGURES`; by default `USUAL`, which need no continuous run of each scene.
         engine: For scenes that fit a batch; "auto" is numba where it is installed and pays.
         chunk: Scenes that are finished together; changes nothing but how much a kill can lose.
         beyond_bus: Whether to judge rates that the bus could not carry, instead of refusing them.

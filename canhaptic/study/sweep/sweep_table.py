@@ -35,13 +35,13 @@ _TEXT_BYTES: Final = 320
 _KEPT: Final = "what was finished is kept, --resume goes on"
 _NOTHING_RUN: Final = "nothing has been run"
 _ROOM_OF_LAYOUT: Final = 1 << 20
-"""Of names, attributes and remarks [bytes], at least."""
+"""Least room for names, attributes and remarks [bytes]."""
 _BLOCK: Final = 65_536
 """Rows written at once when a file is made."""
 
 
 class Columnset(NamedTuple):
-    """What a new file holds beside its values."""
+    """What a new file holds in addition to its values."""
 
     figures: tuple[str, ...]  # "AXIS/METRIC"
     identity: dict[str, Any]  # what a resumed sweep must agree with
@@ -155,7 +155,7 @@ class SweepTable:
         return np.asarray(self._file["engine"][start:stop])
 
     def remark(self, scene: int) -> str:
-        """Returns why a scene was refused, why it ran alone, or what its algorithm was told."""
+        """Returns why a scene was refused, why it ran alone, or what its algorithm took from the plant."""
         number = int(self._file["remark"][scene])
         return self._texts(scene // self.chunk)[number - 1] if number else ""
 
@@ -260,11 +260,11 @@ def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replac
     """Makes the file of a sweep with every value in it and no result; it appears whole or not at all.
 
     Raises:
-        InputError: It is there already.
+        InputError: It exists.
         LogWriteError: The folder is missing or read-only, or the disk is too small for all results.
     """
     if path.exists() and not replace:
-        raise InputError(f"{path}: is there already; --resume goes on with it, --force replaces it")
+        raise InputError(f"{path} already exists; --resume continues it, --force replaces it")
     beginning = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         _reserve(beginning, len(points) * (8 * (len(columns.figures) + len(points.varied)) + 3))

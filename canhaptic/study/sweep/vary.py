@@ -22,7 +22,7 @@ from canhaptic.study.loop import Array
 from canhaptic.units import parse_unit
 
 _MOST_VALUES: Final = 1_000_000
-"""Of one key."""
+"""Most values of one key."""
 Value = float | str
 """A number in SI, or the YAML text of anything else."""
 

@@ -57,7 +57,7 @@ class BoxInside(NamedTuple):
 
     @property
     def dimensions(self) -> int:
-        """Of task space."""
+        """Dimensions of task space."""
         return len(self.lower)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:

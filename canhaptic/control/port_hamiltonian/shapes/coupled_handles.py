@@ -15,11 +15,11 @@ class CoupledHandles(Parameters):
     """
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
-    """Of the spring between the handles."""
+    """Stiffness of the spring between the handles."""
     hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)] = 0.0
     """Its cubic coefficient k3."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
-    """Of the damper between the handles."""
+    """Damping coefficient between the handles."""
     scale: Annotated[float, quantity("1", gt=0.0, le=1e3)] = 1.0
     """Motion of the first handle over that of the second."""
     offset: tuple[float, ...] | None = None

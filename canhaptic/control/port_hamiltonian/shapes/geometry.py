@@ -24,11 +24,11 @@ class Geometry(Protocol):
 
     @property
     def dimensions(self) -> int:
-        """Of task space."""
+        """Dimensions of task space."""
 
     @property
     def ports(self) -> int:
-        """Of the network."""
+        """Number of ports of the network."""
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
         """Writes the coordinates of the ports at a position.
@@ -71,12 +71,12 @@ class LinearGeometry(NamedTuple):
 
     @property
     def ports(self) -> int:
-        """Of the network."""
+        """Number of ports of the network."""
         return len(self.matrix)
 
     @property
     def dimensions(self) -> int:
-        """Of task space."""
+        """Dimensions of task space."""
         return len(self.matrix[0])
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:

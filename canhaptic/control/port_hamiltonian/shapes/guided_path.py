@@ -19,7 +19,7 @@ class GuidedPath(Parameters):
     points: tuple[tuple[float, ...], ...]
     """Task coordinates [m or rad] of the corners, two at least."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
-    """Of the spring towards the path."""
+    """Stiffness of the spring towards the path."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Across the path."""
     width: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
@@ -55,7 +55,7 @@ class FromPath(NamedTuple):
 
     @property
     def dimensions(self) -> int:
-        """Of task space."""
+        """Dimensions of task space."""
         return len(self.starts[0])
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:

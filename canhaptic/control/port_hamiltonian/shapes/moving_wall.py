@@ -22,7 +22,7 @@ class MovingWall(Surface):
     amplitude: Annotated[float, quantity("m", "rad")]
     """Largest advance of the surface along the normal."""
     frequency: Annotated[float, quantity("Hz", gt=0.0, le=100.0)]
-    """Of its motion, f."""
+    """Frequency f of its motion."""
 
     def build(self, dimensions: int) -> Rendered:
         """Returns the wall; see `NetworkEnvironment`."""

@@ -34,7 +34,7 @@ class Round(NamedTuple):
 
     @property
     def dimensions(self) -> int:
-        """Of task space."""
+        """Dimensions of task space."""
         return len(self.centre)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:

@@ -15,7 +15,7 @@ class Surface(Parameters):
     """Material behind a surface: a spring and a damper side by side, felt where the distance is negative."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
-    """Of the spring behind the surface."""
+    """Stiffness of the spring behind the surface."""
     hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)] = 0.0
     """Cubic coefficient k3."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0

@@ -41,7 +41,7 @@ class AroundLine(NamedTuple):
 
     @property
     def dimensions(self) -> int:
-        """Of task space."""
+        """Dimensions of task space."""
         return len(self.point)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:

@@ -17,13 +17,13 @@ class VirtualMass(Parameters):
     """
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)]
-    """Of the virtual body, the same in every direction."""
+    """Mass of the virtual body, the same in every direction."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
-    """Of the coupling."""
+    """Stiffness of the coupling."""
     hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)] = 0.0
     """Cubic coefficient k3 of the coupling."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
-    """Of the coupling."""
+    """Damping of the coupling."""
     floor: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Viscous friction of the mass."""
 
@@ -57,7 +57,7 @@ class MassOnSpring(VirtualMass):
     anchor: tuple[float, ...]
     """Task coordinates [m or rad] of the point."""
     anchor_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
-    """Of the spring between mass and point."""
+    """Stiffness of the spring between mass and point."""
 
     @model_validator(mode="after")
     def _somewhere(self) -> "MassOnSpring":

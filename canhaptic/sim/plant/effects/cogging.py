@@ -28,7 +28,7 @@ class Cogging(Parameters):
     pitch: Annotated[float, quantity("m", "rad", ge=1e-9, le=1e3)]
     """From one detent to the next."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
-    """Of the sine at position 0."""
+    """Phase of the sine at position 0."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the effort."""

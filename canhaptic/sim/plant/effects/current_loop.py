@@ -21,7 +21,7 @@ class CurrentLoop(Parameters):
 
     type: Literal["current_loop"] = "current_loop"
     time_constant: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
-    """Of the winding, L / R, or of the closed current loop."""
+    """Time constant of the winding, L / R, or of the closed current loop."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the torque of the motor as a state."""

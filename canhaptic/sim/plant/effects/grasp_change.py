@@ -21,9 +21,9 @@ class GraspChange(Parameters):
     time: Annotated[float, quantity("s", ge=0.0, le=1e6)]
     """From the start of the plant."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)]
-    """Of the hand's grip from then on."""
+    """Stiffness of the hand's grip from then on."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)]
-    """Of the hand's grip from then on."""
+    """Damping of the hand's grip from then on."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds a grasp to the hand and the time at which it comes.

@@ -23,9 +23,9 @@ class HardStop(Parameters):
     side: Literal["upper", "lower"] = "upper"
     """upper: stops motion towards +q; lower: towards -q."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)]
-    """Of the stop."""
+    """Stiffness of the stop."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """Of the stop."""
+    """Damping of the stop."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the contact of the handle with the stop."""

@@ -29,9 +29,9 @@ class LuGreFriction(DryFriction):
     stribeck_velocity: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=1e3)]
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
     bristle_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=1e-6, le=1e9)]
-    """Of the bristles before they slip."""
+    """Stiffness of the bristles before they slip."""
     bristle_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """Of the bristles."""
+    """Damping of the bristles."""
     viscous: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Viscous friction in parallel with the bristles."""
 
@@ -61,7 +61,7 @@ class _Bristle:
 
     @property
     def deflection(self) -> float:
-        """Of the bristle [m or rad]."""
+        """Deflection of the bristle [m or rad]."""
         return self._bristle.deflection
 
     def reset(self) -> None:

@@ -22,11 +22,11 @@ class ShaftCompliance(Parameters):
 
     type: Literal["shaft_compliance"] = "shaft_compliance"
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)]
-    """Of the shaft."""
+    """Stiffness of the shaft."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """Of the shaft."""
+    """Damping of the shaft."""
     load_mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
-    """Of the handle's side; `plant.mass` is then the motor's side."""
+    """Mass at the handle's end of the shaft; `plant.mass` is then that at the motor's end."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the load and the shaft."""

@@ -31,7 +31,7 @@ class ThermalDerating(Parameters):
     thermal_resistance: Annotated[float, quantity("K/W", gt=0.0, le=1e6)]
     """From the winding to its surroundings."""
     time_constant: Annotated[float, quantity("s", gt=0.0, le=1e6)]
-    """With which the winding warms and cools."""
+    """Time constant with which the winding warms and cools."""
     ambient: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 293.15
     """Temperature of the surroundings, with which the winding starts."""
     warm: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 373.15

@@ -26,7 +26,7 @@ class TorqueRipple(Parameters):
     pitch: Annotated[float, quantity("m", "rad", ge=1e-9, le=1e3)]
     """Period of the ripple."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
-    """Of the sine at position 0."""
+    """Phase of the sine at position 0."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Adds the effort."""

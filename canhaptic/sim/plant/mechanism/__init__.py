@@ -58,11 +58,11 @@ class MechanismParameters(Protocol):
     """What every entry of `MECHANISMS` is."""
 
     motion: ClassVar[Motion]
-    """In what its motor axes move."""
+    """Position unit of its motor axes."""
     axes: ClassVar[int]
     """How many motors it has."""
     order: ClassVar[int | None]
-    """Of the error in the substep; None when it is exact between its events."""
+    """Order of the error in the substep; None when it is exact between its events."""
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> Mechanism:
         """Returns it at rest where its parameters say, before `begin`.
@@ -73,5 +73,5 @@ class MechanismParameters(Protocol):
             substeps: In one sample time, for a mechanism that is not exact.
 
         Raises:
-            ParameterError: It cannot stand there.
+            ParameterError: It cannot be in that pose.
         """

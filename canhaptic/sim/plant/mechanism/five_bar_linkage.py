@@ -48,7 +48,7 @@ class ElbowStop(Parameters):
     most: Annotated[float, quantity("m", gt=0.0, le=1e3)]
     """Distance beyond which it draws them together."""
     stiffness: Annotated[float, quantity("N/m", gt=0.0, le=1e8)]
-    """Of the springs."""
+    """Stiffness of the springs."""
 
 
 class FiveBarLinkage(Parameters):
@@ -67,7 +67,7 @@ class FiveBarLinkage(Parameters):
     motor_inertia: Annotated[float, quantity("kg*m^2", gt=0.0, le=1e4)]
     """Rotor and proximal link, about each motor."""
     distal_mass: Annotated[float, quantity("kg", ge=0.0, le=1e4)] = 0.0
-    """Of each distal link, a uniform rod."""
+    """Mass of each distal link, a uniform rod."""
     handle_mass: Annotated[float, quantity("kg", ge=0.0, le=1e4)] = 0.0
     """At the joint of the distal links."""
     damping: Annotated[float, quantity("N*m*s/rad", ge=0.0, le=1e4)] = 0.0
@@ -75,7 +75,7 @@ class FiveBarLinkage(Parameters):
     elbow_stop: ElbowStop | None = None
     """Springs between the elbows; None: none."""
     initial_angles: tuple[_Angle, _Angle]
-    """Of the left and the right motor, from +x, counterclockwise."""
+    """Angles of the left and the right motor, from +x, counterclockwise."""
 
     @model_validator(mode="after")
     def _stop_is_short_of_singular(self) -> "FiveBarLinkage":

@@ -46,7 +46,7 @@ class TaskHand(Parameters):
     damping_across: Annotated[float, quantity("N*s/m", ge=0.0, le=1e4)] | None = None
     """Across the major axis; None: the same."""
     angle: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
-    """Of the major axis, from +x towards +y."""
+    """Angle of the major axis, from +x towards +y."""
     push: tuple[_Force, _Force] = (0.0, 0.0)
     """Constant force of the hand on the handle."""
     rest: tuple[Length, Length] = (0.0, 0.0)
