@@ -11,7 +11,7 @@ from canhaptic.cli.main import main
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
-from canhaptic.errors import ForceFrozenError, ForceRangeError, SceneError
+from canhaptic.errors import CycleFailedError, ForceFrozenError, ForceRangeError, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
@@ -104,6 +104,18 @@ def test_a_frozen_sensor_stops_the_rig() -> None:
     overrides = ("axes.0.admittance.force.frozen_after=20", "simulation.admittance.sensor.freeze_at=0.3 s")
     with pytest.raises(ForceFrozenError, match="same count"):
         _run(*overrides)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "simulation.admittance.sensor.freeze_at=0.8 s",
+        "simulation.bus={drop: 1.0, direction: to_drive, ids: [0x201], during: [{begin: 0.8, duration: 5}]}",
+    ],
+)
+def test_a_sensor_or_drive_that_contradicts_the_encoder_stops_the_rig(fault: str) -> None:
+    with pytest.raises(CycleFailedError, match="by encoder and commands at least"):
+        _run(fault, cycles=2500)
 
 
 def test_the_stop_is_a_quick_stop_until_the_drive_stands() -> None:

@@ -63,10 +63,12 @@ from canhaptic.control.admittance.velocity_loop import (
 )
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.passivity.settlement import settle
+from canhaptic.errors import ControlError
 from canhaptic.kernels import Buffer, Kernel, MakeBuffer, new
 from canhaptic.units import Parameters
 
 _EXACT, _DEPLETED, _FREE = Branch.EXACT.value, Branch.DEPLETED.value, Branch.FREE.value
+_ROUNDING = 1e-9  # [J]
 _UNBOUNDED, _NONE = Certificate.EXACT.value, Certificate.NONE.value
 _BY_LOOP, _BY_HAND = Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value
 
@@ -97,6 +99,8 @@ class _GuardedDisplayState:
     taken: float = 0.0  # dissipated or leaked so far, and not paid [J]
     is_limited: bool = False  # the drive may reach its torque limit in the hold that begins
     unsure: bool = False  # it may have done so where a certificate rested on that it does not
+    by_encoder: float = 0.0  # E - V by encoder and commands alone, at least [J]
+    by_force: float = 0.0  # E by the force, at most [J]
 
 
 class GuardedMemory(NamedTuple):
@@ -209,6 +213,7 @@ def miss(settings: _GuardedSettings, state: _GuardedDisplayState, memory: Guarde
     else:
         change = -lost_unseen(settings.loop, commands, motion)
     port.missed += 1
+    state.by_encoder += change
     _fall(settings, state, memory, change)
     speed = 0.0
     if settings.loop.integral == 0.0:
@@ -230,9 +235,11 @@ def _take(
         change = 0.0 if settings.loop.integral > 0.0 else -lost_unseen(settings.loop, commands, motion)
     loop.lead += sent(motion, commands, settings.loop.delay) * settings.port.sample_time - hold.moved
     _fall(settings, state, memory, change)
+    state.by_encoder += change
     velocity = hold.moved / hold.elapsed
     if not hold.is_booked:
         return 0.0, velocity
+    state.by_force += hold.most
     free = state.h_s - state.surplus
     late = free + hold.energy
     if state.unsure:
@@ -297,6 +304,16 @@ def _settle(
     return h_s, h_r, deficit, leak, paid
 
 
+def is_contradicted(state: _GuardedDisplayState, memory: GuardedMemory) -> bool:
+    """Whether more came in by encoder and commands, at the SYNC of the last force, than the force says at most."""
+    then, changes = oldest(state.margin, memory.margin), memory.margin.changes
+    known = state.by_encoder
+    for place in range(len(changes)):
+        if place != then:
+            known -= changes[place]
+    return known > state.by_force + _ROUNDING
+
+
 class GuardedDisplay(DisplayController):
     """A virtual mass with the certificate of the drive's velocity loop."""
 
@@ -309,6 +326,25 @@ class GuardedDisplay(DisplayController):
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
         self.energy_allowance = parameters.energy_allowance
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Accounts for the hold that ended; see `Controller.step`.
+
+        Raises:
+            ControlError: What came is not finite, or the force sensor contradicts the encoder.
+        """
+        balance = super().step(position, torque_applied)
+        state = self._state
+        late = state.by_encoder - state.by_force
+        if late > 0.0 and not state.unsure and is_contradicted(state, self._memory):
+            error = ControlError(
+                f"force sensor: by its forces at most {state.by_force:.3g} J came in, by encoder and commands at least "
+                f"{state.by_encoder:.3g} J: its sign, scale or offset is wrong, it is frozen, commands do not reach the "
+                "drive, or drive_mass or loop_gain is wrong; the velocity is zero, check sensor, bus and drive"
+            )
+            self.reset()
+            raise error
+        return balance
 
     def _command_unseen(self) -> float:
         return miss(self._settings, self._state, self._memory)

@@ -62,6 +62,7 @@ class BookedHold(NamedTuple):
     is_booked: bool  # whether the account reaches further than before
     moved: float  # since the SYNC before that came [m or rad]
     elapsed: float  # the time of that [s]
+    most: float  # energy that came in, at most [J]
 
 
 def port_settings(properties: DisplayProperties) -> PortSettings:
@@ -110,10 +111,10 @@ def book(settings: PortSettings, port: Port, positions: Buffer, position: float,
     port.missed = 0
     elapsed = holds * settings.sample_time
     if isnan(then):
-        return new(BookedHold, (0.0, 0.0, False, moved, elapsed))
-    energy, speed = _energy(settings, port, then - port.origin, force, port.waiting)
+        return new(BookedHold, (0.0, 0.0, False, moved, elapsed, 0.0))
+    energy, speed, most = _energy(settings, port, then - port.origin, force, port.waiting)
     port.origin, port.force, port.waiting = then, force, 0
-    return new(BookedHold, (energy, speed, True, moved, elapsed))
+    return new(BookedHold, (energy, speed, True, moved, elapsed, most))
 
 
 def _put(port: Port, positions: Buffer, position: float) -> None:
@@ -121,8 +122,8 @@ def _put(port: Port, positions: Buffer, position: float) -> None:
     positions[port.newest] = position
 
 
-def _energy(settings: PortSettings, port: Port, moved: float, force: float, samples: int) -> tuple[float, float]:
-    """Returns (the energy [J] that came in at least, the largest speed at the end [m/s or rad/s])."""
+def _energy(settings: PortSettings, port: Port, moved: float, force: float, samples: int) -> tuple[float, float, float]:
+    """Returns (the energy [J] that came in at least, the largest speed at the end [m/s or rad/s], at most [J])."""
     length, way = samples * settings.sample_time, abs(moved)
     slew, acceleration, change = settings.slew, settings.acceleration, force - port.force
     error, count = settings.error, settings.count
@@ -147,4 +148,5 @@ def _energy(settings: PortSettings, port: Port, moved: float, force: float, samp
     doubt += 0.5 * count * (abs(mean - port.mean) + abs(mean) - abs(port.mean))
     port.mean = mean
     port.doubt += doubt
-    return mean * moved - doubt, (way + count) / length + 0.5 * acceleration * length
+    energy = mean * moved
+    return energy - doubt, (way + count) / length + 0.5 * acceleration * length, energy + doubt
