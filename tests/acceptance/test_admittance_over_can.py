@@ -11,7 +11,7 @@ from canhaptic.cli.main import main
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
-from canhaptic.errors import CycleFailedError, ForceFrozenError, ForceRangeError, SceneError
+from canhaptic.errors import ControlError, ForceFrozenError, ForceRangeError, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
@@ -114,7 +114,7 @@ def test_a_frozen_sensor_stops_the_rig() -> None:
     ],
 )
 def test_a_sensor_or_drive_that_contradicts_the_encoder_stops_the_rig(fault: str) -> None:
-    with pytest.raises(CycleFailedError, match="by encoder and commands at least"):
+    with pytest.raises(ControlError, match="by encoder and commands at least"):
         _run(fault, cycles=2500)
 
 

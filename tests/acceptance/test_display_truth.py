@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from canhaptic.errors import ControlError
 from tools.displays.direct import run
 from tools.displays.group import false_group_claims, random_group, with_true_group_bounds
 from tools.displays.judge import false_claims
@@ -41,11 +42,16 @@ def test_the_guard_says_yes_where_it_is_due() -> None:
 
 
 def test_a_command_that_acts_much_later_than_declared_is_found() -> None:
-    """A control: the judge finds what it is made to find."""
-    denied = 0
-    for seed in range(8, 20):
+    """A control: the judge finds what it is made to find, unless the display itself finds it first."""
+    denied = noticed = 0
+    for seed in range(8, 24):
         judged = with_true_bounds(random_display(seed, "guarded"), _CYCLES)
-        if judged is not None:
-            late = replace(judged[0], late=5)
-            denied += any("certified" in claim for claim in false_claims(late, run(late, _CYCLES)))
+        if judged is None:
+            continue
+        late = replace(judged[0], late=5)
+        try:
+            denied += bool(false_claims(late, run(late, _CYCLES)))
+        except ControlError:
+            noticed += 1
     assert denied > 0
+    assert noticed > 0

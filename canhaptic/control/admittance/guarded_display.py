@@ -239,6 +239,8 @@ def _take(
     velocity = hold.moved / hold.elapsed
     if not hold.is_booked:
         return 0.0, velocity
+    if state.by_force == 0.0:  # the handle may have moved already
+        state.by_encoder -= reserve(settings.loop, 0.0, hold.speed + settings.port.acceleration * hold.elapsed)
     state.by_force += hold.most
     free = state.h_s - state.surplus
     late = free + hold.energy
@@ -339,8 +341,8 @@ class GuardedDisplay(DisplayController):
         if late > 0.0 and not state.unsure and is_contradicted(state, self._memory):
             error = ControlError(
                 f"force sensor: by its forces at most {state.by_force:.3g} J came in, by encoder and commands at least "
-                f"{state.by_encoder:.3g} J: its sign, scale or offset is wrong, it is frozen, commands do not reach the "
-                "drive, or drive_mass or loop_gain is wrong; the velocity is zero, check sensor, bus and drive"
+                f"{state.by_encoder:.3g} J: its sign, scale or offset is wrong, it is frozen, commands do not reach "
+                "the drive, or drive_mass or loop_gain is wrong; the velocity is zero, check sensor, bus and drive"
             )
             self.reset()
             raise error

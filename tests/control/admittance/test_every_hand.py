@@ -11,7 +11,7 @@ from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.errors import ParameterError
+from canhaptic.errors import ControlError, ParameterError
 from tests.control.admittance import attacked_drive as attack
 
 _ACCELERATION = 150.0
@@ -90,6 +90,8 @@ class _Loop:
             self.row, self.acting = 0, command
         before = self.drive.state[0]
         self.drive.hold(self.acting, hand)
+        unlike = abs(self.drive.state[1] - (self.drive.state[0] - before) / self.rig.time)
+        self.fastest = max(self.fastest, 2.0 * unlike / self.rig.time)
         mean = (self.drive.impulse - self.impulse) / self.rig.time
         self.impulse = self.drive.impulse
         self.late.append(mean)
@@ -97,12 +99,15 @@ class _Loop:
         position = float(self.drive.state[0])
         if self.rig.count:
             position = round(position / self.rig.count) * self.rig.count
-        balance = self.controller.step(position, -force) if heard else self.controller.hold()
+        try:
+            balance = self.controller.step(position, -force) if heard else self.controller.hold()
+        except ControlError:
+            assert self.fastest > self.rig.acceleration  # what is declared of the handle is not true
+            self.queue.append(0.0)
+            return
         self.queue.append(balance.torque)
         self.cut += balance.certificate in (5, 6)
         self.least = min(self.least, self.drive.energy)
-        unlike = abs(self.drive.state[1] - (self.drive.state[0] - before) / self.rig.time)
-        self.fastest = max(self.fastest, 2.0 * unlike / self.rig.time)
 
 
 def _random_rig(random: np.random.Generator) -> _Rig:
