@@ -1,6 +1,6 @@
 """Refreshes the measured numbers in README, CONTRIBUTING, docs and the effects: `python -m tools.fill_numbers`.
 
-A number that was measured is never typed. In Markdown it stands between two HTML comments, which no reader sees; the
+A number that was measured is never typed. In Markdown it is between two HTML comments, which no reader sees; the
 first says where in docs/results it comes from and, behind ` @ `, how it is written:
 
     <!--n cycle#one axis, full stack, best of 7#value @ .0f-->16628<!--/n--> cycles a second
@@ -10,13 +10,13 @@ first says where in docs/results it comes from and, behind ` @ `, how it is writ
     <!--n soak#over-believed energy, largest#value @ J-->2.02 uJ<!--/n-->
 
 The place is RESULT#PART#PART: a file of docs/results without its `.json`, then keys, or the name of one of the `rows`
-of a benchmark (`*` stands for any text; `ROW~PEER` where several rows have the name and differ in their peer).
+of a benchmark (`*` matches any text; `ROW~PEER` where several rows have the name and differ in their peer).
 
 Behind ` @ `: a Python format (`.0f`, `,.0f`, `.2e`, `d`), `%` of a part, or a unit (`J`, `m`, `s`) that takes prefixes.
 Without it, three significant digits. A text of the result is written as it is.
 
 `python -m tools.fill_numbers --check` writes nothing and ends with status 1 where a page is not current; a place that
-does not exist is an error. Marks in code blocks and code spans are left alone. In a mark stand no `--` (use `*`), and
+does not exist is an error. Marks in code blocks and code spans are left alone. A mark holds no `--` (use `*`), and
 in a table no `|`.
 """
 
@@ -44,7 +44,7 @@ _ROUNDING: Final = 1e-15  # [J]
 
 
 def pages() -> list[Path]:
-    """Returns README, CONTRIBUTING, every page of the documentation, and the one beside the effects."""
+    """Returns README, CONTRIBUTING, every page of the documentation, and the one next to the effects."""
     effects = ROOT / "canhaptic" / "sim" / "plant" / "effects" / "README.md"
     return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")), effects]
 
@@ -98,7 +98,7 @@ def _named(name: Any, pattern: str) -> bool:
 
 
 def written(mark: str) -> str:
-    """Returns what stands in the page for a mark.
+    """Returns what the page holds for a mark.
 
     Args:
         mark: `RESULT#PART#PART` or `RESULT#PART#PART @ FORMAT`.

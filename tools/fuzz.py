@@ -1,6 +1,6 @@
 """Coverage-guided fuzzing of one reader: `python -m tools.fuzz TARGET [-runs=N]` (needs atheris, Linux or macOS).
 
-Whatever the bytes: a result or an error of the package, nothing else. The everyday tests do the same with hypothesis,
+For any bytes: a result or an error of the package, nothing else. The everyday tests do the same with hypothesis,
 without looking at coverage.
 """
 
@@ -98,7 +98,7 @@ TARGETS: Final = {
 
 
 def main() -> int:
-    """Fuzzes until told to stop; atheris itself ends the process, with 0 when nothing was found."""
+    """Fuzzes until it is stopped; atheris itself ends the process, with 0 when nothing was found."""
     name = sys.argv[1] if len(sys.argv) > 1 else ""
     if name not in TARGETS:
         sys.stderr.write(f"fuzz: got {name!r}, expected one of: {', '.join(TARGETS)}\n")

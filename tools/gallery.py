@@ -1,6 +1,6 @@
 """Makes docs/gallery.md and its pictures: `python -m tools.gallery`, `--only NAME` for one of them, `--page` for none.
 
-Each picture is made by the very command that the page prints beside it, in a process of its own, from a folder that
+Each picture is made by the very command that the page prints with it, in a process of its own, from a folder that
 holds the shipped `configs/` and `eds/` and nothing else. Then its colours are reduced to a palette.
 """
 

@@ -20,9 +20,9 @@ _INTRODUCTION: Final = """\
 Every key of a scene file. This page is made from the models by `python -m tools.make_configuration`.
 
 Plain numbers are SI (or the unit given here). A text may carry a unit, which is checked for dimension: `1 kHz`,
-`100 N/m`, `50 us`. Where two units stand, the first is of a linear axis (`unit: m`), the second of a rotary one
+`100 N/m`, `50 us`. Where two units are given, the first is of a linear axis (`unit: m`), the second of a rotary one
 (`unit: rad`). A key without a default may be left out; where the words say None, they say what leaving it out (or
-`null`) means. A key that is not listed is an error that names the nearest one. Any value can be laid over from the
+`null`) means. A key that is not listed is an error that names the nearest one. Any value can be replaced from the
 command line: `--set environment.stiffness="500 N/m"`, `--set axes.0.node_id=5`.
 
 `canhaptic schema` prints the same as JSON Schema, for editors.

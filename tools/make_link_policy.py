@@ -98,7 +98,7 @@ def page() -> str:
             _STOPS,
             *_table(["number", "reason", "meaning", "exception", "what to do"], stops),
             "",
-            f"The numbers {words} stand for a rig that runs and for a stop that was asked for; nothing is raised.",
+            f"The numbers {words} mean a rig that runs and for a stop that was asked for; nothing is raised.",
             _MEASURED,
             *_table(["fault", "ended by", "drive", "sample times", "allowed"], _measured()),
             "",

@@ -1,7 +1,7 @@
 """Writes docs/safety_case.md from tools/safety_case.yaml: `python -m tools.make_safety_case`.
 
 A row names the tests that fail when its control is taken away. One that names no test, or one that is not in the test
-tree, is an error: what nobody tests is no control.
+tree, is an error: what no test covers is no control.
 """
 
 import ast

@@ -42,7 +42,7 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "control/balance.py": ("control", "audit", "replay", "acceptance"),
 }
 EQUIVALENT: Final[dict[str, str]] = {}
-"""`path: name of the mutant` -> why nobody can notice it."""
+"""`path: name of the mutant` -> why no test can notice it."""
 _LONGEST: Final = 600  # s, all tests of a mutant
 _QUICK: Final = 40  # tests that run before all others
 _SITE: Final = """import os

@@ -1,7 +1,7 @@
 """The runs behind the paper's figures, each through the whole CAN path in lock-step, and their figures.
 
 What is drawn and counted is what an energy log of the run would hold: positions and torques as the frames brought
-them, energies as the controller booked them, and beside them the energies of the simulated plant.
+them, energies as the controller booked them, and with them the energies of the simulated plant.
 """
 
 from collections.abc import Sequence

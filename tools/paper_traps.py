@@ -1,4 +1,4 @@
-"""What each trap in the printed equations costs: the printed rule beside the one that is built, on the same scene.
+"""What each trap in the printed equations costs: the printed rule against the one that is built, on the same scene.
 
 The printed rules live here only. Energies are those of the simulated plant unless they say otherwise; SI units.
 """
@@ -46,7 +46,7 @@ class _PositiveState(SpringDamperWall):
 def _with_newest_effort(
     settings: HoldSettings, axis: Axis, memory: AxisMemory, position: float, torque_applied: float
 ) -> Hold:
-    """Eq. 15 with the damper effort of the newest command, whatever the delay between command and hold."""
+    """Eq. 15 with the damper effort of the newest command, at every delay between command and hold."""
     newest = memory.commands.dampers[axis.oldest - 1]
     return open_hold(settings, axis, memory, position, torque_applied)._replace(damper=newest)
 

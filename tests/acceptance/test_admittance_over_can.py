@@ -118,7 +118,7 @@ def test_a_sensor_or_drive_that_contradicts_the_encoder_stops_the_rig(fault: str
         _run(fault, cycles=2500)
 
 
-def test_the_stop_is_a_quick_stop_until_the_drive_stands() -> None:
+def test_the_stop_is_a_quick_stop_until_standstill() -> None:
     _, experiment = _run(cycles=200)
     drive = experiment.far_side.drives[0] if experiment.far_side else None
     assert drive is not None

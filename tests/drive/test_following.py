@@ -167,7 +167,7 @@ def test_leaving_the_state_counts_at_once_though_bit_12_goes_with_it(bench: Make
 # --- a torque that is measured ------------------------------------------------------------------------------------
 
 
-def test_a_measured_torque_that_stands_while_commands_change_stops_the_rig(bench: MakeBench) -> None:
+def test_a_measured_torque_that_stays_constant_while_commands_change_stops_the_rig(bench: MakeBench) -> None:
     b = bench([axis(read_back="actual")])
     b.rig.start()
     b.run(10, torque=3.0)

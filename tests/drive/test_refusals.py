@@ -259,7 +259,7 @@ def test_our_own_dictionary_is_fit() -> None:
 
 
 @pytest.mark.parametrize("counts", [None, 0])
-def test_a_rated_torque_that_nobody_knows_is_a_clear_error(counts: int | None) -> None:
+def test_a_rated_torque_that_is_unknown_is_a_clear_error(counts: int | None) -> None:
     with pytest.raises(DictionaryError, match="set rated_torque"):
         agreed_rated_torque(axis(rated_torque=None), counts)
 

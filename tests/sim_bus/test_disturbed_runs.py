@@ -167,7 +167,7 @@ DISTURBANCES = [
 
 @pytest.mark.parametrize("bus", DISTURBANCES)
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
-def test_whatever_the_bus_does_the_ledger_never_believes_too_much(passivity: str, bus: str) -> None:
+def test_in_every_disturbance_the_ledger_never_believes_too_much(passivity: str, bus: str) -> None:
     seen = disturbed(f"simulation.bus={{{bus}}}", passivity, QUICK)
     assert seen.error is None
     assert_ledger_bound_kept(seen)

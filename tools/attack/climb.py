@@ -18,7 +18,7 @@ from canhaptic.kernels.records import records_of
 from tools.attack.plant import BEFORE, DISSIPATED, LOAD_V, LOAD_X, TAKEN_IN, Rig, V, X, cut, hold
 
 HOLDS: Final = 48
-"""Of one run."""
+"""Cycles of one run."""
 EVALUATIONS: Final = 240
 """Runs that one hand has tried when it is done."""
 _ENOUGH: Final = 1e-3
@@ -37,12 +37,12 @@ class Hand(NamedTuple):
 
 
 def step(_environment: Any, _settings: Any, _state: Any, _memory: Any, _position: float, _torque: float) -> Any:
-    """Stands for the algorithm."""
+    """Placeholder of the algorithm."""
     raise NotImplementedError
 
 
 def new_environment(*_numbers: float) -> Any:
-    """Stands for the tuple type of an environment."""
+    """Placeholder of the tuple type of an environment."""
     raise NotImplementedError
 
 

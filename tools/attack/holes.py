@@ -22,7 +22,7 @@ class Hole(NamedTuple):
     rig: Rig
     wall: dict[str, float]
     hand: Hand
-    mend: dict[str, float]  # what is declared beside mass, damping and hand force
+    mend: dict[str, float]  # what is declared in addition to mass, damping and hand force
     wrong: dict[str, float]  # what takes its place without the mend; a key that is not named is left out
 
 

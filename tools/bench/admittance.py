@@ -251,7 +251,7 @@ def fault_rows() -> tuple[list[Row], list[dict[str, Any]]]:
 
 
 def bus_rows() -> list[Row]:
-    """How many axes one bus carries, and the pace of a cycle beside that of the demo."""
+    """How many axes one bus carries, and the pace of a cycle against that of the demo."""
     scene = load_scene(faults.SCENE)
     with build(scene, "free") as experiment:
         one = experiment.rig.drives[0].map

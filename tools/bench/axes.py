@@ -34,7 +34,7 @@ def cost(axes: int) -> float:
 
 
 def draw(costs: dict[int, float]) -> None:
-    """Draws the time of a cycle over the number of axes, beside the line through the first two."""
+    """Draws the time of a cycle over the number of axes, and the line through the first two."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.0, 3.2), layout="constrained")

@@ -1,4 +1,4 @@
-"""How many cycles a second does one axis reach flat out, beside the `canopen` package used by hand and bare frames?
+"""How many cycles a second does one axis reach flat out, against the `canopen` package used by hand and bare frames?
 
 All command the same simulated drive, in the same process:
 
@@ -7,7 +7,7 @@ All command the same simulated drive, in the same process:
     bare frames   python-can `send` and `recv` with one `struct` per frame, no checks at all
 
 Times of canopen and bare frames hold a spring-damper law only: no account of energy, no limits, no log. Both run on
-python-can's stock virtual bus, as whoever installs these packages does; canhaptic brings a leaner one for drives inside
+python-can's stock virtual bus, as a user of these packages has it; canhaptic brings a leaner one for drives inside
 its process. Bare frames on that one are shown too: what is left there is the price of the stack itself.
 """
 

@@ -4,14 +4,14 @@ The demo, in contact, in lock-step; each fault begins 0.5 s after the first SYNC
 drive ended in, the sample times from the fault until its torque was zero for good, the most that the link policy allows
 for it, the least energy that the wall had
 truly taken in (below zero it has given some out), the most by which the account ever exceeded the energy that truly
-came in, beside the bound of what the encoder can hide (half a count times the variation of the torque), and the records
+came in, with the bound of what the encoder can hide (half a count times the variation of the torque), and the records
 that the exception carries. `-`: the run went on to its end. Met: torque never beyond its limit and zero at the end,
 drive disabled in the cycles allowed, and both energies within the bound.
 
 The cycles allowed follow from the configuration: `bus.stop_cycles` until a silence is a loss, three more for the SYNC
 that is counted last and the stop, one round of the stop's own escalation where RPDO and SDO are lost together; for
-whatever takes the master's or the drive's heartbeat away, `bus.heartbeat_timeout`. Zero for good is when the simulated
-drive says so, not when a frame tells it.
+all that takes the heartbeat of master or drive away, `bus.heartbeat_timeout`. Zero for good is when the simulated drive
+says so, not when a frame tells it.
 """
 
 import math

@@ -3,15 +3,15 @@
 One plant (0.25 kg, 0.5 N*s/m at 1 kHz and 0.1 below) moved exactly, an ideal encoder, energies of the plant.
 
     held       largest stiffness within 5 % at rest, ripple below 5 %, at least -1 uJ, under a push of 5 N that rises in
-               0.3 s from 0.5 mm in front of the wall; by bisection, beside what the hand-force certificate holds
+               0.3 s from 0.5 mm in front of the wall; by bisection, against what the hand-force certificate holds
     slow hand  a spring of 300 N/m whose far end goes 50 mm through free space and 30 mm into the wall: depth at rest
-               beside that at the certified stiffness, and the largest force in front of the wall
+               against that at the certified stiffness, and the largest force in front of the wall
     entry      1e4 N/m, 20 N*s/m, 1 kHz, one sample late, user S: largest rise of the torque from hold to hold within 5
                holds of a contact's beginning (of the continuous wall: of its mean over a hold), largest torque towards
                the wall (of the continuous wall: at any instant), and total variation
     friction   a device with 0.5 N of Coulomb friction for certain, and no assumption about the hand
 
-Algorithms that rest on the damping of the device are told it; `guarded` is told the mass and the hand's force alone.
+Algorithms that rest on the damping of the device know it; `guarded` knows the mass and the hand's force alone.
 """
 
 import sys

@@ -2,7 +2,7 @@
 
 The step of a group in Python and compiled; and the example in two dimensions - a hand on a hardening spring and a
 damper with a virtual mass of 0.3 kg on a viscous floor, four states - against the continuous solution of scipy and
-beside the same network sampled by explicit Euler. Energies are those of the plant.
+and the same network sampled by explicit Euler. Energies are those of the plant.
 """
 
 import math
@@ -37,7 +37,7 @@ DURATION = 2.0
 LONGEST = 1e-4
 STEPS = 4000
 COMPILED_LIMIT = 20.0
-"""Of a step compiled by numba [us]."""
+"""Time of a step compiled by numba [us]."""
 
 
 class Followed(NamedTuple):

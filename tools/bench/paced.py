@@ -36,7 +36,7 @@ QUANTILES = {"p50": 0.5, "p99": 0.99}
 
 
 class Run(NamedTuple):
-    """Of one run, in [ns]."""
+    """Times of one run [ns]."""
 
     lateness: list[int]  # empty where there is no deadline to be late for
     cycle: list[int]
@@ -72,7 +72,7 @@ def canhaptic_run(experiment: Experiment) -> Run:
         cycle.step()
         timing = rig.timing
         run.lateness.append(timing.wakeup_lateness)
-        run.syncs.append(rig._exchange.woken)  # noqa: SLF001 - the instant that nobody else reports
+        run.syncs.append(rig._exchange.woken)  # noqa: SLF001 - the instant that nothing else reports
         if cycle.rig.records[-1].samples[0].fresh:
             run.cycle.append(timing.sync_to_last_tpdo + timing.compute + timing.send)
     rig.stop()
@@ -154,7 +154,7 @@ def best_of(runs: Mapping[str, Sequence[Run]]) -> dict[str, Run]:
 
 
 def rows_of(best: Mapping[str, Run]) -> list[Row]:
-    """Returns the table: ours beside each peer."""
+    """Returns the table of ours and each peer."""
     ours, bare, natural = (best[name] for name in ("canhaptic", "bare frames", "canopen"))
     rows = []
     for name, fraction in QUANTILES.items():

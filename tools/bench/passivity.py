@@ -1,6 +1,6 @@
 """What must hold of passivity (A1-A12)? Every energy is that of the simulated plant, not the controller's belief.
 
-A1-A3  every hold closes; `guarded` gives out nothing, whoever holds the handle within the declared force
+A1-A3  every hold closes; `guarded` gives out nothing to any hand within the declared force
 A4     belief against truth        A5-A7  what is rendered        A8  the root of eq. 8 against 60 digits
 A9-A11 the paper's figures and a stiff wall                       A12 what a step costs
 """
@@ -88,7 +88,7 @@ def sweep(algorithm: str, delay: int, every: int = 1, **options: float) -> Itera
 
 
 def hand_force() -> Iterator[Row]:
-    """A2 and A3: `guarded` within the declared force; beside it what the same users take from less protection."""
+    """A2 and A3: `guarded` within the declared force; and what the same users take from less protection."""
     for name, delay in (("A2", 0), ("A3", 1)):
         direct = min(run.least_interaction for run in sweep("unprotected", delay, every=7))
         undeclared = min(run.least_interaction for run in sweep("guarded", delay, 7, hand_force=0.0, pull=HAND_FORCE))
@@ -226,7 +226,7 @@ def ulps(value: float, exact: mpmath.mpf) -> float:
 def paper_figures() -> Iterator[Row]:
     """A9 and A10: the paper's algorithm, its predecessor, and `guarded` on the paper's walls.
 
-    The paper knows no moving mass and so no cap of the damping; told the mass, its algorithm damps less at 40 Hz.
+    The paper knows no moving mass and so no cap of the damping; with the mass known, its algorithm damps less at 40 Hz.
     """
     for rate in (40.0, 100.0):
         cycles = round(8.0 * rate)
@@ -248,13 +248,13 @@ def paper_figures() -> Iterator[Row]:
         told = standard_case(FIGURES_7_9, "internal_dissipation", rate, user_f(0.15), alpha="200 s/m^2")
         paper, capped = render(untold(told), cycles).least_margin, render(told, cycles).least_margin
         label = f"A10 margin of (4), Figs. 7-9, {rate:g} Hz"
-        yield above(f"{label}, internal_dissipation", paper, "J", -5e-3, "told the moving mass", capped)
+        yield above(f"{label}, internal_dissipation", paper, "J", -5e-3, "moving mass known", capped)
         guarded = render(standard_case(FIGURES_7_9, "guarded", rate, user_f(0.15)), cycles).least_margin
         yield above(f"{label}, guarded", guarded, "J", -1e-6)
 
 
 def untold(case: LoopCase) -> LoopCase:
-    """Returns a case whose algorithm is told nothing of the device, as in the paper."""
+    """Returns a case whose algorithm knows nothing of the device, as in the paper."""
     nothing = {"moving_mass": None, "device_damping_bound": None}
     return dataclasses.replace(case, loop=case.loop.model_copy(update=nothing))
 

@@ -38,7 +38,7 @@ def picture_place(name: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure of a benchmark beside its peer; `met` is None where there is no target."""
+    """One figure of a benchmark and its peer; `met` is None where there is no target."""
 
     row: str
     value: float
@@ -48,7 +48,7 @@ class Row:
     ratio: float | None = None
     target: str = ""
     met: bool | None = None
-    note: str = ""  # why a target is missed, or what the peer does beside ours
+    note: str = ""  # why a target is missed, or what the peer does against ours
 
 
 def machine() -> dict[str, str]:

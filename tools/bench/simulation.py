@@ -1,4 +1,4 @@
-"""What does the simulated plant cost, and what does it get wrong, beside other simulators on the same plant?
+"""What does the simulated plant cost, and what does it get wrong, against other simulators on the same plant?
 
 The easy scene is a servo with a hand (four states, 1 kHz) that is given a new torque every millisecond; the stiff one
 has a stop and a grip of 1e6 N/m and a current loop of 50 us. Each simulator runs in the loop that its user would write
@@ -58,7 +58,7 @@ SCENES, CYCLES = 10_000, 1000
 
 
 def easy_rows() -> list[Row]:
-    """Returns time and error of the easy scene beside every peer, called from Python each period."""
+    """Returns time and error of the easy scene and of every peer, called from Python each period."""
     scene = easy(HOLDS)
     plant, torques, results = scene.plant(), scene.torques.tolist(), {}
     foil = Foil(scene)
@@ -98,7 +98,7 @@ def _peer_row(name: str, ours: float, times: dict[str, float], error: dict[str, 
 
 
 def compiled_rows() -> list[Row]:
-    """Returns the whole run compiled beside the same run stepped from Python, for three scenes."""
+    """Returns the whole run compiled and stepped from Python, for three scenes."""
     rows = []
     for scene, target in ((easy(20 * HOLDS), 20.0), (friction(2 * HOLDS), None), (stiff(HOLDS), None)):
         python, machine, torques = scene.plant(), scene.plant(compiled=True), scene.torques.tolist()
@@ -180,7 +180,7 @@ def stick_rows() -> list[Row]:
     effect = {"type": "coulomb_friction", "kinetic": KINETIC, "static": STATIC}
     plant = friction(1)._replace(effects=(effect,), user=UserParameters()).plant()
     creep = float(np.abs(advance(plant, [0.3] * 10_000)).max())
-    slowest = 1e-3  # [m/s] width of a tanh that stands for sign
+    slowest = 1e-3  # [m/s] width of a tanh in place of sign
     peers_creep = {
         "MuJoCo frictionloss": mujoco_stick(),
         "tanh friction, 1 mm/s": slowest * math.atanh(0.3 / STATIC) * 10.0,

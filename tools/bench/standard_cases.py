@@ -108,5 +108,5 @@ def _plant(
 def standard_reference(
     environment: Environment, user: UserParameters, rate: float, cycles: int, effects: tuple[Effect, ...] = ()
 ) -> ContinuousReference:
-    """Returns the continuous run beside `standard_case` with the standard plant."""
+    """Returns the continuous run of `standard_case` with the standard plant."""
     return continuous_reference(environment, PLANT, user, effects, round(1e9 / rate), cycles)

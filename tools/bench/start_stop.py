@@ -2,7 +2,7 @@
 
 In real time, one axis at 1 kHz and three at 500 Hz. The simulated drive answers an SDO at once and follows a
 controlword at the next SYNC. What it needs itself is subtracted: a start is confirmed by two heartbeats of the drive,
-one as soon as it has been told to send them and one that says OPERATIONAL, each up to a period after what it confirms;
+one as soon as it is configured to send them and one that says OPERATIONAL, each up to a period after what it confirms;
 and the drive that enables slowly (brake, commutation) takes 0.2 s for it. The whole start is shown as well. An
 operator's stop takes the torque down along its ramp of 20 ms, which is part of the time. Worst of the repeats.
 """

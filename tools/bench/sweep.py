@@ -96,7 +96,7 @@ def kinds_of(algorithm: str) -> dict[str, tuple[BatchCase, tuple[str, ...]]]:
 
 
 def rate_rows() -> list[Row]:
-    """Returns cycles per second of compiled loops, beside MuJoCo's rollout and the loops that Python runs."""
+    """Returns cycles per second of compiled loops, of MuJoCo's rollout and the loops that Python runs."""
     rollout = mujoco_rollout(easy(CYCLES))
     peer = max(_in_core_time(rollout) for _ in range(3)) / 1e6 if rollout else None
     name = "MuJoCo rollout, one thread" if rollout else "MuJoCo rollout: peer absent"

@@ -1,7 +1,7 @@
 """How fast are sweeps of plants with stops and friction, and how soon is the first row of a second start there?
 
-Beside them MuJoCo moves a slide with dry friction and a limit, in a loop of Python that computes the wall's torque; JAX
-moves a linear plant and an unprotected wall (vmap over scan) where an interpreter that has it is named by JAX_PYTHON.
+For comparison MuJoCo moves a slide with dry friction and a limit, in a loop of Python that computes the wall's torque;
+JAX moves a linear plant and an unprotected wall (vmap over scan) where JAX_PYTHON names an interpreter that has it.
 """
 
 import importlib.util

@@ -15,7 +15,7 @@ Law = Callable[[float, float, float, float], float]
 """(time [s], position, velocity, torque held) -> hand force [N or N*m]."""
 
 SUBSTEPS: Final = 4
-_DEEP, _OUT = -0.3, 0.005  # [m] where a user turns round, whatever he wants
+_DEEP, _OUT = -0.3, 0.005  # [m] where a user turns round in every case
 
 
 class HandPlant:

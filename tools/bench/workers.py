@@ -1,7 +1,7 @@
 """How much faster are two workers than one? Interleaved sweeps in pools of one and two processes, both warm.
 
 Warm: every worker has made the batch of the scene before the clock runs, as in a sweep of many chunks. Needs two idle
-cores to say anything: a load of the machine beyond that is published beside the figure. 16 chunks of some 0.4 s of
+cores to say anything: a load of the machine beyond that is published with the figure. 16 chunks of some 0.4 s of
 `guarded` behind an encoder, compiled: what a worker does for a chunk is worth far more than bringing it there.
 """
 

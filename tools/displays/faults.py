@@ -39,7 +39,7 @@ class FaultOutcome:
     fault: str
     stopped_by: str  # reason of the stop; empty where the run went on
     stop: float  # time from the fault to the stop of the rig, less the time of the start for faults of the bus [s]
-    still: float  # time from the stop of the rig to standstill [s]; -1 where it did not stand within 2 s
+    still: float  # time from the stop of the rig to standstill [s]; -1 where it moved for longer than 2 s
     given: float  # largest fall of the true energy through the sensor after the fault [J]
     fastest: float  # after the fault [m/s]
 

@@ -1,4 +1,4 @@
-"""Faults of bus, drives, host and foreign nodes laid over a random scene, and the time until the torque is zero.
+"""Faults of bus, drives, host and foreign nodes in a random scene, and the time until the torque is zero.
 
 Left out is what no frame shows (docs/safety.md): a bit that a gateway turns in a position, a TPDO of ours that another
 node sends, a stuck encoder, and commands that are lost where no torque is read back.

@@ -1,6 +1,6 @@
 """How hard a simulated hand really pulled and pushed: whether a declared hand force was true.
 
-Read from the states of the simulated plant at every SYNC. What else can move the body at the encoder beside motor and
+Read from the states of the simulated plant at every SYNC. What else can move the body at the encoder besides motor and
 bearings counts as hand: dry friction and cogging by their largest values, a shaft by its own torque.
 """
 

@@ -97,7 +97,7 @@ def _with_true_hand(scene: TruthScene, watch: HandWatch) -> TruthScene:
 
 
 def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
-    """Returns what a run came to, and who watched its hand; nobody where the scene was refused."""
+    """Returns what a run came to, and who watched its hand; None where the scene was refused."""
     try:
         loaded = scene_from_mapping(scene.values, SOURCE)
         experiment = build(loaded, "free")

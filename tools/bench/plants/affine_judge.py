@@ -23,7 +23,7 @@ _DOUBLINGS: Final = 8
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _CHAIN: Final = 16
 _LOCATED: Final = 1e-15
-"""Of the sample time, to which a crossing is located."""
+"""Part of the sample time to which a crossing is located."""
 
 
 class JudgedMotion(NamedTuple):

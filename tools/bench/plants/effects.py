@@ -31,7 +31,7 @@ VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
 
 
 def effect_rows() -> list[Row]:
-    """Returns the time per period of each effect beside the bare scene, measured in turn."""
+    """Returns the time per period of each effect and of the bare scene, measured in turn."""
     scene = easy(HOLDS)
     torques = scene.torques.tolist()
     runs = {}

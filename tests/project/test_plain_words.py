@@ -1,0 +1,93 @@
+"""Texts without the tics of this project's early English: pages, comments of scenes, docstrings, messages, help texts.
+
+Each has a plain word of the field: see the glossary (docs/words.md) and the neighbours of the text.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TICS = {
+    "beside": r"\bbeside\b(?!')",
+    "told": r"\btold\b",
+    "stands": r"\b(?:stands?|stood)\b(?! (?:still|at the machine|alone))",
+    "whatever": r"\bwhatever\b",
+    "whoever": r"\bwhoever\b",
+    "nobody": r"\bnobody\b",
+    "is there already": r"\b(?:is|are) there already\b",
+    "lay over": r"\b(?:lay|laid|lays|lie|lies) over\b",
+    "Of the ...": r"^(?:Of|By which|In what|In which|With which|From which|To which) ",
+}
+"""Name -> pattern. The last one is for the beginning of a docstring or of a description: a sentence has a subject."""
+PATTERNS = {name: re.compile(pattern, re.IGNORECASE if name != "Of the ..." else 0) for name, pattern in TICS.items()}
+ALLOWED = {
+    "got beside {}, expected": "the name of a parameter",
+    "got neither or both of beside and": "the name of a parameter",
+    "got beside with a structure": "the name of a parameter",
+}
+
+
+def strings(path: Path) -> Iterator[tuple[int, str]]:
+    """Every string of a module: docstrings, messages, help texts; of an f-string its constant parts as one."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inside = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            parts = [str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values]
+            yield node.lineno, "".join(parts)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in inside:
+            text = "" if node.value.isidentifier() else node.value  # no key and no name
+            yield node.lineno, text
+
+
+def prose(path: Path) -> Iterator[tuple[int, str]]:
+    """Every line of a page outside of blocks of code; of a scene its comments."""
+    is_code = False
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        if path.suffix == ".yaml":
+            if "#" in line:
+                yield number, line.split("#", 1)[1].strip()
+            continue
+        is_code ^= line.lstrip().startswith("```")
+        if not is_code:
+            yield number, re.sub(r"`[^`]*`", "", line)
+
+
+def files() -> list[Path]:
+    pages = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
+    pages += [*(ROOT / "docs").rglob("*.md")]
+    scenes = [*(ROOT / "configs").rglob("*.yaml"), *(ROOT / "examples").rglob("*.yaml")]
+    code = [path for folder in ("canhaptic", "tools", "examples") for path in (ROOT / folder).rglob("*.py")]
+    return sorted([*pages, *scenes, *code])
+
+
+def found(path: Path) -> list[str]:
+    """Every tic of a file, with its place."""
+    texts = strings(path) if path.suffix == ".py" else prose(path)
+    hits = [
+        (number, name, text[max(0, hit.start() - 40) : hit.end() + 40])
+        for number, text in texts
+        if not any(allowed in text for allowed in ALLOWED)
+        for name, pattern in PATTERNS.items()
+        for hit in pattern.finditer(text)
+    ]
+    return [f"{path.relative_to(ROOT)}:{number}: {name}: {' '.join(place.split())}" for number, name, place in hits]
+
+
+def test_no_text_has_a_tic():
+    hits = [hit for path in files() for hit in found(path)]
+    assert hits == []
+
+
+@pytest.mark.parametrize(
+    "text", ["What stands beside it.", "Of the spring.", "it is told so", "whatever comes", "nobody holds it"]
+)
+def test_a_tic_is_found(tmp_path, monkeypatch, text):
+    monkeypatch.setattr(f"{__name__}.ROOT", tmp_path)
+    for name, content in (("page.md", text), ("module.py", f'"""{text}"""'), ("scene.yaml", f"a: 1  # {text}")):
+        (tmp_path / name).write_text(content)
+        assert found(tmp_path / name)
