@@ -1,0 +1,112 @@
+"""Does a run contradict the dry friction that is declared of its device? What encoder and torque can say of it.
+
+Over two stretches of time T_1 and T_2 of a motion one way, s = 1 or -1, with w(t) rising from 0 to 1 over the first and
+falling over the second, the equation of motion m a = tau + u - s F gives by parts, for the mean speeds v_1 and v_2,
+
+    m s (v_2 - v_1) = integral of w (s tau + s u - F).
+
+With m at least `moving_mass`, the hand's force u at most U either way, and F at least the declared f_c, an axis that
+gains speed by more than the right side can gain with F = f_c and s u = U contradicts the declaration, or that of the
+hand: either way the certificate rests on something false. Every error is taken against the contradiction: of the
+positions (half a count each), of the times (jitter), of a torque that comes late.
+
+A hand whose force has no bound explains every motion. So there is no test where `hand_force` or `hand_push` is not
+declared, and a missing friction shows only while the hand comes near its bound: measure again (canhaptic commission).
+A motion that stops inside a hold, between two positions, is not seen; the certificate is then withdrawn in vain.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+_STRETCH: Final = 0.02  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionDeclared:
+    """What a run is compared with."""
+
+    friction: float  # f_c, at least [N or N*m]
+    mass: float  # at least [kg or kg*m^2]
+    hand_force: float  # U, at most either way [N or N*m]
+    sample_time: float  # [s]
+    count: float = 0.0  # of the encoder [m or rad]
+    jitter: float = 0.0  # of a hold, as a part of it
+    late: float = 0.0  # time after a SYNC for which the torque before may act [s]
+
+
+@dataclass(slots=True)
+class _Stretch:
+    """One part of a motion one way."""
+
+    way: float = 0.0  # 1 or -1; 0: it stood still or turned
+    length: float = 0.0  # of its way [m or rad]
+    rising: float = 0.0  # torques, weighted from 0 to 1
+    falling: float = 0.0  # torques, weighted from 1 to 0
+    size: float = 0.0  # sum of |torque| of the holds
+    changes: float = 0.0  # sum of the changes of the torque
+
+
+class FrictionWatch:
+    """Compares a run, hold by hold.
+
+    Args:
+        declared: Of device and hand.
+
+    Attributes:
+        excess: Largest force by which the axis was faster than declared friction lets it be [N or N*m]; 0: none.
+    """
+
+    __slots__ = ("_before", "_declared", "_holds", "_now", "_position", "_taken", "_torque", "excess")
+
+    def __init__(self, declared: FrictionDeclared) -> None:
+        self._declared = declared
+        self._holds = max(2, round(_STRETCH / declared.sample_time))
+        self.excess = 0.0
+        self._torque = 0.0
+        self._position = 0.0
+        self._taken = -1
+        self._now, self._before = _Stretch(), _Stretch()
+
+    def restart(self) -> None:
+        """Forgets the motion so far: a position is missing."""
+        self._taken = -1
+        self._before = _Stretch()
+
+    def take(self, position: float, torque: float) -> None:
+        """Takes a hold.
+
+        Args:
+            position: At its end [m or rad].
+            torque: Held in it [N or N*m].
+        """
+        moved, self._position = position - self._position, position
+        change, self._torque = abs(torque - self._torque), torque
+        if self._taken < 0:
+            self._taken, self._now = 0, _Stretch()
+            return
+        now, part = self._now, (self._taken + 0.5) / self._holds
+        way = 0.0 if abs(moved) <= self._declared.count else 1.0 if moved > 0.0 else -1.0
+        now.way = way if self._taken == 0 or now.way == way else 0.0
+        now.length += moved
+        now.rising += part * torque
+        now.falling += (1.0 - part) * torque
+        now.size += abs(torque)
+        now.changes += change
+        self._taken += 1
+        if self._taken == self._holds:
+            self._compare(self._before, now)
+            self._before, self._now, self._taken = now, _Stretch(), 0
+
+    def _compare(self, first: _Stretch, second: _Stretch) -> None:
+        """Compares two stretches, each of `holds` holds."""
+        way, of = second.way, self._declared
+        if way == 0.0 or first.way != way:
+            return
+        time, jitter = self._holds * of.sample_time, of.jitter
+        faster = (way * second.length - of.count) / (1.0 + jitter) - (way * first.length + of.count) / (1.0 - jitter)
+        if faster <= 0.0:
+            return
+        torque = (way * (first.rising + second.falling) + 3.0 * jitter * (first.size + second.size)) / self._holds
+        torque += (first.changes + second.changes) * of.late / time
+        excess = of.mass * faster / (time * time) - torque - (of.hand_force - of.friction) * (1.0 + jitter)
+        self.excess = max(self.excess, excess)
