@@ -75,6 +75,7 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
             "unit": unit,
             **cycle.ledgers[axis].summary().as_json(sample_time),
             **_measured(cycle.meters, axis, promise),
+            **_compared(cycle.meters, axis),
             "rendered": _rendered(cycle.meters, axis),
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
@@ -107,6 +108,12 @@ def _measured(meters: RunMeters, place: int, promise: Promise) -> dict[str, Any]
     }
 
 
+def _compared(meters: RunMeters, axis: int) -> dict[str, float]:
+    """Returns by how much an axis was faster than its declared friction lets it be; nothing where none can be said."""
+    watch = meters.axes[axis].watch
+    return {} if watch is None else {"friction_excess": watch.excess}
+
+
 def _rendered(meters: RunMeters, axis: int) -> dict[str, float | None]:
     """Returns how much of what the environment of an axis asked for was rendered."""
     damping = meters.axes[axis].damping_asked * meters.contacts[axis]
@@ -124,6 +131,8 @@ def rendered_shares(asked: float, given: float, damping_asked: float, damping: f
 def withdraw_certificates(account: dict[str, Any], *, longest_gap: int) -> None:
     """Takes the certificates off an account where a torque acted for longer than they covered, or was not commanded.
 
+    The same where the axis moved as it cannot with the friction that is declared (`friction_watch`).
+
     A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is no lost frame:
     the torque under way acts for longer, and the one behind it, which counted on a single hold, acts all the same.
 
@@ -133,6 +142,7 @@ def withdraw_certificates(account: dict[str, Any], *, longest_gap: int) -> None:
     """
     covered = account["max_consecutive_losses"] if longest_gap == 1 else 0
     is_broken = account["longest_hold"] > 1 + covered or account.get("uncommanded_cycles", 0)
+    is_broken = is_broken or account.get("friction_excess", 0.0) > 0.0
     if is_broken and account["certificates"]:
         account["certificate"] = Certificate.NONE.name.lower()
         account["certificates"] = [account["certificate"]]

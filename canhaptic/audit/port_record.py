@@ -1,10 +1,13 @@
 """What an energy log holds of a port in addition to its ledger, read in pieces from a finished or a growing log."""
 
+import json
 from typing import Any
 
 import numpy as np
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
+from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
+from canhaptic.logs.columns import FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.meters import Promise
 from canhaptic.result import rendered_shares, withdraw_certificates
@@ -35,6 +38,8 @@ class PortRecord:
         self._interaction, self._least, self._at_handle = np.longdouble(0.0), 0.0, 0.0
         self._device = self._asked = self._given = self._damping = 0.0
         self._is_open = False
+        declared = log.attributes.get(f"{name}.{FRICTION_DECLARED}")
+        self._watch = None if declared is None else FrictionWatch(FrictionDeclared(**json.loads(str(declared))))
 
     def _at(self, log: EnergyLog, column: str, row: int) -> float:
         return float(log.ports[self._name].read(column, row, row + 1)[0]) if self._is_measured else 0.0
@@ -70,9 +75,19 @@ class PortRecord:
         booked = (asked != 0.0) & (branch != Branch.HELD)
         self._asked += float(asked[booked].sum())
         self._given -= float(torque[booked].sum())
+        if self._watch is not None:
+            self._take_motion(self._watch, log, start, stop, branch)
         deadlines = log.deadlines(max(0, start - 1), stop)
         if len(deadlines) > 1:
             self._gap = max(self._gap, int(np.diff(deadlines).max()))
+
+    def _take_motion(self, watch: FrictionWatch, log: EnergyLog, start: int, stop: int, branch: Any) -> None:
+        port, booked = log.ports[self._name], branch != Branch.HELD
+        names = ("position", "torque_applied", "effort_asked")
+        position, torque, asked = (port.read(name, start, stop)[booked].tolist() for name in names)
+        deadlines = log.deadlines(start, stop)[booked].tolist()
+        for row in zip(position, torque, deadlines, asked, strict=True):
+            watch.take(*row)
 
     @property
     def least_interaction(self) -> float:
@@ -95,6 +110,8 @@ class PortRecord:
             account["longest_hold"], account["uncommanded_cycles"] = self._longest_hold, self._uncommanded
             if self._is_damped:
                 account |= {"least_at_handle": self._at_handle, "device_dissipated": self._device}
+            if self._watch is not None:
+                account["friction_excess"] = self._watch.excess
             if not self._is_group:
                 asked = self._damping_asked * self._contacts
                 account["rendered"] = rendered_shares(self._asked, self._given, asked, self._damping)

@@ -217,8 +217,16 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
         session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, f"{text}; raise --torque or --travel")
         return
     least, unit = curve.least(_sure_damping(found), _SURE), effort_unit(motion)
-    seen = f"at {curve.speeds[0]:.2g} to {curve.speeds[-1]:.2g} {motion}/s, two deviations below"
-    session.found(axis, item, "", f"{least:.3g} {unit}", StepVerdict.MEASURED, seen)
+    seen = f"at {curve.speeds[0]:.2g} to {curve.speeds[-1]:.2g} {motion}/s, certain to two deviations (98 %)"
+    declared = session.axes[axis].loop.device_friction
+    configured = "" if declared is None else f"at least {declared:.4g} {unit}"
+    verdict = StepVerdict.MEASURED if declared is None else StepVerdict.AGREES
+    if declared is not None and declared > least:
+        verdict, seen = StepVerdict.FAILED, f"{seen}; device_friction must be an under-estimate"
+    session.found(axis, item, configured, f"{least:.3g} {unit}", verdict, seen)
+    if least > 0.0:
+        comment = f"{_DERATING:g} of {least:.4g} {seen}; warmth, grease and wear take friction away"
+        session.propose(axis, "passivity.device_friction", _DERATING * least, unit, comment)
 
 
 def _scale(session: Session, axis: int, found: Dynamics) -> None:

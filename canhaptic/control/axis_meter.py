@@ -23,7 +23,9 @@ a bound for every hand, so that for a slow one it is large; an algorithm that kn
 (`certificates.lost_samples`).
 
 **Device.** A damping of b at least dissipates b D^2 / t at least in a time t in which the axis moves by D
-(Cauchy-Schwarz), for every torque.
+(Cauchy-Schwarz), for every torque. A dry friction of f_c at least dissipates f_c along its path. Of the path is
+known what the laziest motion within e of every position p has: it stays where it is until p is further than e away, and
+then follows at e. From one of its turns to the next no motion within e of p goes less far.
 """
 
 from dataclasses import dataclass
@@ -32,6 +34,7 @@ from typing import Final
 
 from canhaptic.control.balance import OUT_OF_CONTACT, EnergyBalance
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.friction_watch import FrictionWatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +50,7 @@ class Accuracy:
     counts_losses: bool = True  # whether the algorithm leaves what lost positions leave open to this meter
     largest_speed: float = inf  # of the axis [m/s or rad/s]
     device_damping: float | None = None  # at least [N*s/m or N*m*s/rad]; None: not declared
+    device_friction: float | None = None  # dry, in motion, at least [N or N*m]; None: not declared
 
 
 IDEAL: Final = Accuracy()
@@ -58,8 +62,10 @@ class AxisMeter:
     Args:
         accuracy: Of the axis.
         environment: Rendered on it; None where that is a group's, or unknown.
+        watch: Compares the motion with declared friction; None where nothing can be compared.
 
     Attributes:
+        watch: As given.
         resolution: Largest |booked - true| sum of interaction so far, by sensors and drive [J]; never falls.
         dissipated: Dissipated by the device so far, at least [J].
         damping_asked: Damping of the environment [N*s/m or N*m*s/rad].
@@ -68,22 +74,28 @@ class AxisMeter:
     """
 
     __slots__ = (
-        "_accuracy", "_booked_at", "_changes", "_environment", "_speed", "_torque", "_uneven",
-        "asked", "damping_asked", "dissipated", "position", "resolution",
+        "_accuracy", "_booked_at", "_changes", "_environment", "_lazy", "_speed", "_torque", "_uneven",
+        "asked", "damping_asked", "dissipated", "position", "resolution", "watch",
     )  # fmt: skip
 
-    def __init__(self, accuracy: Accuracy = IDEAL, environment: Environment | None = None) -> None:
-        self._accuracy = accuracy
+    def __init__(
+        self,
+        accuracy: Accuracy = IDEAL,
+        environment: Environment | None = None,
+        watch: FrictionWatch | None = None,
+    ) -> None:
+        self._accuracy, self.watch = accuracy, watch
         self._environment = None if environment is None or environment.relaxes else environment
         self.damping_asked = 0.0 if environment is None else environment.damping
         self._booked_at = -1
+        self._lazy = 0.0, 0.0  # where the laziest motion may be
         self.position = self._torque = self._changes = self._uneven = self._speed = 0.0
         self.resolution = self.dissipated = self.asked = 0.0
 
     @property
     def is_damped(self) -> bool:
-        """Whether a damping of the device is declared."""
-        return self._accuracy.device_damping is not None
+        """Whether damping or friction of the device is declared."""
+        return self._accuracy.device_damping is not None or self._accuracy.device_friction is not None
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
         """Takes holds whose torques are not known, behind `take` of the hold that they were booked with.
@@ -117,18 +129,38 @@ class AxisMeter:
                 self.asked = environment.effort(environment.true_state(position, 0.0, 0.0))
         booked_at, self._booked_at = self._booked_at, deadline
         moved, self.position = abs(position - self.position), position
-        if booked_at < 0:
-            return
         accuracy = self._accuracy
+        if booked_at < 0:
+            self._lazy = position - accuracy.position, position + accuracy.position
+            if self.watch is not None:
+                self.watch.take(position, torque, deadline, self.asked)
+            return
         if accuracy.device_damping:
             certain = moved - 2.0 * accuracy.position
             if certain > 0.0:
                 time = (deadline - booked_at) * accuracy.sample_time
                 self.dissipated += accuracy.device_damping * certain * certain / time
+        if accuracy.device_friction:
+            self.dissipated += accuracy.device_friction * self._path_to(position)
+            if self.watch is not None:
+                self.watch.take(position, torque, deadline, self.asked)
         if torque != 0.0 or self._torque != 0.0:
             self._leave_open(torque, moved, deadline - booked_at)
         else:
             self._speed = moved / (deadline - booked_at)
+
+    def _path_to(self, position: float) -> float:
+        """Returns how far the axis has gone at least to be at a position [m or rad]; see the module."""
+        low, high = self._lazy
+        lowest, highest = position - self._accuracy.position, position + self._accuracy.position
+        if lowest > high:
+            self._lazy = lowest, lowest
+            return lowest - high
+        if highest < low:
+            self._lazy = highest, highest
+            return low - highest
+        self._lazy = (lowest if lowest > low else low), (highest if highest < high else high)
+        return 0.0
 
     def _leave_open(self, torque: float, moved: float, holds: int) -> None:
         accuracy, size = self._accuracy, abs(torque)

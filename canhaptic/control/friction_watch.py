@@ -5,30 +5,33 @@ falling over the second, the equation of motion m a = tau + u - s F gives by par
 
     m s (v_2 - v_1) = integral of w (s tau + s u - F).
 
-With m at least `moving_mass`, the hand's force u at most U either way, and F at least the declared f_c, an axis that
-gains speed by more than the right side can gain with F = f_c and s u = U contradicts the declaration, or that of the
-hand: either way the certificate rests on something false. Every error is taken against the contradiction: of the
-positions (half a count each), of the times (jitter), of a torque that comes late.
+With m at least `moving_mass`, F at least the declared f_c, and the hand's force within its declared bounds (in contact:
+F_h out of it, a push into it), an axis that gains speed by more than the right side can gain contradicts what is
+declared, of the device or of the hand: either way the certificates rest on something false. Every error is taken
+against the contradiction: of the positions (half a count each), of the times (jitter), of a torque that comes late.
 
-A hand whose force has no bound explains every motion. So there is no test where `hand_force` or `hand_push` is not
-declared, and a missing friction shows only while the hand comes near its bound: measure again (canhaptic commission).
-A motion that stops inside a hold, between two positions, is not seen; the certificate is then withdrawn in vain.
+Out of contact nothing is declared of the hand, and a hand without a bound explains every motion: there is no test. So a
+missing friction shows while a wall pushes the handle out faster than F_h and f_c let it. Where that never happens in a
+run, measure again (canhaptic commission). A motion that stops inside a hold, between two positions, is not seen; the
+certificates are then withdrawn in vain.
 """
 
 from dataclasses import dataclass
+from math import inf
 from typing import Final
 
-_STRETCH: Final = 0.02  # [s]
+_STRETCH: Final = 0.01  # [s]
 
 
 @dataclass(frozen=True, slots=True)
 class FrictionDeclared:
-    """What a run is compared with."""
+    """What a run is compared with; all of it are numbers, so that a log can name it."""
 
     friction: float  # f_c, at least [N or N*m]
     mass: float  # at least [kg or kg*m^2]
-    hand_force: float  # U, at most either way [N or N*m]
     sample_time: float  # [s]
+    hand_force: float  # out of a contact, at most [N or N*m]
+    hand_push: float = inf  # into a contact, at most [N or N*m]
     count: float = 0.0  # of the encoder [m or rad]
     jitter: float = 0.0  # of a hold, as a part of it
     late: float = 0.0  # time after a SYNC for which the torque before may act [s]
@@ -38,7 +41,8 @@ class FrictionDeclared:
 class _Stretch:
     """One part of a motion one way."""
 
-    way: float = 0.0  # 1 or -1; 0: it stood still or turned
+    way: float = 0.0  # 1 or -1; 0: it stood still, turned, or was out of contact
+    hand: float = 0.0  # largest force of the hand along it [N or N*m]
     length: float = 0.0  # of its way [m or rad]
     rising: float = 0.0  # torques, weighted from 0 to 1
     falling: float = 0.0  # torques, weighted from 1 to 0
@@ -56,36 +60,39 @@ class FrictionWatch:
         excess: Largest force by which the axis was faster than declared friction lets it be [N or N*m]; 0: none.
     """
 
-    __slots__ = ("_before", "_declared", "_holds", "_now", "_position", "_taken", "_torque", "excess")
+    __slots__ = (
+        "_asked", "_before", "_deadline", "_declared", "_holds", "_now", "_position", "_taken", "_torque", "excess",
+    )  # fmt: skip
 
     def __init__(self, declared: FrictionDeclared) -> None:
         self._declared = declared
         self._holds = max(2, round(_STRETCH / declared.sample_time))
         self.excess = 0.0
-        self._torque = 0.0
+        self._torque = self._asked = 0.0
         self._position = 0.0
-        self._taken = -1
+        self._taken = self._deadline = -1
         self._now, self._before = _Stretch(), _Stretch()
 
-    def restart(self) -> None:
-        """Forgets the motion so far: a position is missing."""
-        self._taken = -1
-        self._before = _Stretch()
-
-    def take(self, position: float, torque: float) -> None:
-        """Takes a hold.
+    def take(self, position: float, torque: float, deadline: int, asked: float) -> None:
+        """Takes a hold; after a gap the motion begins anew.
 
         Args:
             position: At its end [m or rad].
             torque: Held in it [N or N*m].
+            deadline: Sample times from the first SYNC to its end.
+            asked: Effort of the environment at its end, which points into the contact; 0 out of contact [N or N*m].
         """
+        before, self._asked = self._asked, asked
+        gap, self._deadline = deadline - self._deadline, deadline
         moved, self._position = position - self._position, position
         change, self._torque = abs(torque - self._torque), torque
-        if self._taken < 0:
-            self._taken, self._now = 0, _Stretch()
+        if gap != 1 or self._taken < 0:
+            self._taken, self._now, self._before = 0, _Stretch(), _Stretch()
             return
         now, part = self._now, (self._taken + 0.5) / self._holds
-        way = 0.0 if abs(moved) <= self._declared.count else 1.0 if moved > 0.0 else -1.0
+        declared = self._declared
+        way = 0.0 if abs(moved) <= declared.count or before * asked <= 0.0 else 1.0 if moved > 0.0 else -1.0
+        now.hand = max(now.hand, declared.hand_push if way * asked > 0.0 else declared.hand_force)
         now.way = way if self._taken == 0 or now.way == way else 0.0
         now.length += moved
         now.rising += part * torque
@@ -108,5 +115,6 @@ class FrictionWatch:
             return
         torque = (way * (first.rising + second.falling) + 3.0 * jitter * (first.size + second.size)) / self._holds
         torque += (first.changes + second.changes) * of.late / time
-        excess = of.mass * faster / (time * time) - torque - (of.hand_force - of.friction) * (1.0 + jitter)
+        hand = max(first.hand, second.hand)
+        excess = of.mass * faster / (time * time) - torque - hand * (1.0 + jitter) + of.friction * (1.0 - jitter)
         self.excess = max(self.excess, excess)

@@ -18,6 +18,9 @@ Attribute = str | int | float
 GROUP_AXES: Final = "group_axes"
 """`NAME.group_axes`: of a port that is a group, the names of its axes (JSON). It has the account and no position."""
 
+FRICTION_DECLARED: Final = "friction_declared"
+"""`NAME.friction_declared`: what the motion of an axis is compared with, see `friction_watch` (JSON)."""
+
 _INTEGERS: Final = {
     "statusword": "u2",
     "fresh": "u1",
@@ -35,7 +38,7 @@ _MEANINGS: Final = {
     "sync_index": "index k of the SYNC",
     "deadline_index": "sample times since SYNC 0, more than sync_index after skipped SYNCs; times sample_time_ns: time",
     "energy_resolution": "largest |booked - true| sum of h_i so far",
-    "device_dissipated": "by the declared damping of the device so far, at least",
+    "device_dissipated": "by declared damping and friction of the device so far, at least",
     "effort_asked": "of the storage of the environment at this position; 0 out of contact",
     "uncommanded": "holds so far whose torque was never commanded",
     "longest_hold": "the most sample times for which one torque was held so far",

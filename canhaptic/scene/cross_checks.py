@@ -3,6 +3,7 @@
 from collections import Counter
 from typing import cast
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
@@ -149,6 +150,14 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
             passivity.value_at("delay"),
             f"got {axis.loop.delay}, but bus.rpdo: {scene.bus.rpdo} delays the torque by {scene.bus.delay} hold; "
             "leave it out, or set rpdo: event",
+        )
+    friction, bound = axis.loop.device_friction or 0.0, axis.loop.device_friction_bound
+    if friction > bound and getattr(axis.passivity.parameters, "hand_force", None) is not None:
+        unit = effort_unit(axis.parameters.unit)
+        faults.add(
+            passivity.value_at("device_friction"),
+            f"got {friction:g} {unit} at least, but device_friction_bound says {bound:g} {unit} at most; measure both "
+            "(canhaptic commission)",
         )
     if abs(axis.loop.sample_time - scene.bus.sample_time) > 1e-9:
         faults.add(

@@ -2,14 +2,16 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from canhaptic.logs.bus_log import BusLogWriter
-from canhaptic.logs.columns import GROUP_AXES, Attribute, PortDescription
+from canhaptic.logs.columns import FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
 from canhaptic.meters import promise_of
 from canhaptic.scene.models import AxisScene, Scene, task_unit
+from canhaptic.scene.sensor_errors import friction_declared
 
 if TYPE_CHECKING:
     from canhaptic.logs.energy_log import EnergyLogWriter
@@ -111,8 +113,11 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
         f"{name}.environment": axis.environment.name,
         f"{name}.algorithm": axis.passivity.name,
         **_promise_attributes(name, axis.passivity.parameters),
-        **({f"{name}.is_damped": 1} if axis.loop.device_damping is not None else {}),
+        **({f"{name}.is_damped": 1} if axis.loop.brakes else {}),
     }
+    friction = friction_declared(axis)
+    if friction is not None:
+        attributes[f"{name}.{FRICTION_DECLARED}"] = json.dumps(asdict(friction))
     environment = axis.environment.parameters
     damping = getattr(environment, "damping", None)
     if isinstance(damping, float):
@@ -125,7 +130,7 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
 
 
 def _is_damped(scene: Scene, axes: tuple[str, ...]) -> bool:
-    return all(scene.axis(axis).loop.device_damping is not None for axis in axes)
+    return all(scene.axis(axis).loop.brakes for axis in axes)
 
 
 def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:

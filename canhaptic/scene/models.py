@@ -57,7 +57,7 @@ else:
     BusEffects = Any
 
 LOOP_KEYS: Final = (
-    *("moving_mass", "device_damping", "device_damping_bound", "device_friction_bound"),
+    *("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound"),
     *("sync_jitter", "torque_window", "current_lag", "delay", "sample_time"),
 )
 """Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
@@ -270,7 +270,8 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
 _LATER_KEYS: Final = ("energy_loss_limit",)
 """Keys of an axis that logs of the first release do not have."""
 LATER_LOOP_KEYS: Final = (
-    *("device_friction_bound", "sync_jitter", "torque_window", "current_lag", "torque_rate_limit", "power_limit"),
+    *("device_friction", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"),
+    *("torque_rate_limit", "power_limit"),
 )
 """The same of what is known of its loop."""
 

@@ -10,6 +10,7 @@ from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.axis_meter import AxisMeter, SilentMeter
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import plain
+from canhaptic.control.friction_watch import FrictionWatch
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.axis_group import AxisGroup
@@ -23,7 +24,7 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import ParameterError
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
-from canhaptic.scene.sensor_errors import accuracy_of, loop_as_known
+from canhaptic.scene.sensor_errors import accuracy_of, friction_declared, loop_as_known
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
@@ -126,7 +127,8 @@ def _axis_meter(axis: AxisScene) -> AxisMeter:
     if axis.parameters.admittance is not None:
         return SilentMeter()
     environment = None if axis.group else plain(cast(Environment, axis.environment.parameters))
-    return AxisMeter(accuracy_of(axis), environment)
+    declared = friction_declared(axis)
+    return AxisMeter(accuracy_of(axis), environment, None if declared is None else FrictionWatch(declared))
 
 
 def build_group(scene: Scene, group: GroupScene) -> GroupController:

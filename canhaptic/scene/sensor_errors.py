@@ -8,6 +8,7 @@ from math import inf
 from typing import Any, Final
 
 from canhaptic.control.axis_meter import Accuracy
+from canhaptic.control.friction_watch import FrictionDeclared
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.scene.models import AxisScene
 
@@ -46,6 +47,25 @@ def accuracy_of(axis: AxisScene) -> Accuracy:
         counts_losses=not bounds_late,
         largest_speed=axis.parameters.largest_speed,
         device_damping=loop.device_damping,
+        device_friction=loop.device_friction,
+    )
+
+
+def friction_declared(axis: AxisScene) -> FrictionDeclared | None:
+    """Returns what the motion of an axis is compared with; None where no friction or no hand is declared."""
+    loop, parameters = loop_as_known(axis), axis.passivity.parameters
+    force, push = (getattr(parameters, key, None) for key in ("hand_force", "hand_push"))
+    if axis.group or not loop.device_friction or loop.moving_mass is None or force is None:
+        return None
+    return FrictionDeclared(
+        loop.device_friction,
+        loop.moving_mass,
+        loop.sample_time,
+        hand_force=force,
+        hand_push=inf if push is None else push,
+        count=loop.encoder_count,
+        jitter=loop.sync_jitter or 0.0,
+        late=(loop.torque_window or 0.0) + (loop.current_lag or 0.0),
     )
 
 

@@ -9,7 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from canhaptic.axis_units import damping_unit
+from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.balance import PASSIVE_TOLERANCE, Verdict, account_verdict, handle_verdict
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable, in_lines
@@ -203,6 +203,12 @@ def _surplus(which: str) -> Callable[[_Result], str]:
     return lambda port: energy(port["surplus"][which])
 
 
+def _friction(port: _Result) -> str | Text:
+    """Returns by how much an axis was faster than the declared friction and hand let it be."""
+    excess = port["friction_excess"]
+    return Text(f"{excess:.3g} {effort_unit(port['unit'])}   ", style="bold red") if excess else "none   "
+
+
 def _plain(name: str) -> Callable[[_Result], str]:
     return lambda port: energy(port[name])
 
@@ -232,6 +238,7 @@ _PORT_ROWS: Final[tuple[_Row, ...]] = (
     ("energy resolution", _resolution),
     ("longest hold", _longest_hold),
     ("holds not as commanded", _uncommanded),
+    ("beyond declared friction and hand", _friction),
     ("certificates", _certificates),
 )
 _TRUTH_ROWS: Final[tuple[_Row, ...]] = (

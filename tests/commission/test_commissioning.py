@@ -132,10 +132,16 @@ def test_dry_friction_is_measured() -> None:
     report = commissioned(
         "simulation.effects=[{type: coulomb_friction, kinetic: 0.3 N, static: 0.3 N}]",
         "simulation.plant.damping=0 N*s/m",
+        "passivity.device_friction=0.35 N",
+        "passivity.device_friction_bound=0.5 N",
     )
     found = row(report, "dry friction").found
     assert float(found.split()[0]) == pytest.approx(0.3, abs=0.02)
     assert float(row(report, "moving mass").found.split()[0]) == pytest.approx(0.25, rel=0.05)
+    least = float(row(report, "dry friction, least").found.split()[0])
+    assert 0.27 < least <= 0.301
+    assert value(report, "passivity.device_friction") == pytest.approx(0.5 * least, rel=0.01)
+    assert row(report, "dry friction, least").verdict is StepVerdict.FAILED  # 0.35 N are declared
 
 
 def test_a_drive_that_goes_on_without_its_master_is_a_failure() -> None:

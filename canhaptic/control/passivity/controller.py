@@ -20,6 +20,8 @@ class LoopProperties(Parameters):
     """Certain viscous damping of the device, an under-estimate."""
     device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
     """Upper bound of the device damping (b_max of the hand-force certificate)."""
+    device_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
+    """Certain dry friction of the device while it moves, an under-estimate. None: not known, none is counted on."""
     device_friction_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
     """Upper bound of the dry friction of the device, which may push out of a contact as well as hold; 0: none."""
     sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
@@ -38,6 +40,11 @@ class LoopProperties(Parameters):
     """Largest rise of the torque per second that the limiter lets pass."""
     power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
     """Largest power into the user's side that the limiter lets pass."""
+
+    @property
+    def brakes(self) -> bool:
+        """Whether anything is declared that the device dissipates for certain."""
+        return self.device_damping is not None or self.device_friction is not None
 
     @property
     def timing(self) -> HoldTiming:
