@@ -120,15 +120,17 @@ def group_places(scene: Scene) -> list[tuple[int, ...]]:
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:
     """Returns the meter of each axis."""
-    return [_axis_meter(axis) for axis in scene.axes]
+    algorithms = {group.name: group.passivity.name for group in scene.groups}
+    return [_axis_meter(axis, algorithms.get(axis.group, axis.passivity.name)) for axis in scene.axes]
 
 
-def _axis_meter(axis: AxisScene) -> AxisMeter:
+def _axis_meter(axis: AxisScene, algorithm: str) -> AxisMeter:
     if axis.parameters.admittance is not None:
         return SilentMeter()
     environment = None if axis.group else plain(cast(Environment, axis.environment.parameters))
     declared = friction_declared(axis)
-    return AxisMeter(accuracy_of(axis), environment, None if declared is None else FrictionWatch(declared))
+    watch = None if declared is None else FrictionWatch(declared)
+    return AxisMeter(accuracy_of(axis, algorithm), environment, watch)
 
 
 def build_group(scene: Scene, group: GroupScene) -> GroupController:

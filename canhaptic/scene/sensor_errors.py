@@ -32,11 +32,16 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
     return loop.model_copy(update=changes) if changes else loop
 
 
-def accuracy_of(axis: AxisScene) -> Accuracy:
-    """Returns what is known of the sensors and of the device of an axis."""
+def accuracy_of(axis: AxisScene, algorithm: str) -> Accuracy:
+    """Returns what is known of the sensors and of the device of an axis.
+
+    Args:
+        axis: Of the scene.
+        algorithm: Name of the one that renders on it, or on its group.
+    """
     effects, loop = _effects(axis), loop_as_known(axis)
     late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
-    bounds_late = not axis.group and axis.passivity.name == "guarded"
+    bounds_late = algorithm == "guarded"
     return Accuracy(
         sample_time=loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)),
         position=0.5 * loop.encoder_count,
@@ -44,7 +49,7 @@ def accuracy_of(axis: AxisScene) -> Accuracy:
         torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0),
         torque_limit=_largest_torque(effects),
         late=0.0 if bounds_late else late,
-        counts_losses=not bounds_late,
+        counts_losses=bool(axis.group) or not bounds_late,
         largest_speed=axis.parameters.largest_speed,
         device_damping=loop.device_damping,
         device_friction=loop.device_friction,

@@ -29,6 +29,16 @@ motors that would go with it, W . u, so that D - u replaces D where it is multip
 **Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d serves every user.
 
 **Hand speed.** sum |F_i| v_max T <= E.
+
+**Holds that jitter, torques that come late** (`certificates.hold_timing`, of which (1) holds for every axis by itself).
+D_1 = r D_0 + responses with one r of all axes, 1 / growth <= r <= growth, so that W . D_0 counts with that; friction
+and responses are taken for the longest hold. A motor that still has an older torque adds a change of it on its own
+axis, a force d p(t) along e_i with p as in (1). Its response is never below zero for either sign of d,
+
+    W' M^-1 e_i d <= d W_i / 2 m_i + |d| |W|_P / 2 m_i^(1/2),
+
+so that it counts as in (1) as min(1, 2 theta / T) of its largest value held throughout, and adds to that of the
+torques of the hold. Of one axis this is max(0, g - f) / m. The energy of older torques is in `late_group`.
 """
 
 import math
@@ -37,6 +47,51 @@ from typing import NamedTuple
 from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, displacement_response
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.kernels import Buffer, Matrix
+
+
+class GroupTiming(NamedTuple):
+    """What is declared of the holds of a group; see `hold_timing`. Shapes (axes,)."""
+
+    is_ideal: bool  # whether every hold is exact, and no torque late
+    growth: float  # longest hold over the shortest
+    share: Buffer  # theta over the shortest hold
+    counted: Buffer  # of it what an older torque counts as held throughout
+    left: Buffer  # c: share of older torques that is left after a hold
+    roots: Buffer  # T m^(-1/2): a force of norm 1 in `before` + `during` moves an axis so far, without damping
+    hand: float  # F_h |1|, in the norm of `roots`
+    swing: Buffer  # by which friction lengthens the way back inside a hold
+    tail: Buffer  # theta / (T + theta)
+    tail_path: float  # v_max theta [m or rad]
+
+
+def timing_of(loops: tuple[LoopProperties, ...], by_hand: bool, pull: float, speed: float) -> GroupTiming:
+    """Returns what is declared of the holds of a group.
+
+    Args:
+        loops: Of each axis.
+        by_hand: Whether the moving mass of every axis is known.
+        pull: F_h with friction [N or N*m].
+        speed: v_max [m/s or rad/s]; 0: not declared.
+    """
+    timings = [loop.timing for loop in loops]
+    longest = max([timing.longest for timing in timings])
+    shortest = min([timing.shortest for timing in timings])
+    bounds = [max(loop.device_damping or 0.0, loop.device_damping_bound or 0.0) for loop in loops]
+    masses = [(loop.moving_mass or 1.0) if by_hand else 1.0 for loop in loops]
+    fading = [bound * longest / mass for bound, mass in zip(bounds, masses, strict=True)]
+    late = [timing.late for timing in timings]
+    return GroupTiming(
+        is_ideal=not any(late) and longest == shortest,
+        growth=longest / shortest,
+        share=[theta / shortest for theta in late],
+        counted=[min(1.0, 2.0 * theta / shortest) for theta in late],
+        left=[timing.left for timing in timings],
+        roots=[longest / math.sqrt(mass) for mass in masses],
+        hand=pull * longest * math.sqrt(sum(1.0 / mass for mass in masses)),
+        swing=[y / -math.expm1(-y) if y > 0.0 else 1.0 for y in fading],
+        tail=[theta / (longest + theta) for theta in late],
+        tail_path=speed * max(late),
+    )
 
 
 class AxisLimits(NamedTuple):
@@ -52,9 +107,8 @@ class AxisLimits(NamedTuple):
     path: float  # v_max T [m or rad]; 0: the hand-speed certificate is not declared
     counts: Buffer  # encoder counts [m or rad]
     coarse: bool  # whether any of them is above 0
-    late: Buffer  # theta of `hold_timing` over the shortest hold
-    left: Buffer  # c of `hold_timing`
-    is_ideal: bool  # whether every hold is: the certificates are proved for that alone
+    squares: Buffer  # 4 b / (T + theta): square of a torque over what it needs of the damping [N^2/J]; 0: not known
+    timing: GroupTiming
 
 
 def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_speed: float | None) -> AxisLimits:
@@ -65,8 +119,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
         hand_force: F_h of each axis [N or N*m]; None: the certificate is not used. It needs every moving mass.
         hand_speed: v_max [m/s or rad/s]; None: not used.
     """
-    timings = [loop.timing for loop in loops]
-    sample_time = max([timing.longest for timing in timings])
+    sample_time = max([loop.timing.longest for loop in loops])
     by_hand = hand_force is not None and all(loop.moving_mass is not None for loop in loops)
     alone = len(loops) == 1
     responses = [
@@ -81,6 +134,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
     pull = (hand_force or 0.0) + max([loop.device_friction_bound for loop in loops])
     lost = [1.0 - response.retained for response in responses]
     damping = [(loop.device_damping or 0.0) / sample_time for loop in loops]
+    timing = timing_of(loops, by_hand, pull, hand_speed or 0.0)
     return AxisLimits(
         before=[response.before for response in responses],
         during=[response.during for response in responses],
@@ -89,12 +143,11 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
         by_hand=by_hand,
         damping=damping,
         by_damping=all(value > 0.0 for value in damping),
-        path=(hand_speed or 0.0) * sample_time,
+        path=(hand_speed or 0.0) * sample_time + timing.tail_path,
         counts=[loop.encoder_count for loop in loops],
         coarse=any(loop.encoder_count for loop in loops),
-        late=[timing.late / timing.shortest for timing in timings],
-        left=[timing.left for timing in timings],
-        is_ideal=all(timing.late == 0.0 and timing.longest == timing.shortest for timing in timings),
+        squares=[4.0 * value * (1.0 - tail) for value, tail in zip(damping, timing.tail, strict=True)],
+        timing=timing,
     )
 
 
@@ -108,6 +161,39 @@ def _response_to(torques: Buffer, acting: Buffer, response: Buffer) -> float:
         second += acting[i] * gain * acting[i]
     largest = 0.5 * (product + math.sqrt(first * second))
     return largest if largest > 0.0 else 0.0
+
+
+def response_to_late(
+    axes: AxisLimits, torques: Buffer, highest: Buffer, lowest: Buffer, held: Buffer, response: Buffer
+) -> float:
+    """Returns the largest response of W . D [J] to older torques in a hold, beyond that to the torques held in it.
+
+    Args:
+        axes: What is known of them.
+        torques: W, (axes,).
+        highest: Of the older torques, (axes,) [N*m or N].
+        lowest: The same.
+        held: In the hold.
+        response: `before` or `during`.
+    """
+    size = total = 0.0
+    for i in range(len(response)):
+        size += torques[i] * response[i] * torques[i]
+    size = math.sqrt(size)
+    for i in range(len(response)):
+        above, below = max(0.0, highest[i] - held[i]), max(0.0, held[i] - lowest[i])
+        along, any_way = torques[i] * response[i], size * math.sqrt(response[i])
+        reply = max(above * max(0.0, any_way + along), below * max(0.0, any_way - along))
+        total += 0.5 * axes.timing.counted[i] * reply
+    return total
+
+
+def pass_range(axes: AxisLimits, highest: Buffer, lowest: Buffer, held: Buffer) -> None:
+    """Makes the range of the torques at a SYNC that at the next one, after a hold of these."""
+    for i in range(len(held)):
+        torque, left = held[i], axes.timing.left[i]
+        highest[i] = torque + left * max(0.0, highest[i] - torque)
+        lowest[i] = torque - left * max(0.0, torque - lowest[i])
 
 
 def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
@@ -140,9 +226,16 @@ def _raised_by_friction(axes: AxisLimits, torques: Buffer, displacement: Buffer)
     return total
 
 
+class Acting(NamedTuple):
+    """The range of the torques that act at a SYNC."""
+
+    highest: Buffer  # at most, (axes,) [N*m or N]
+    lowest: Buffer  # at least
+
+
 def base_of(
     axes: AxisLimits, torques: Buffer, displacement: Buffer, bound: float, last: Buffer, sent: Matrix, first: int,
-    under_way: int,
+    under_way: int, range_of: Acting,
 ) -> float:  # fmt: skip
     """Returns the base of l W . D [J] for torques that act after those under way.
 
@@ -158,19 +251,39 @@ def base_of(
         sent: Torques by hold, a ring (holds, axes).
         first: Place of the hold that comes next; below 0 it wraps.
         under_way: Number of holds before that of W.
+        range_of: At the SYNC at which the hold that ended began; where torques come late, changed to that of W.
     """
     hand, friction = _hand_term(axes, torques), _raised_by_friction(axes, torques, displacement)
-    total = bound + friction
+    is_ideal, growth = axes.timing.is_ideal, axes.timing.growth
+    highest, lowest = range_of.highest, range_of.lowest
+    friction *= growth
+    total = _stretched(bound, growth) + friction
     total += _response_to(torques, last, axes.before) + hand
+    if not is_ideal:
+        total += response_to_late(axes, torques, highest, lowest, last, axes.before)
+        pass_range(axes, highest, lowest, last)
     for place in range(first, first + under_way):
         acting = sent[place]
         total += _response_to(torques, acting, axes.during)
+        if not is_ideal:
+            total += response_to_late(axes, torques, highest, lowest, acting, axes.during)
         if len(axes.lost) > 1:
-            total += friction
+            total = _stretched(total, growth) + friction
         elif total < 0.0:
             total -= axes.lost[0] * total
+            total = _stretched(total, growth)
+        else:
+            total *= growth
         total += _response_to(torques, acting, axes.before) + hand
+        if not is_ideal:
+            total += response_to_late(axes, torques, highest, lowest, acting, axes.before)
+            pass_range(axes, highest, lowest, acting)
     return total
+
+
+def _stretched(total: float, growth: float) -> float:
+    """Returns the largest that W . D can be in a hold of another length."""
+    return total * growth if total > 0.0 else total / growth
 
 
 def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
@@ -190,15 +303,15 @@ def gain_of(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def damping_need(axes: AxisLimits, torques: Buffer) -> float:
-    """Returns sum(F_i^2 T / 4 b_i) [J]."""
+    """Returns sum(F_i^2 (T + theta_i) / 4 b_i) [J]."""
     total = 0.0
     for i in range(len(axes.damping)):
-        total += torques[i] * torques[i] / (4.0 * axes.damping[i])
+        total += torques[i] * torques[i] / axes.squares[i]
     return total
 
 
 def path_need(axes: AxisLimits, torques: Buffer) -> float:
-    """Returns sum |F_i| v_max T [J]."""
+    """Returns sum |F_i| v_max (T + theta) [J]."""
     total = 0.0
     for torque in torques:
         total += abs(torque)

@@ -62,6 +62,7 @@ class GroupHold(NamedTuple):
     account: EnergyBalance
     supplied: float
     unsure: float
+    further: float  # how much more than what was not taken off may have come in [J]
     limit: int
     place: int  # of the torques that it sent, in the rings of the commands
 

@@ -5,9 +5,10 @@ from typing import Final, NamedTuple
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.certificates.torque_bound import keep
-from canhaptic.control.multi_axis.group_account import UnderWay, certain_energy, fade, quotient, shares
+from canhaptic.control.multi_axis.group_account import certain_energy, fade, quotient
 from canhaptic.control.multi_axis.group_commands import GroupCommands, next_place, send_nothing, take_applied
 from canhaptic.control.multi_axis.group_motion import World, write_efforts
+from canhaptic.control.multi_axis.group_shares import UnderWay, shares
 from canhaptic.control.multi_axis.guarded_state import GuardedGroupMemory, GuardedGroupSettings, GuardedGroupState
 from canhaptic.control.multi_axis.per_axis_certificates import raise_inward
 from canhaptic.control.passivity.in_flight import towards_zero
@@ -16,7 +17,6 @@ from canhaptic.kernels import Buffer, new
 
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
-_NOTHING = Certificate.NONE.value
 
 _LEAD_ROOM: Final = 1.75  # as in `passivity.guarded`, with the reasons
 _FADE: Final = 0.8
@@ -124,8 +124,6 @@ def certify(
             certificate = _BY_DAMPING
         elif by_force >= factor:
             certificate = _BY_FORCE
-    if not settings.account.axes.is_ideal:  # torques that come late are in the account, and certified by nothing
-        certificate = _NOTHING
     if settings.quantised:
         return put_on_grid(settings, state, memory, under_way, energy, factor), certificate
     for i in range(len(sent)):

@@ -9,19 +9,14 @@ from typing import ClassVar
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.multi_axis.group_account import (
-    UnderWay,
-    doubt_of_mover,
-    end_group_gap,
-    end_group_hold,
-    free_energy,
-)
+from canhaptic.control.multi_axis.group_account import doubt_of_mover, end_group_gap, end_group_hold
 from canhaptic.control.multi_axis.group_certificates import taken_by_mover
 from canhaptic.control.multi_axis.group_commands import end_holds, norm
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
 from canhaptic.control.multi_axis.group_motion import World, begin_motion, follow, write_carried
 from canhaptic.control.multi_axis.group_rendering import render
+from canhaptic.control.multi_axis.group_shares import UnderWay, free_energy
 from canhaptic.control.multi_axis.guarded_state import (
     GuardedGroupMemory,
     GuardedGroupParameters,
@@ -55,10 +50,10 @@ def step(
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
     if not group.started:
         begin(world, settings, state, memory, positions)
-        return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
+        return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
-    supplied, unsure = end(world, settings, state, memory, missed)
+    supplied, unsure, further = end(world, settings, state, memory, missed)
     h_i = h_pas = lost = 0.0
     for i in range(len(ended.interactions)):
         h_i += ended.interactions[i]
@@ -75,7 +70,7 @@ def step(
         norm(commands.torques[group.oldest - 1]), h_i, h_pas, h_i - h_pas, h_r, account.h_s, account.h_dis, 0.0,
         deficit, leak, paid, branch, rendered, certificate, memory.group.motion.network.state[0],
     ))  # fmt: skip
-    return new(GroupHold, (balance, supplied, unsure, motion.limit, group.oldest - 1))
+    return new(GroupHold, (balance, supplied, unsure, further, motion.limit, group.oldest - 1))
 
 
 def begin(
@@ -102,20 +97,22 @@ def end(
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
     missed: int,
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Takes the holds that ended into the account; returns what a mover supplied, and what is unsure [J].
+
+    That is how much less may have come in, which is not booked, and how much more than the rest.
 
     The mover's motion is that of the motors at the pose at which it was first asked for: with another pose of the same
     hold less might be booked than was certified.
     """
     ended, account, limits = memory.group.ended, memory.account, settings.account.apart
-    supplied = doubt = 0.0
+    supplied = doubt = moved = 0.0
     if settings.loop.motion.moves:
         for hold in range(missed + 1):
             write_passed(world, settings, state, memory, hold, missed + 1)
             supplied += taken_by_mover(ended.applied, account.passing)
             if hold < missed:
-                doubt += doubt_of_mover(account, ended, hold)
+                moved += doubt_of_mover(account, ended, hold)
         for hold in range(limits.holds):
             later, into = hold + missed + 1, account.coming[hold]
             if later < limits.holds:
@@ -124,9 +121,11 @@ def end(
             else:
                 write_carried(world, settings.loop.motion, state.group.motion, memory.group.motion, hold, into)
     if missed == 0:
-        return 0.0 - supplied, end_group_hold(settings.account, state.account, account, ended)
-    doubt += end_group_gap(settings.account, state.account, account, ended, missed)
-    return 0.0 - supplied, doubt if doubt > 0.0 else 0.0
+        doubt = end_group_hold(settings.account, state.account, account, ended)
+        return 0.0 - supplied, doubt, doubt
+    doubt, further = end_group_gap(settings.account, state.account, account, ended, missed)
+    doubt += moved
+    return 0.0 - supplied, doubt if doubt > 0.0 else 0.0, further + 2.0 * moved
 
 
 def write_passed(

@@ -3,15 +3,16 @@
 from dataclasses import dataclass, field
 from typing import Annotated, Final, NamedTuple
 
-from canhaptic.control.multi_axis.group_account import AccountMemory, AccountSettings, GroupAccount
+from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
+from canhaptic.control.multi_axis.group_account import AccountSettings, GroupAccount
 from canhaptic.control.multi_axis.group_certificates import axes_of
 from canhaptic.control.multi_axis.group_kernel import Group, GroupLoop, GroupMemory, group_loop, group_memory
 from canhaptic.control.multi_axis.group_motion import RequestedEfforts, World
-from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, per_axis_memory
+from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.recovery import Alpha
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, list_of_zeros, zeros
+from canhaptic.kernels import Buffer, list_of_zeros
 from canhaptic.units import Parameters, quantity
 
 _CALM: Final = 0.7  # as in `passivity.guarded`, with the reasons
@@ -83,6 +84,7 @@ def settings_of(
         ParameterError: Nothing is known that a torque could be certified by.
     """
     sample_time, delay = loops[0].sample_time, loops[0].delay
+    late = max([loop.timing.late for loop in loops]) / sample_time
     axes = axes_of(loops, parameters.hand_force, parameters.hand_speed)
     if not (axes.by_hand or axes.by_damping or axes.path):
         raise ParameterError(
@@ -103,8 +105,8 @@ def settings_of(
         AccountSettings(axes, limits, loop.motion.moves),
         credit=parameters.energy_allowance,
         alpha=parameters.alpha,
-        lead=parameters.prediction_holds + delay,
-        calm=_CALM / (sample_time * (0.5 + delay)) if axes.by_hand else 0.0,
+        lead=parameters.prediction_holds + delay + late,
+        calm=_CALM / (sample_time * (0.5 + delay + late)) if axes.by_hand else 0.0,
         damped=[2.0 * b / (1 + delay) for b in axes.damping],
         path=axes.path * (1 + delay),
         quanta=quanta,
@@ -115,10 +117,8 @@ def settings_of(
 def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemory:
     """Returns the buffers of a group at rest."""
     axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
-    account = AccountMemory(
-        one(axes), one(axes), one(axes), one(axes), zeros(limits.holds, axes), one(axes), per_axis_memory(limits)
-    )
     return GuardedGroupMemory(
-        group_memory(world, settings.loop, 0), account, RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
+        group_memory(world, settings.loop, 0), account_memory(limits),
+        RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
         one(axes), one(axes), one(axes), one(axes), one(axes),
     )  # fmt: skip

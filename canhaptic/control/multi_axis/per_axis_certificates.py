@@ -15,73 +15,34 @@ of the interval are enough. With the new torques scaled by l <= 1, N <= N_0 + l 
 N_1^2 = sum(r_i max(0, W_i^2 - f_i^2)), f_i the largest sent before. Every term is a parabola in l, their sum convex,
 and the largest l within the budget is found by solving for the terms that count at the last one, from l = 1 down.
 
+**Torques that come late** (`hold_timing`). In a hold, axis i may then have any course between 0 and the torques of that
+hold, and gives out no more than the largest times the way V that it goes along it: for an axis that gains a T in the
+hold, V = D_ij where it begins outward, and V <= (D_ij + a T^2 / 2) / 2 where it turns inside the hold and
+D_ij <= a T^2 / 2. What an older torque has beyond all of those acts for theta alone (`write_tail`), and all of them,
+once more, in the hold after the last. A mover that gives energy gives it to the torque that is held, which may be
+none.
+
 A mover's motion, known in advance, is taken off D_ij (`bound`). The hand counts axis by axis as well: a force across
 the torque of the group that pulls one axis along its own torque is part of the declared force.
 """
 
 from math import sqrt
-from typing import Final, NamedTuple
+from typing import Final
 
 from canhaptic.control.certificates.scalar_bounds import hand_force_bound
-from canhaptic.control.multi_axis.group_certificates import AxisLimits
-from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
+from canhaptic.control.multi_axis.group_certificates import Acting, AxisLimits
+from canhaptic.control.multi_axis.late_cells import write_late_cells, write_parabolas
+from canhaptic.control.multi_axis.per_axis_memory import PerAxisLimits, PerAxisMemory
+from canhaptic.kernels import Buffer, Matrix
 
 _PASSES: Final = 24
 """Most passes of the search for a share; an axis that needs more renders nothing."""
 _ROUNDING: Final = 1e-12
 
 
-class PerAxisLimits(NamedTuple):
-    """What is fixed for a run."""
-
-    delay: int  # whole holds between computation and action
-    losses: int  # consecutive cycles in which an axis may be without a new torque
-    holds: int  # in which the next torque may act, counted from now
-    first: float  # share of a whole response that a torque has in its first hold
-    responses: Buffer  # T^2 / m of each axis
-    roots: Buffer  # of these
-
-
-class PerAxisMemory(NamedTuple):
-    """The torques that may still act and what each axis may give out with them; [J] but for torques and starts."""
-
-    sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
-    largest: Buffer  # size of any of them on each axis, (axes,)
-    starts: Matrix  # displacement of the hold that ended along + and -, encoder and blur included, (axes, 2) [m or rad]
-    lost: Matrix  # what friction takes of it in a hold, (axes, 2)
-    along: Matrix  # largest torque along + that may act in each hold, (holds, axes) [N*m or N]
-    against: Matrix  # the same along -
-    ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (holds * axes,)
-    constant: Buffer  # A of the parabolas A + B l + C l^2, (4 * holds * axes,)
-    linear: Buffer  # B
-    square: Buffer  # C
-    old: Buffer  # sums over the holds by the torques under way, (axes,)
-    new: Buffer  # and what new ones add
-    nothing: Buffer  # zeros, (axes,)
-    alone: Buffer  # a torque of one axis, (axes,)
-    others: Buffer  # of all others
-
-
-def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
-    """Returns what is fixed for a run."""
-    whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
-    first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
-    return PerAxisLimits(delay, losses, delay + 1 + losses, first, whole, [sqrt(r) for r in whole])
-
-
-def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
-    """Returns empty buffers."""
-    axes, one = len(limits.roots), list_of_zeros
-    cells = limits.holds * axes if limits.losses else 0
-    return PerAxisMemory(
-        zeros(limits.delay + 1, axes), one(axes), zeros(axes, 2), zeros(axes, 2), zeros(limits.holds, axes),
-        zeros(limits.holds, axes), [0] * cells, *[one(4 * cells) for _ in range(3)], *[one(axes) for _ in range(5)],
-    )  # fmt: skip
-
-
 def take_sent(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, displacement: Buffer, blur: Buffer,
-    torques: Buffer, under_way: Matrix, first: int,
+    torques: Buffer, under_way: Matrix, first: int, older: Acting,
 ) -> None:  # fmt: skip
     """Takes the hold that ended and the torques that may still act.
 
@@ -94,6 +55,7 @@ def take_sent(
         torques: Held in it, (axes,) [N*m or N].
         under_way: Sent, a ring (delay + 1, axes).
         first: Place of the torques that act next; below 0 it wraps.
+        older: Range of all torques at the last SYNC, where torques come late.
     """
     for i in range(len(torques)):
         memory.sent[0][i], memory.largest[i] = torques[i], abs(torques[i])
@@ -102,13 +64,20 @@ def take_sent(
         for side in range(2):
             start = memory.starts[i][side]
             memory.lost[i][side] = axes.lost[i] * max(0.0, -start)
+        if not limits.is_ideal:
+            take_older(axes, memory, older, i)
     for hold in range(limits.delay):
         row = under_way[first + hold]
         for i in range(len(torques)):
             memory.sent[hold + 1][i] = row[i]
             memory.largest[i] = max(memory.largest[i], abs(row[i]))
+    write_largest(limits, memory)
+
+
+def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
+    """Writes the largest torques that may act in each hold, of those sent."""
     for index in range(limits.holds):
-        for i in range(len(torques)):
+        for i in range(len(memory.largest)):
             up, down, found = 0.0, 0.0, False
             for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
                 torque = memory.sent[place][i]
@@ -118,6 +87,17 @@ def take_sent(
                     down = -torque
                 found = True
             memory.along[index][i], memory.against[index][i] = up, down
+
+
+def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int) -> None:
+    """Takes the range of the torques of an axis at the last SYNC, holds of any length, and friction within them."""
+    highest, lowest = older.highest[axis], older.lowest[axis]
+    memory.older.highest[axis], memory.older.lowest[axis] = highest, lowest
+    memory.largest[axis] = max(memory.largest[axis], highest, -lowest)
+    for side in range(2):
+        start, growth = memory.starts[axis][side], axes.timing.growth
+        memory.starts[axis][side] = start * growth if start > 0.0 else start / growth
+        memory.lost[axis][side] *= axes.timing.swing[axis] / growth
 
 
 def first_of(limits: PerAxisLimits, hold: int) -> int:
@@ -157,21 +137,25 @@ def write_cells(
         for i in range(len(torques)):
             root, sign = limits.roots[i], 1.0
             for side in range(2):
-                base = memory.starts[i][side] + (index + 1) * (memory.lost[i][side] + root * norm)
-                base -= sign * coming[index][i]
+                pace = memory.lost[i][side] + root * norm
+                base = memory.starts[i][side] + (index + 1) * pace
+                if limits.is_ideal or sign * coming[index][i] < 0.0:
+                    base -= sign * coming[index][i]
                 slope, new = root * grown, sign * torques[i]
                 old = memory.along[index][i] if side == 0 else memory.against[index][i]
                 if mine >= 0:
                     old = max(old, sign * fixed[i])
-                if old > 0.0:
-                    memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
-                    place += 1
-                if mine >= 0 and new > 0.0:
-                    memory.constant[place], memory.linear[place], memory.square[place] = 0.0, new * base, new * slope
-                    place += 1
+                if mine < 0:
+                    new = 0.0
+                place = write_parabolas(memory, place, old, new, base, slope)
+                if not limits.is_ideal:  # it may turn inside the hold
+                    base, slope = 0.5 * base + 0.25 * pace, 0.5 * slope + 0.25 * root * more
+                    place = write_parabolas(memory, place, old, new, base, slope)
                 sign = -1.0
             memory.ends[cell] = place
             cell += 1
+    if not limits.is_ideal:
+        write_late_cells(axes, limits, memory, torques, fixed, norm, more, place)
 
 
 def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix) -> float:

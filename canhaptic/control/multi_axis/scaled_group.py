@@ -94,7 +94,7 @@ def step(
             ended.position[i] = positions[i]
         begin_motion(world, loop.motion, motion, memory.group.motion, positions)
         begin_state(world, state, memory)
-        return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
+        return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     commands = memory.group.commands
     group.oldest = end_holds(commands, ended, loop.largest, group.oldest, missed, positions, torques_applied)
     place, unsure = group.oldest, unsure_of(memory, ended, missed)
@@ -118,7 +118,7 @@ def step(
         norm(commands.torques[place]), h_i, h_pas, h_i - h_pas, h_r, state.paid.h_s, state.h_dis, gen, deficit,
         leak, paid, branch, rendered, _NO_PROMISE, memory.group.motion.network.state[0],
     ))  # fmt: skip
-    return new(GroupHold, (balance, supplied, unsure, motion.limit, place))
+    return new(GroupHold, (balance, supplied, unsure, unsure, motion.limit, place))
 
 
 def unsure_of(memory: ScaledGroupMemory, ended: GroupHolds, missed: int) -> float:

@@ -49,7 +49,8 @@ class SteppedGroup:
     """A kernel with the state of one group; see `GroupController`.
 
     Attributes:
-        energy_resolution: How much more than booked may have come in because torques came late [J].
+        energy_resolution: How much more than was not taken off as unsure may have come in: torques that came late,
+            samples that were lost [J].
     """
 
     parameters_type: ClassVar[type[Parameters]]
@@ -103,7 +104,7 @@ class SteppedGroup:
                 f"expected {self.axes} finite numbers each; torque is zero and the controller is to be reset, check "
                 "the encoders"
             )
-        account, supplied, unsure, limit, place = self._step(self._missed, positions, torques_applied)
+        account, supplied, unsure, further, limit, place = self._step(self._missed, positions, torques_applied)
         torques = tuple(self._torques[place])
         if not isfinite(sum(torques)):
             self.reset()
@@ -111,8 +112,7 @@ class SteppedGroup:
                 f"group controller: computed torques {torques}, expected finite numbers; torque is zero and "
                 "the controller is to be reset, check stiffness and damping against the size of the motion"
             )
-        if not self._missed:
-            self.energy_resolution += unsure
+        self.energy_resolution += further
         self._started, self._missed = True, 0
         self._last = GroupBalance(torques, account, tuple(self._interactions), supplied, unsure, limit)
         return self._last

@@ -49,8 +49,15 @@ class Attack:
     in_a_row: int = 0  # that are lost; 0: as many as declared
     own: dict = field(default_factory=dict)
     known: dict = field(default_factory=dict)
+    windows: tuple | None = None  # of a sample time, in which an older torque of each axis acts at most
+    lags: tuple | None = None  # of a sample time, of the torque of each motor
+    jitter: float = 0.0
     parts: int = 2
     cycles: int = 150
+
+    @property
+    def is_late(self):
+        return bool(self.windows or self.lags or self.jitter)
 
 
 class ExactTable:
@@ -67,11 +74,18 @@ class ExactTable:
         rates[:n, n : 2 * n] = np.eye(n)
         rates[n : 2 * n, n : 2 * n] = -self.mobility @ np.diag(attack.friction)
         rates[n : 2 * n, 2 * n :] = self.mobility
-        self._n, self._short = n, attack.sample_time / attack.parts
-        self._step = expm(rates * self._short)[: 2 * n]
+        self._n, self._short, self._rates = n, attack.sample_time / attack.parts, rates
+        self._is_late, self._steps = attack.is_late, {}
+        self.last(1.0)
         self.state = np.array([*attack.start, *attack.velocity])
         self._wall, self.time = wall, 0.0
         self.given = self.least = 0.0
+
+    def last(self, share):
+        """Takes how long the next hold is, as a part of the sample time."""
+        if share not in self._steps:
+            self._steps[share] = expm(self._rates * self._short * share)[: 2 * self._n]
+        self._step = self._steps[share]
 
     @property
     def position(self):
@@ -89,7 +103,7 @@ class ExactTable:
         if self._wall:
             normal, place = self._wall
             self.given += float(torque @ normal) * (place(self.time) - place(began))
-        if not self._wall:  # it moves unevenly inside a hold, and is foreseen at its end
+        if not (self._wall or self._is_late):  # what is uneven inside a hold is foreseen at its end
             self.least = min(self.least, self.given)
 
     def _displaced(self, torque, hand):
@@ -104,9 +118,14 @@ class DraggedTable(ExactTable):
 
 
 def group_of(attack):
-    known = {"device_damping_bound": attack.declared_friction or 0.0, **attack.known}
+    known = {"device_damping_bound": attack.declared_friction or 0.0, "sync_jitter": attack.jitter, **attack.known}
+    late = [
+        {"torque_window": w * attack.sample_time, "current_lag": lag * attack.sample_time}
+        for w, lag in zip(attack.windows or (0.0,) * 9, attack.lags or (0.0,) * 9, strict=False)
+    ]
     loops = [
         LoopProperties(
+            **late[i],
             sample_time=attack.sample_time, delay=attack.delay, moving_mass=mass, encoder_count=attack.count,
             torque_quantum=attack.quantum, torque_limit=attack.limits[i] if attack.limits else None, **known,
         )
@@ -148,6 +167,33 @@ class Hand:
         return self._most * np.sign(wanted) if self._rng.random() < 0.5 else self._most * wanted / abs(wanted).max()
 
 
+class Motors:
+    """Torques as they come: each axis somewhere in its window after the SYNC, and with its lag."""
+
+    def __init__(self, attack, rng):
+        self._attack, self._rng, axes = attack, rng, len(attack.masses)
+        self._before, self._true = np.zeros(axes), np.zeros(axes)
+        self._windows, self._lags = attack.windows or (0.0,) * axes, attack.lags or (0.0,) * axes
+
+    def parts_of(self, held, longer):
+        """Returns the mean torques of the parts of a hold, which lasts `longer` sample times."""
+        count, step, rows = self._attack.parts, longer / self._attack.parts, []
+        at = [self._rng.choice((0.0, window, self._rng.uniform(0.0, window))) for window in self._windows]
+        for part in range(count):
+            row = np.zeros(len(held))
+            for i, lag in enumerate(self._lags):
+                late = min(1.0, max(0.0, at[i] / step - part))
+                demand = mean = late * self._before[i] + (1.0 - late) * held[i]
+                if lag > 0.0:
+                    kept = math.exp(-step / lag)
+                    mean = demand + (self._true[i] - demand) * (1.0 - kept) * lag / step
+                    self._true[i] = demand + (self._true[i] - demand) * kept
+                row[i] = mean
+            rows.append(row)
+        self._before = held
+        return rows
+
+
 class Losses:
     """Frames lost in any mix: no axis is without a new torque for more than the declared cycles in a row.
 
@@ -187,6 +233,7 @@ def run(attack, rng, each=None):
     plant = (ExactTable if attack.hand_force is not None else DraggedTable)(attack, wall_of(attack.environment))
     hand, losses = Hand(attack, plant.mobility, rng), Losses(attack, rng)
     pending, held, strongest = [np.zeros(axes)] * attack.delay, np.zeros(axes), 0.0
+    motors = Motors(attack, rng)
     for cycle in range(attack.cycles):
         position = plant.position
         if attack.count:
@@ -202,8 +249,10 @@ def run(attack, rng, each=None):
         if attack.cuts:
             acting = np.clip(acting, [-c for c in attack.cuts], attack.cuts)
         held, strongest = acting, max(strongest, float(np.abs(acting).max()))
-        for _ in range(attack.parts):
-            plant.move(held, hand.force(held, command, plant.velocity))
+        longer = rng.choice((1.0 - attack.jitter, 1.0 + attack.jitter, 1.0)) if attack.jitter else 1.0
+        plant.last(longer)
+        for torque in motors.parts_of(held, longer) if attack.is_late else [held] * attack.parts:
+            plant.move(torque, hand.force(held, command, plant.velocity))
         plant.least = min(plant.least, plant.given)
         if np.abs(plant.position).max() > 10.0:
             break
@@ -270,6 +319,15 @@ def random_attack(rng, **given):
         parts=rng.choice((1, 2, 4)),
     )
     return replace(drawn, **given)
+
+
+def late(attack, rng):
+    """Returns an attack with torques that come late, by axis, and holds that jitter."""
+    axes = len(attack.masses)
+    windows = tuple(rng.choice((0.0, rng.uniform(0.0, 0.6))) for _ in range(axes))
+    lags = tuple(rng.choice((0.0, 10.0 ** rng.uniform(-2, 0.3))) for _ in range(axes))
+    jitter = rng.choice((0.0, 0.0, 0.02, 0.2)) if not attack.own.get("hand_speed") else 0.0
+    return replace(attack, windows=windows, lags=lags, jitter=jitter, parts=12)
 
 
 def in_space(attack, rng):

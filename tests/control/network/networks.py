@@ -6,15 +6,10 @@ import numpy as np
 
 from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
+from canhaptic.control.multi_axis.group_certificates import Acting
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
-from canhaptic.control.multi_axis.per_axis_certificates import (
-    needed_by_hand,
-    per_axis_limits,
-    per_axis_memory,
-    raise_inward,
-    share_by_hand,
-    take_sent,
-)
+from canhaptic.control.multi_axis.per_axis_certificates import needed_by_hand, raise_inward, share_by_hand, take_sent
+from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits, per_axis_memory
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, QuadraticForm, Spring
 from canhaptic.control.port_hamiltonian.sampled_network import (
@@ -42,6 +37,9 @@ def group(environment, axes=2, *, algorithm="guarded", sample_time=1e-3, delay=0
     )
 
 
+NO_OLDER = Acting([0.0] * 3, [0.0] * 3)
+
+
 class AxesApart:
     """The certificates of axes that may act apart, with their buffers; none that a mover moves where none is given."""
 
@@ -52,7 +50,7 @@ class AxesApart:
     def take(self, displacement, blur, torques, under_way, coming=()):
         still = [[0.0] * len(torques)] * self.limits.holds
         self.coming = coming or still
-        take_sent(self.axes, self.limits, self.memory, displacement, blur, torques, under_way, 0)
+        take_sent(self.axes, self.limits, self.memory, displacement, blur, torques, under_way, 0, NO_OLDER)
 
     def share_by_hand(self, torques, budget):
         return share_by_hand(self.axes, self.limits, self.memory, self.coming, torques, budget)

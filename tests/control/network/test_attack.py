@@ -23,6 +23,7 @@ from tests.control.network.attack import (
     before_moving_wall,
     dragged,
     in_space,
+    late,
     random_attack,
     run,
 )
@@ -47,8 +48,11 @@ KINDS = {
     "a wall that moves": {},
     "a wall that moves, frames lost": {**LOSSES, "max_consecutive_losses": 2},
     "a hand of declared speed, frames lost": {**LOSSES, "max_consecutive_losses": 2},
+    "late": {},
+    "late, frames lost": {**LOSSES, "max_consecutive_losses": 2},
 }  # fmt: skip
 MADE = {
+    "late": late, "late, frames lost": late,
     "three axes": in_space, "three axes, frames lost": in_space, "a wall that moves": before_moving_wall,
     "a wall that moves, frames lost": before_moving_wall,
     "a hand of declared speed, frames lost": dragged,

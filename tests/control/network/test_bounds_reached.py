@@ -6,10 +6,11 @@ import random
 import pytest
 
 from canhaptic.control.certificates.lost_samples import Gap, doubt_of
-from canhaptic.control.multi_axis.group_account import AccountMemory, doubt_of_axis, doubt_of_mover
+from canhaptic.control.multi_axis.account_memory import account_memory
+from canhaptic.control.multi_axis.group_account import doubt_of_axis, doubt_of_mover
 from canhaptic.control.multi_axis.group_certificates import axes_of
 from canhaptic.control.multi_axis.group_commands import GroupHolds
-from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, per_axis_memory
+from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 from tests.control.network.networks import AxesApart
 
@@ -108,10 +109,9 @@ def gap_of(random_of, holds, pull, friction, largest):
 def held(torques):
     """Returns the buffers of one axis in which these torques were held, the first before the holds."""
     lost = [[f] for f in torques[1:-1]]
-    apart = per_axis_memory(
-        per_axis_limits(axes_of((LoopProperties(sample_time=T, moving_mass=MASS),), 0.0, None), 0, 0)
-    )
-    memory = AccountMemory([0.0], [torques[0]], [0.0], [0.0], [], [0.0], apart)
+    limits = per_axis_limits(axes_of((LoopProperties(sample_time=T, moving_mass=MASS),), 0.0, None), 0, 0)
+    memory = account_memory(limits)
+    memory.torques[0] = torques[0]
     return memory, GroupHolds([0.0], [0.0], [torques[-1]], lost, [])
 
 
