@@ -307,13 +307,14 @@ def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> Ma
 def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
     """Gives the simulated drive of an admittance display the scales of its axis, unless it has its own."""
     display = axis.get("admittance")
-    if not isinstance(display, MarkedMapping) or "display" in drive:
+    own = drive.get("display", MarkedMapping(drive.mark))
+    if not isinstance(display, MarkedMapping) or not isinstance(own, MarkedMapping):
         return
     force = display.get("force")
     if not isinstance(force, MarkedMapping) or "object" not in force or "per_count" not in force:
         return
     at = axis.value_at("admittance")
-    scales = MarkedMapping(at)
+    scales = own.copy()
     named = {
         "force_object": force["object"],
         "force_per_count": force["per_count"],
@@ -321,7 +322,7 @@ def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
         "velocity_counts": display.get("velocity_counts"),
     }
     for key, value in named.items():
-        if value is not None:
+        if value is not None and key not in scales:
             scales.put(key, value, at, at)
     drive.put("display", scales, at, at)
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -111,11 +112,24 @@ def test_a_frozen_sensor_stops_the_rig() -> None:
     [
         "simulation.admittance.sensor.freeze_at=0.8 s",
         "simulation.bus={drop: 1.0, direction: to_drive, ids: [0x201], during: [{begin: 0.8, duration: 5}]}",
+        "simulation.drive.display.ramp=3 m/s^2",
     ],
 )
 def test_a_sensor_or_drive_that_contradicts_the_encoder_stops_the_rig(fault: str) -> None:
     with pytest.raises(ControlError, match="by encoder and commands at least"):
         _run(fault, cycles=2500)
+
+
+def test_a_ramp_in_the_drive_slows_the_velocity_demanded() -> None:
+    demanded = []
+    with build(load_scene(SCENE, ["simulation.drive.display.ramp=1 m/s^2"])) as experiment:
+        assert experiment.far_side is not None
+        drive = experiment.far_side.drives[0]
+        run(experiment.cycle, 300, progress=lambda _: demanded.append(drive.servo.torque))
+        assert drive.store.entry(0x6083, 0x07).value == 0xFFFF_FFFF  # the start writes those that it can reach
+    commands = [record.torques_per_mille[0] * 1e-6 for record in experiment.rig.records]
+    assert max(abs(b - a) for a, b in pairwise(demanded)) <= 1e-3 + 1e-12
+    assert max(abs(b - a) for a, b in pairwise(commands)) > 3e-3
 
 
 def test_the_stop_is_a_quick_stop_until_standstill() -> None:

@@ -24,6 +24,7 @@ FAULTS: dict[str, tuple[str, ...]] = {
     "sensor 5 N off": (f"{_SENSOR}.fault_at={_BEGIN}", f"{_SENSOR}.fault_offset=5"),
     "sensor with the wrong sign": (f"{_SENSOR}.gain=-1",),
     "force one sample later than declared": (f"{_SENSOR}.latency=1",),
+    "ramp of 3 m/s^2 left in the drive": ("simulation.drive.display.ramp=3",),
     "every RPDO lost": (f"simulation.bus={{drop: 1.0, direction: to_drive, ids: [0x201], {_WINDOW}}}",),
     "every TPDO lost": (f"simulation.bus={{drop: 1.0, direction: to_master, ids: [0x181], {_WINDOW}}}",),
     "TPDOs lost, one in ten": (f"simulation.bus={{drop: 0.1, direction: to_master, ids: [0x181], {_WINDOW}}}",),

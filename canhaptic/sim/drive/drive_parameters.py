@@ -42,6 +42,8 @@ class DisplayScaling(Parameters):
     """Counts at no force."""
     velocity_counts: Annotated[float, quantity("count*s/m", "count*s/rad", gt=0.0)] | None = None
     """Counts of 0x60FF for 1 m/s or 1 rad/s; None: those of the position, as for counts per second."""
+    ramp: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0, le=1e6)] | None = None
+    """A ramp in the drive that no object shows, besides those of 0x6083 and 0x60C5; None: none."""
 
 
 class SimulatedDriveParameters(Parameters):

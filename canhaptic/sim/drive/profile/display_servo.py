@@ -1,10 +1,19 @@
-"""The power stage of a simulated drive in the cyclic modes 8 and 9, with a force sensor at its analog input. No bus."""
+"""The power stage of a simulated drive in the cyclic modes 8 and 9, with a force sensor at its analog input. No bus.
 
+In mode 9 the velocity demanded follows the target along the ramps of the drive: once for each SYNC, by no more than the
+smaller of 0x6083 and 0x60C5 allows in that time, or of 0x6084 and 0x60C6 towards zero.
+"""
+
+from math import inf
 from typing import Final, Protocol
 
 from canhaptic.canopen.objects import (
     CYCLIC_SYNC_POSITION,
     CYCLIC_SYNC_VELOCITY,
+    MAX_ACCELERATION,
+    MAX_DECELERATION,
+    PROFILE_ACCELERATION,
+    PROFILE_DECELERATION,
     TARGET_POSITION,
     TARGET_VELOCITY,
     DataType,
@@ -55,6 +64,12 @@ class DisplayServo(Servo):
         self._force, self._per_count, self._force_offset = force, display.force_per_count, display.force_offset_counts
         self._per_velocity_count = parameters.position_sign / (display.velocity_counts or parameters.counts_per_unit)
         self._per_position_count = parameters.position_sign / parameters.counts_per_unit
+        self._speeding, self._slowing = (
+            [entry for index in indices if (entry := store.find(index)) is not None]
+            for indices in ((PROFILE_ACCELERATION, MAX_ACCELERATION), (PROFILE_DECELERATION, MAX_DECELERATION))
+        )
+        self._hidden_ramp = display.ramp or inf
+        self._ramped = 0.0  # velocity demanded, at the begin of this hold [m/s or rad/s]
         self._braking_since = -1
         self._setpoint: int | None = None
         self._has_taken = False
@@ -78,11 +93,11 @@ class DisplayServo(Servo):
         if state is DriveState.OPERATION_ENABLED:
             mode = self._mode_display.value
             if mode == CYCLIC_SYNC_VELOCITY:
-                command, word = self._target_velocity.number * self._per_velocity_count, word | _FOLLOWS
+                command, word = self._along_ramp(self._target_velocity.number), word | _FOLLOWS
             elif mode == CYCLIC_SYNC_POSITION:
                 command, word = self._interpolated(), word | _FOLLOWS
         else:
-            self._setpoint = None
+            self._setpoint, self._ramped = None, 0.0
         if state in _BRAKING:
             self._braking_since = self.now if self._braking_since < 0 else self._braking_since
         else:
@@ -96,6 +111,16 @@ class DisplayServo(Servo):
         if word != self._statusword.value or (before is not None and before is not state):
             self._statusword.value = word
             self.has_event = True
+
+    def _along_ramp(self, target: int) -> float:
+        """Returns the velocity demanded in this hold [m/s or rad/s]."""
+        wanted, before = target * self._per_velocity_count, self._ramped
+        is_speeding = abs(wanted) > abs(before)
+        counts = min([entry.number for entry in (self._speeding if is_speeding else self._slowing)], default=0)
+        most = min(counts * abs(self._per_velocity_count) if counts else inf, self._hidden_ramp) * self._period
+        if not self._period or abs(wanted - before) <= most:
+            return wanted
+        return before + (most if wanted > before else -most)
 
     def _interpolated(self) -> float:
         """Returns the velocity [m/s or rad/s] that leads to the target position by the next SYNC."""
@@ -143,6 +168,7 @@ class DisplayServo(Servo):
         self._sampled_at = self.now
         super().sample()
         self._has_taken = False
+        self._ramped = self.torque
         if self._mode_display.value == CYCLIC_SYNC_POSITION and self.machine.state is DriveState.OPERATION_ENABLED:
             self.torque = 0.0  # until the target of this SYNC acts
         entry = self._force
