@@ -71,7 +71,7 @@ def test_a_port_that_goes_on_giving_out_energy_is_stopped(
     assert "EnergyLostError: " in result["message"]
     assert "limit 0.01 J beyond the 0 J declared" in result["message"]
     assert result["ports"]["handle"]["least_interaction"] < -0.01
-    assert -0.2 < result["truth"]["handle"]["least_interaction"] < -0.01  # as far as one hold goes beyond the limit
+    assert -0.5 < result["truth"]["handle"]["least_interaction"] < -0.01  # as far as one hold goes beyond the limit
 
 
 def test_what_was_declared_may_be_given_out(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from canhaptic.control.certificates import certified_torque
-from canhaptic.control.passivity import guarded as kernel
+from canhaptic.control.passivity import guarded_account as account
 from tests.control.guarded_users import HAND_FORCE, PUSH, USERS, guarded, run
 
 whole_step = certified_torque.next_displacement  # type: ignore[attr-defined]
@@ -35,11 +35,11 @@ def without_mirror(patch):
 
 
 def without_cap_on_dissipation(patch):
-    patch.setattr(kernel, "free_energy", lambda *_: 1e9)
+    patch.setattr(account, "free_energy", lambda *_: 1e9)
 
 
 def without_reserve_for_torques_under_way(patch):
-    patch.setattr(kernel, "free_energy", lambda _declared, _bound, _memory, energy: max(0.0, energy))
+    patch.setattr(account, "free_energy", lambda _declared, _bound, _memory, energy: max(0.0, energy))
 
 
 def intact(_patch):
@@ -62,7 +62,7 @@ TRIALS = {
     "mirror": (without_mirror, None, (0.0, 100.0, 40, 1, "telegraph", 285, 0.1, 0.0)),
     "cap on dissipation": (without_cap_on_dissipation, None, (0.0, 100.0, 40, 1, "telegraph", 285, 0.1, 0.0)),
     "reserve": (without_reserve_for_torques_under_way, None, (0.0, 100.0, 40, 1, "telegraph", 283, 0.1, 0.0)),
-    "encoder count": (intact, {"count": 0.0}, (1e6, 500.0, 1000, 1, "telegraph", 212, 0.1, 5e-4)),
+    "encoder count": (intact, {"count": 0.0}, (1e6, 500.0, 1000, 0, "telegraph", 0, 0.1, 5e-4)),
     "mass over-estimated": (intact, {"mass": 0.3}, (1e2, 500.0, 40, 1, "telegraph", 338, 0.1, 0.0)),
 }
 OF_DISSIPATION = {"cap on dissipation", "reserve", "mirror"}

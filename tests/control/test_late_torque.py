@@ -71,15 +71,6 @@ def test_what_is_declared_of_the_holds_is_certified(hole: str) -> None:
         assert booked > 1e-4
 
 
-def test_a_limit_behind_the_certificate_is_one_inside_it() -> None:
-    limit = 2.5
-    how: dict[str, Any] = {"pull": 20.0, "push": 60.0, "seeds": (2, 5)}
-    how["cut"] = lambda torque: min(limit, max(-limit, torque))
-    own, wall = {"hand_force": 20.0, "hand_push": 60.0}, (1e4, 0.0)
-    assert worst(2.5e-2, 1, wall, own=own, known={}, **how)[0] < -1e-4
-    assert worst(2.5e-2, 1, wall, own=own, known={"torque_limit": limit}, **how)[0] >= -ROUNDING
-
-
 def test_a_rising_torque_is_kept_to_the_rate_of_the_limiter_and_to_its_power() -> None:
     known = {"torque_rate_limit": 100.0, "torque_limit": 3.0, "power_limit": 0.05}
     controller, position, held, last = made(1e-3, 0, 1e4, 0.0, {"hand_force": 0.0}, known), 0.001, 0.0, 0.0

@@ -32,8 +32,8 @@ _STIFF: Final = {"stiffness": 2000.0}
 HOLES: Final = (
     Hole("A", "limit of 2.5 N, 100 Hz", Rig(0.01, 0.25, 0.1, limit=2.5, delay=1), _STIFF, Hand(20.0, 20.0, 0.5),
          {"torque_limit": 2.5}, {}),
-    Hole("A", "limit of 2.5 N, 40 Hz", Rig(0.025, 0.25, 0.1, limit=2.5, delay=1), _STIFF, Hand(20.0, 20.0, 0.5),
-         {"torque_limit": 2.5}, {}),
+    Hole("A", "limit of 1 N, 40 Hz", Rig(0.025, 0.25, 0.1, limit=1.0, delay=1), _STIFF, Hand(20.0, 20.0, 2.0),
+         {"torque_limit": 1.0}, {}),
     Hole("A", "rate limit of 50 N/s, 40 Hz", Rig(0.025, 0.25, 0.1, rate_limit=50.0, delay=1), _STIFF, _HAND,
          {"torque_rate_limit": 50.0}, {}),
     Hole("K", "damped wall, pushed, 100 Hz", Rig(0.01, 0.25, 0.1), {"stiffness": 2000.0, "damping": 20.0},

@@ -4,21 +4,21 @@ from dataclasses import dataclass
 from math import inf
 from typing import Annotated, Final
 
-from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, DisplacementResponse, displacement_response
+from canhaptic.control.certificates.scalar_bounds import (
+    NO_RESPONSE,
+    DisplacementResponse,
+    displacement_response,
+    renderable_by_device_damping,
+    renderable_by_hand_force,
+)
 from canhaptic.control.certificates.torque_bound import Declared
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.prediction import PredictionSettings, prediction_settings
 from canhaptic.control.recovery import Alpha, damping_cap
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters, quantity
 
-_CALM: Final = 0.7
-"""Stiffness of the energy-permitted spring over the one whose lead alone uses up the damping cap.
-
-k T^2 / m is then 0.48 at delay 0 and 0.084 at delay 1; the sampled spring with its lead turns unstable slightly above.
-"""
-_LEAD_ROOM: Final = 1.75
-"""Lead and damping together over the damping cap: in contact the hold's own negative damping takes the excess."""
 _LONGEST_WINDOW: Final = 0.02
 """Longest window of the velocity from a coarse encoder [s]."""
 _NO_CAP: Final = 1e12
@@ -40,8 +40,8 @@ class GuardedParameters(Parameters):
     """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
-    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
-    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
+    prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.75
+    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold, and what is more calms a spring."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Consecutive cycles without a new torque at the drive that the certificates survive; each costs stiffness."""
 
@@ -61,10 +61,11 @@ class GuardedSettings:
     lead: float  # prediction [holds]
     cap: float  # of the damping [N*s/m or N*m*s/rad]
     damping: float  # rendered where nothing is short [N*s/m or N*m*s/rad]
-    lead_room: float  # damping that the lead may take beyond the cap [N*s/m or N*m*s/rad]
-    calm_stiffness: float  # of the energy-permitted spring, by the rate; 0 without a hand force [N/m or N*m/rad]
+    calm: float  # stiffness of the largest spring that the rate renders, by which a prediction counts at most
+    calm_stiffness: float  # of the energy-permitted spring; 0 without a hand force [N/m or N*m/rad]
     damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
     path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
+    prediction: PredictionSettings
     longest_window: int  # of the velocity, in samples; 0 with an ideal encoder
     declared: Declared
 
@@ -84,6 +85,11 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
             "them; without any no torque can be certified: declare what is known or choose another algorithm"
         )
     cap, late = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time)), timing.late / sample_time
+    damped = renderable_by_device_damping(damping, sample_time, loop.delay)
+    calm = _NO_CAP
+    if mass is not None:
+        ideal = displacement_response(sample_time, mass, 0.0, 0.0, 0.0, 0.0, timing)
+        calm = max(damped, renderable_by_hand_force(ideal, loop.delay, 1.0))
     return GuardedSettings(
         sample_time=sample_time,
         credit=parameters.energy_allowance,
@@ -96,10 +102,13 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
         lead=parameters.prediction_holds + loop.delay + late,
         cap=cap,
         damping=min(environment.damping, cap),
-        lead_room=(_LEAD_ROOM - 1.0) * cap,
-        calm_stiffness=_CALM * cap / (sample_time * (0.5 + loop.delay + late)) if by_hand_force else 0.0,
-        damped_stiffness=2.0 * damping / (sample_time * (1 + loop.delay)),
+        calm=calm,
+        calm_stiffness=calm if by_hand_force else 0.0,
+        damped_stiffness=damped,
         path=speed * sample_time * (1 + loop.delay),
+        prediction=prediction_settings(
+            mass, damping, sample_time, loop.delay, parameters.prediction_holds + late, loop.encoder_count
+        ),
         longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
         declared=Declared(
             timing.longest,

@@ -2,6 +2,8 @@
 
 import math
 import random
+from dataclasses import replace
+from math import inf
 from typing import Any
 
 import pytest
@@ -12,6 +14,7 @@ from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.multi_axis.scaled_group import ScaledGroupParameters
+from canhaptic.control.passivity import guarded_torque
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
@@ -21,7 +24,7 @@ from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from tests.control.late_plant import climb
 
 ENERGIES = ("h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit", "leak", "paid")
-WALLS = [(800.0, 4.0), (1e5, 50.0), (200.0, 0.0)]
+WALLS = [(800.0, 0.0), (3e3, 0.0), (200.0, 0.0)]
 
 
 def pair(stiffness, damping):
@@ -48,6 +51,22 @@ def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
             q, t = q + quarter * v, t + quarter
 
 
+@pytest.fixture
+def led_by_last_displacement(monkeypatch):
+    """Takes the model of the moving mass out of the algorithm of one axis: a group has none."""
+
+    def settings_without_model(*known):
+        settings = whole(*known)
+        calm = 0.7 * settings.cap / (settings.sample_time * settings.lead)
+        return replace(settings, calm=inf, calm_stiffness=calm if settings.calm_stiffness else 0.0)
+
+    whole = Guarded.kernel.settings
+    monkeypatch.setattr(Guarded, "kernel", Guarded.kernel._replace(settings=settings_without_model))
+    monkeypatch.setattr(
+        guarded_torque, "predicted", lambda s, _m, _t, _f, travel: ((s.delay + s.beyond) * travel, travel)
+    )
+
+
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("stiffness", "damping"), WALLS)
 @pytest.mark.parametrize(
@@ -60,10 +79,12 @@ def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
         ({"energy_allowance": 1e-3}, {}, 3.0),
     ],
 )
-def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, damping, own, known, clip):
+def test_the_account_of_a_guarded_group_is_that_of_guarded(
+    delay, stiffness, damping, own, known, clip, led_by_last_displacement
+):
     wall, plane = pair(stiffness, damping)
     loop = LoopProperties(sample_time=1e-3, delay=delay, **{"moving_mass": 0.25, "device_damping_bound": 0.0, **known})
-    push = {"hand_push": own.get("hand_force", 0.0)}
+    push = {"hand_push": own.get("hand_force", 0.0), "prediction_holds": 0.5}
     one = Guarded(wall, GuardedParameters(**push, **own), loop)
     group = build_group_controller(plane, Identity(axes=1), "guarded", GuardedGroupParameters(**own), [loop])
     strongest = richest = worst_torque = worst_energy = 0.0

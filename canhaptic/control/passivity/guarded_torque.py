@@ -1,0 +1,200 @@
+"""The torque that `guarded` renders in the next free hold: what is asked, as far as account and certificates allow."""
+
+from math import copysign, inf, sqrt
+
+from canhaptic.control.balance import Certificate
+from canhaptic.control.certificates.certified_torque import largest_torques
+from canhaptic.control.certificates.torque_bound import TorqueBound, keep
+from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity.guarded_account import GuardedState, Memory
+from canhaptic.control.passivity.guarded_settings import GuardedSettings
+from canhaptic.control.passivity.in_flight import towards_zero
+from canhaptic.control.passivity.prediction import predicted
+from canhaptic.control.recovery import modulated_damping
+
+_UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
+_BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
+
+
+def render(
+    environment: Environment,
+    settings: GuardedSettings,
+    state: GuardedState,
+    memory: Memory,
+    true: float,
+    spring: float,
+    ceiling: float,
+    travel: float,
+    inside: float,
+    moved: float,
+    same: bool,
+) -> tuple[float, float, float, float, int]:
+    """Returns (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate).
+
+    Args:
+        environment: Rendered.
+        settings: Of the run.
+        state: Of the axis.
+        memory: Of the axis.
+        true: State of the storage [m or rad].
+        spring: Effort there [N or N*m].
+        ceiling: Energy stored there [J].
+        travel: Motion of the storage in a hold [m or rad].
+        inside: Motion of the axis in contact, in a hold.
+        moved: Motion of the axis in a hold.
+        same: Whether the contact was there before.
+    """
+    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
+    if settings.longest_window:
+        energy = certain_energy(state, energy)
+    ahead = steady = settings.lead * travel
+    if not environment.relaxes:
+        ahead, coming = predicted(settings.prediction, state.motion, memory.bound.under_way, bound.first, travel)
+        if state.h_s < ceiling and steady * true > 0.0 and steady * true > ahead * true:
+            ahead = steady  # going in, more may be taken in where the account is short
+        if same:
+            inside = coming
+    lead = environment.effort(environment.admissible(true + ahead, true)) - spring
+    velocity = inside / settings.sample_time
+    spring, lead, damper, covered = efforts(settings, bound, spring, lead, ahead, velocity, energy, ceiling)
+    rendered = damper / velocity if velocity != 0.0 else settings.damping
+    modulated = 0.0
+    if settings.alpha > 0.0 and state.axis.h_dis > 0.0 and velocity != 0.0:
+        extra = modulated_damping(
+            settings.alpha, state.axis.h_dis, rendered, settings.cap, inside, settings.sample_time
+        )
+        modulated = extra * velocity
+        rendered += extra
+    torque = -(spring + lead + damper + modulated)
+    if torque == 0.0:
+        return torque, damper, modulated, rendered, _UNBOUNDED
+    size, certificate = permitted_size(settings, state, memory, torque, energy, moved)
+    asked = abs(torque)
+    if size < asked:
+        share = size / asked
+        torque, damper, modulated, rendered = torque * share, damper * share, modulated * share, rendered * share
+    elif covered:
+        certificate = _UNBOUNDED
+    if settings.quantum > 0.0:
+        torque = towards_zero(torque, settings.quantum)
+    return torque, damper, modulated, rendered, certificate
+
+
+def permitted_size(
+    settings: GuardedSettings, state: GuardedState, memory: Memory, torque: float, energy: float, moved: float
+) -> tuple[float, int]:
+    """Returns the largest size of a torque, up to its own, that limits and certificates let pass [N or N*m].
+
+    Beside it the certificate that holds for it.
+
+    Args:
+        settings: Of the run.
+        state: Of the axis.
+        memory: Of the axis.
+        torque: Asked, not 0 [N or N*m].
+        energy: That may be taken out [J].
+        moved: In a hold [m or rad].
+    """
+    sign, size = (1.0, torque) if torque > 0.0 else (-1.0, -torque)
+    if size > settings.least_limit:
+        most = within_limits(settings, memory.axis.commands.torques[state.axis.oldest - 1], sign, moved)
+        if size > most:
+            size = most
+    force, damping, speed = largest_torques(settings.declared, state.bound, memory.bound, sign, energy)
+    largest = force if force > damping else damping
+    if speed > largest:
+        largest = speed
+    if size > largest:
+        size = largest
+    return size, _BY_DAMPING if damping >= size else _BY_FORCE if force >= size else _BY_SPEED
+
+
+def certain_energy(state: GuardedState, energy: float) -> float:
+    """Returns what of an energy the next torques may take out with an encoder of finite counts [J].
+
+    What was dissipated or leaked is not available again, but it covers what the encoder leaves unsure: (4) holds
+    for the energy as booked, (3) for the true one.
+    """
+    lacking = state.bound.unsure - state.kept_back
+    return energy - lacking if lacking > 0.0 else energy
+
+
+def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
+    """Returns the largest torque along `sign` that the limiter lets pass [N or N*m]; see `drive.profile.limiter`.
+
+    What it cuts after a torque was certified would take energy in no more on which the next one counts.
+
+    Args:
+        settings: Of the run.
+        newest: Torque sent last [N or N*m].
+        sign: 1 or -1.
+        moved: In the last sample time [m or rad].
+    """
+    most = settings.torque_limit
+    if settings.torque_step < inf:
+        rise = settings.torque_step + (sign * newest if sign * newest > 0.0 else 0.0)
+        if rise < most:
+            most = rise
+    if settings.power_limit < inf and sign * moved > 0.0:
+        power = settings.power_limit / (sign * moved / settings.sample_time)
+        if power < most:
+            most = power
+    return most
+
+
+def efforts(
+    settings: GuardedSettings,
+    bound: TorqueBound,
+    spring: float,
+    lead: float,
+    ahead: float,
+    velocity: float,
+    energy: float,
+    ceiling: float,
+) -> tuple[float, float, float, bool]:
+    """Returns efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
+    damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
+    room, led = settings.cap * speed, settings.calm * abs(ahead)
+    if abs(damper) > room:
+        damper = copysign(room, damper)
+    permitted = 2.0 * settings.calm_stiffness * energy
+    if settings.damped_stiffness > 0.0 or settings.path > 0.0:
+        permitted = energy_permitted(settings, bound, spring + lead + damper, energy, ceiling)
+    covered = permitted >= size * size
+    if not covered:
+        held = sqrt(permitted) if permitted > 0.0 else 0.0
+        if velocity * spring > 0.0:
+            catch_up = min(size - held, room)
+            held += catch_up
+            room -= catch_up
+        if lead * spring < 0.0 and abs(lead) > held:  # a spring does not stick
+            lead = -copysign(held, spring)
+        spring = copysign(held, spring)
+    if abs(damper) > room:
+        damper, covered = copysign(room, damper), False
+    if abs(lead) > led:
+        lead = copysign(led, lead)
+    return spring, lead, damper, covered
+
+
+def energy_permitted(
+    settings: GuardedSettings, bound: TorqueBound, whole: float, energy: float, ceiling: float
+) -> float:
+    """Returns the square of the largest effort of a spring that the account covers [N^2 or N^2*m^2].
+
+    Args:
+        settings: Of the run.
+        bound: What the device dissipated beyond what the efforts need is forgotten.
+        whole: All efforts together [N or N*m].
+        energy: That may be taken out [J].
+        ceiling: Energy stored at the true state [J].
+    """
+    permitted = 2.0 * settings.calm_stiffness * energy
+    if settings.damped_stiffness > 0.0:
+        keep(bound, energy, ceiling + 0.5 * (whole * whole) / settings.damped_stiffness)
+        with_device = 2.0 * settings.damped_stiffness * (energy + bound.dissipated)
+        if with_device > permitted:
+            permitted = with_device
+    if settings.path > 0.0 and energy > 0.0:
+        permitted = max(permitted, (energy / settings.path) * (energy / settings.path))
+    return permitted
