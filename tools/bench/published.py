@@ -1,4 +1,4 @@
-"""Published rigs, our number beside theirs; and each rival's own claim on its own ground.
+"""Published rigs, our number next to theirs; and each rival's own claim on its own ground.
 
 The scenes are those of `configs/published`, whose first lines say what of each paper was read. No parameter is fitted
 to a published number. One that the paper does not give is assumed, and our number is given over its range.
@@ -87,7 +87,7 @@ def over(ranges: Mapping[str, Sequence[float]], figure: Callable[[Setting], floa
 def row(
     what: str, ours: float, unit: str, theirs: float, source: str, note: str, span: tuple[float, float] | None = None
 ) -> Row:
-    """Returns our number beside theirs.
+    """Returns our number next to theirs.
 
     Where values are assumed, `span` is ours over their ranges, and what counts is whether theirs lies inside: a middle
     that was chosen by somebody who knew their number is no evidence.
@@ -193,7 +193,7 @@ def diolaiti() -> list[Row]:
         f"differ by how far it moves: seen, {deep:.3g} N/m from 1 mm deep."
     )
     return [
-        row("Phantom released two counts deep, stiffest wall at rest, beside 2 f_c / count", ours, "N/m",
+        row("Phantom released two counts deep, stiffest wall at rest, against 2 f_c / count", ours, "N/m",
             rounded(quantised), "Diolaiti et al. 2006", note, span)
     ]  # fmt: skip
 
@@ -247,7 +247,7 @@ def augmentation() -> list[Row]:
 
 
 def virtual_mass() -> list[Row]:
-    """The M-width without damping, beside what is said of it in the units of the device's mass."""
+    """The M-width without damping, next to what is said of it in the units of the device's mass."""
     most = m_width(0.25, 0.0, 1e-3).most / 0.25
     note = 'Cited as "roughly 2x the device\'s own effective mass"; their own figures were not seen.'
     source = "Gil et al. 2020; M-width: Colonnese and Okamura 2015"
