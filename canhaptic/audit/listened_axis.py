@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.canopen.force_node import ForceNode
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame
 from canhaptic.logs.pdo_decoder import PdoField, PdoMaps
@@ -28,12 +29,19 @@ _DISAGREES: Final = 0.01
 """Largest difference of frames and scene, as a part of the rated torque."""
 
 
+OF_A_NODE: Final = -1
+"""In place of an object: a node of its own sends the force."""
+
+
 class DeclaredForce(NamedTuple):
     """What a scene says of the force sensor of an admittance display."""
 
     object_index: int
-    per_count: float  # [N or N*m]
+    per_count: float  # [N or N*m; of an impulse N*s or N*m*s]
     offset_counts: float
+    node: ForceNode | None = None  # that sends it in a frame of its own
+    impulse_time: float = 0.0  # T of a running impulse [s]; 0: it is none
+    bits: int = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +76,9 @@ class ListenedAxis:
         self._per_torque_count = 0.0  # not known before the first sample
         self._counts = self._reported = 0
         self._fields: dict[int, int] = {}
+        self._node = drive.force.node if drive.force else None
+        self._impulse: int | None = None
+        self._impulse_at = -1
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
     def take(self, frame: Frame) -> None:
@@ -80,6 +91,10 @@ class ListenedAxis:
                 self._rated_counts = int.from_bytes(access.value, "little")
             if access is not None and self._maps.learn(access):
                 self._tpdos = self._maps.tpdos()
+        elif self._node is not None and frame.can_id == self._node.frame_id:
+            part = frame.data[self._node.first_byte : self._node.end]
+            value = int.from_bytes(part, self._node.order, signed=self._node.signed)
+            self._fields.setdefault(OF_A_NODE, value)
         elif frame.can_id in self._tpdos:
             fields = self._maps.fields(self._tpdos[frame.can_id], frame.data)
             for field in [] if isinstance(fields, str) else fields:
@@ -131,7 +146,7 @@ class ListenedAxis:
             return self._last
         force = self._drive.force
         if force is not None:
-            shown = (self._fields[force.object_index] - force.offset_counts) * force.per_count
+            shown = self._force(force, self._fields[force.object_index], sync_index)
             counts = self._unwrapped(self._fields[od.POSITION_ACTUAL])
             position = counts * (self._drive.direction / self._drive.counts_per_unit)
             self._last = Sample(sync_index, position, -shown, self._fields[od.STATUSWORD], fresh=True)
@@ -144,6 +159,15 @@ class ListenedAxis:
         torque = reported * self._per_torque_count
         self._last = Sample(sync_index, position, torque, self._fields[od.STATUSWORD], fresh=True)
         return self._last
+
+    def _force(self, force: DeclaredForce, counts: int, sync_index: int) -> float:
+        """Returns the force that a value says, of an impulse its mean since the last [N or N*m]."""
+        if not force.impulse_time:
+            return (counts - force.offset_counts) * force.per_count
+        before, self._impulse, half = self._impulse, counts, 1 << (force.bits - 1)
+        change = 0 if before is None else (counts - before + half) % (2 * half) - half
+        periods, self._impulse_at = sync_index - self._impulse_at, sync_index
+        return change * force.per_count / (periods * force.impulse_time)
 
     def _unwrapped(self, counts: int) -> int:
         """Returns the position counter [counts], which is an INTEGER32 that wraps, as one that goes on."""

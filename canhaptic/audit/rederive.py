@@ -9,7 +9,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic.audit.listened_axis import DeclaredDrive, DeclaredForce, ListenedAxis
+from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForce, ListenedAxis
 from canhaptic.canopen import objects as od
 from canhaptic.control.balance import Ledger
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
@@ -61,7 +61,11 @@ def _declared(axis: AxisScene) -> DeclaredDrive:
     named = {field.name: getattr(given, field.name) for field in fields(DeclaredDrive) if field.name != "force"}
     display, force = given.admittance, None
     if display is not None:
-        force = DeclaredForce(display.force.place[0], display.force.per_count, display.force.offset_counts)
+        given_force, place = display.force, display.force.place
+        force = DeclaredForce(
+            OF_A_NODE if place is None else place[0], given_force.per_count, given_force.offset_counts,
+            given_force.node, axis.loop.sample_time if given_force.sampling == "impulse" else 0.0, given_force.bits,
+        )  # fmt: skip
     return DeclaredDrive(**named, force=force)
 
 

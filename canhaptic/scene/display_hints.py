@@ -18,7 +18,7 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     name, linear = given.name, given.unit == "m"
     effort, speed_unit = ("N", "m/s") if linear else ("N*m", "rad/s")
     time = properties.sample_time
-    doubt = properties.force_error + (0.0 if properties.sampling == "mean" else 0.25 * properties.force_slew * time)
+    doubt = properties.force_error + (0.0 if properties.sampling != "point" else 0.25 * properties.force_slew * time)
     text = "acts on the account like so much dry friction; slew T / 4 for point samples, and the error of a value"
     hints = [Hint(name, "force doubt of the account", doubt, None, effort, text)]
     group = next((group for group in scene.groups if group.name == axis.group), None)

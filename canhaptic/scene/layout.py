@@ -311,12 +311,13 @@ def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
     if not isinstance(display, MarkedMapping) or not isinstance(own, MarkedMapping):
         return
     force = display.get("force")
-    if not isinstance(force, MarkedMapping) or "object" not in force or "per_count" not in force:
+    if not isinstance(force, MarkedMapping) or "per_count" not in force:
         return
     at = axis.value_at("admittance")
     scales = own.copy()
     named = {
-        "force_object": force["object"],
+        "force_object": force.get("object"),
+        "force_node": force.get("node"),
         "force_per_count": force["per_count"],
         "force_offset_counts": force.get("offset_counts", 0.0),
         "velocity_counts": display.get("velocity_counts"),

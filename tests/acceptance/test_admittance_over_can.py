@@ -12,7 +12,7 @@ from canhaptic.cli.main import main
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
-from canhaptic.errors import ControlError, ForceFrozenError, ForceRangeError, SceneError
+from canhaptic.errors import ControlError, ForceFrozenError, ForceRangeError, LinkError, SceneError, StartError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
@@ -118,6 +118,62 @@ def test_a_frozen_sensor_stops_the_rig() -> None:
 def test_a_sensor_or_drive_that_contradicts_the_encoder_stops_the_rig(fault: str) -> None:
     with pytest.raises(ControlError, match="by encoder and commands at least"):
         _run(fault, cycles=2500)
+
+
+_NODE = SCENE.with_name("force_node.yaml")
+_LOST = "simulation.bus={drop: 0.05, direction: to_master, ids: [0x189], during: [{begin: 0.3, duration: 5}]}"
+
+
+def test_a_running_impulse_of_a_node_of_its_own_survives_lost_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, bus_log, overrides = tmp_path / "node.h5", tmp_path / "node.log", ["--set", "duration=1.2", "--set", _LOST]
+    assert main(["run", str(_NODE), *overrides, "--json", "--log", str(log), "--bus-log", str(bus_log)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    port, truth = found["ports"]["handle"], found["truth"]["handle"]
+    assert port["longest_hold"] > 1
+    assert truth["interaction"] > 0.5
+    assert 0.9 * truth["interaction"] < port["in"] - port["out"] <= truth["interaction"] + 1e-9
+    assert main(["replay", "--config", str(_NODE), *overrides, str(bus_log)]) == 0
+    assert main(["inspect", str(log), "--recompute", "--bus-log", str(bus_log)]) == 0
+    capsys.readouterr()
+
+
+def test_raw_frames_of_a_sensor_are_read_as_described() -> None:
+    node = "{cob_id: 0x345, first_byte: 2, bits: 16, order: big, length: 6}"
+    changes = [f"axes.0.admittance.force.node={node}", "axes.0.admittance.force.sampling=point"]
+    changes += ["axes.0.admittance.force.per_count=-0.02 N", "simulation.admittance.sensor.sampling=point"]
+    with build(load_scene(_NODE, changes)) as experiment:
+        run(experiment.cycle, 900)
+        account = experiment_account(experiment, "completed", 1.0)
+    assert account["truth"]["handle"]["interaction"] > 0.3
+    assert account["truth"]["handle"]["least_interaction"] >= -1e-3
+
+
+@pytest.mark.parametrize(
+    ("begin", "error", "words"),
+    [
+        ("bring_up: true", StartError, "frame 0x189 of the force sensor"),
+        ("during: [{begin: 0.2, duration: 5}]", LinkError, "TPDO_LOST"),
+    ],
+)
+def test_a_sensor_node_that_is_dead_stops_the_rig(begin: str, error: type[Exception], words: str) -> None:
+    dead = f"simulation.bus={{drop: 1.0, direction: to_master, ids: [0x189], {begin}}}"
+    with build(load_scene(_NODE, [dead])) as experiment, pytest.raises(error, match=words):
+        run(experiment.cycle, 500)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("axes.0.admittance.force.object=0x2205.1", "either object .* or node"),
+        ("axes.0.admittance.force.node={bits: 16}", "neither node_id nor cob_id"),
+        ("axes.0.admittance.force.node={cob_id: 0x300, first_byte: 6}", "the value ends at byte 10"),
+    ],
+)
+def test_a_force_sensor_has_one_source_and_a_place_in_its_frame(override: str, words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        load_scene(_NODE, [override])
 
 
 def test_a_ramp_in_the_drive_slows_the_velocity_demanded() -> None:

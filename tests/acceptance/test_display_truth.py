@@ -33,7 +33,7 @@ def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
 
 def test_the_guard_says_yes_where_it_is_due() -> None:
     said = []
-    for seed in range(400, 425):
+    for seed in range(400, 440):
         judged = with_true_bounds(random_display(seed, "guarded"), _CYCLES)
         if judged is not None and judged[0].allowance == 0.0 and not judged[1].uncertified:
             said.append(judged[1].is_passive)

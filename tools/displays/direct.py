@@ -19,6 +19,7 @@ from canhaptic.units import Parameters
 
 _NONE, _HELD = Certificate.NONE.value, Branch.HELD.value
 _CUTS = (Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value)
+_IMPULSE = 1e-6  # one count of a running impulse [N*s]
 _PARTS = 8
 """Parts of a hold in which slew and acceleration are watched; a power of two."""
 _Motion = tuple[float, float, float]
@@ -88,7 +89,7 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
     random, found = Random(display.seed), Outcome()
     queue, acting, row, count = [0.0] * (properties.delay + display.late), 0.0, 0, properties.encoder_count
     plant.begin(0)
-    before = (plant.force, plant.velocity, plant.position)
+    before, heard = (plant.force, plant.velocity, plant.position), (0, 0.0)
     for k in range(cycles):
         if k:
             command = queue.pop(0)
@@ -104,6 +105,10 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
         if count:
             position = round(position / count) * count
         lost = k > 3 and random.random() < display.samples_lost
+        if properties.sampling == "impulse" and not lost:
+            counts = round(shown / _IMPULSE) * _IMPULSE
+            shown = (counts - heard[1]) / ((k - heard[0]) * properties.sample_time) if k else 0.0
+            heard = k, counts
         balance = controller.hold() if lost else controller.step(position, -shown)
         queue.append(balance.torque)
         _take(found, plant, balance, properties)

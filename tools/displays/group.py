@@ -45,6 +45,9 @@ def random_group(seed: int) -> DisplayGroup:
     second = random_display(2 * seed + 1, "guarded")
     plant = first.plant.model_copy(update={"mass": first.plant.mass * random.uniform(0.7, 1.0)})
     shared = {key: getattr(first.properties, key) for key in ("sample_time", "delay", "latency")}
+    if first.properties.sampling == "impulse":  # of one axis only
+        first = _with_means(first)
+    second = _with_means(second) if second.properties.sampling == "impulse" else second
     sensor = second.simulation.sensor.model_copy(update={"latency": first.properties.latency})
     other = replace(
         second, plant=plant, commands_lost=first.commands_lost, samples_lost=first.samples_lost,
@@ -57,6 +60,15 @@ def random_group(seed: int) -> DisplayGroup:
         corners = ((-0.02, 0.0), (0.02, 0.0), (0.02, 0.03))
         environment = PathMass(mass=mass, damping=damping, points=corners, closed=random.random() < 0.5)
     return DisplayGroup((first, other), environment, known.model_copy(update={"largest_hand_force": 0.0}))
+
+
+def _with_means(display: Display) -> Display:
+    """Returns a display whose sensor shows means in place of a running impulse."""
+    sensor = display.simulation.sensor.model_copy(update={"sampling": "mean"})
+    return replace(
+        display, simulation=display.simulation.model_copy(update={"sensor": sensor}),
+        properties=display.properties.model_copy(update={"sampling": "mean"}),
+    )  # fmt: skip
 
 
 def run_group(group: DisplayGroup, cycles: int) -> GroupOutcome:

@@ -36,7 +36,7 @@ def random_display(seed: int, algorithm: str | None = None) -> Display:
     loop = VelocityLoopParameters(gain=gain, integral_gain=integral, torque_limit=random.choice([None, 500.0]))
     losses = 0 if integral else random.choice([0, 0, 1, 2])
     properties = DisplayProperties(
-        sample_time=time, delay=random.choice([0, 1, 1, 2]), sampling="mean" if sensor.sampling == "mean" else "point",
+        sample_time=time, delay=random.choice([0, 1, 1, 2]), sampling=sensor.sampling,
         latency=sensor.latency, filter=sensor.filter, force_slew=2e4, handle_acceleration=200.0, force_error=error,
         encoder_count=random.choice([1e-7, 1e-6, 1e-5]), speed_quantum=1e-6, speed_limit=2.0, acceleration_limit=200.0,
         torque_limit=500.0,
@@ -89,13 +89,15 @@ def _sensor(random: Random) -> tuple[SimulatedForceSensor, float]:
     """Returns a sensor and the largest error of one of its values [N]."""
     noise, offset = random.choice([0.0, 0.02, 0.1]), random.choice([0.0, 0.0, 0.05, 0.3])
     quantum, drift = random.choice([0.0, 0.01, 0.1]), random.choice([0.0, 0.0, 0.02])
-    sampling: Any = random.choice(["point", "point", "mean"])
+    sampling: Any = random.choice(["point", "point", "mean", "impulse"])
+    quantum = 0.0 if sampling == "impulse" else quantum
     corner = random.choice([0.0, 0.0, 200.0]) if sampling == "point" else 0.0
     sensor = SimulatedForceSensor(
         sampling=sampling, filter=corner, offset=random.choice([-1.0, 1.0]) * offset, drift=drift, noise=noise,
         quantum=quantum, latency=random.choice([0, 0, 0, 1, 2]),
     )  # fmt: skip
-    return sensor, offset + drift * _DURATION + 3.0 * noise + 0.5 * quantum
+    counted = 2e-3 if sampling == "impulse" else 0.0  # two counts of 1e-6 N*s in 1 ms
+    return sensor, offset + drift * _DURATION + 3.0 * noise + 0.5 * quantum + counted
 
 
 def _environment(random: Random, algorithm: str) -> DisplayEnvironment:

@@ -30,6 +30,7 @@ class PortSettings:
 
     sample_time: float  # [s]
     is_mean: bool  # one force is the mean over a hold, and not its value at the SYNC
+    is_impulse: bool  # the mean is that since the last force that came, however many were lost
     latency: int  # whole samples by which a force is late
     slew: float  # largest of the force [N/s or N*m/s]
     acceleration: float  # largest of the handle [m/s^2 or rad/s^2]
@@ -69,7 +70,8 @@ def port_settings(properties: DisplayProperties) -> PortSettings:
     """Returns what is fixed for a run."""
     lag = 1.0 / (2.0 * pi * properties.filter) if properties.filter else 0.0
     return PortSettings(
-        properties.sample_time, properties.sampling == "mean", properties.latency, properties.force_slew,
+        properties.sample_time, properties.sampling != "point", properties.sampling == "impulse", properties.latency,
+        properties.force_slew,
         properties.handle_acceleration, properties.force_error, properties.encoder_count, lag,
     )  # fmt: skip
 
@@ -134,7 +136,7 @@ def _energy(settings: PortSettings, port: Port, moved: float, force: float, samp
         doubt = rise * acceleration * length * length / 12.0
         if room > 0.0:
             doubt += fastest * room / (4.0 * slew)
-    elif samples == 1:
+    elif samples == 1 or settings.is_impulse:
         mean = force
         doubt = slew * acceleration * length * length * length / 12.0
     else:  # of the holds before the last no mean came

@@ -12,8 +12,8 @@ class DisplayProperties(Parameters):
     """Time T from SYNC to SYNC."""
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 1
     """Whole holds between the computation of a command and the hold in which it acts."""
-    sampling: Literal["point", "mean"] = "point"
-    """What one force is: its value at a SYNC, or its mean since the one before."""
+    sampling: Literal["point", "mean", "impulse"] = "point"
+    """What one force is: its value at a SYNC, its mean since the one before, or since the last that came (impulse)."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Whole samples by which a force is late."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0

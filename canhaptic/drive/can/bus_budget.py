@@ -83,7 +83,7 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """Returns the worst cycle of a bus that carries these axes."""
     rows = [_BudgetRow("SYNC", 1, _worst_case_bits(0))]
     for what, lengths in (
-        ("TPDO", [tpdo.length for axis in maps for tpdo in axis.tpdos]),
+        ("TPDO", [length for axis in maps for length in (*axis.awaited, *(tpdo.length for tpdo in axis.tpdos))]),
         ("RPDO", [axis.rpdo.length for axis in maps]),
     ):
         rows += [_BudgetRow(what, lengths.count(n), _worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]

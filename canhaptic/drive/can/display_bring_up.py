@@ -6,6 +6,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.dictionary import is_writable
 from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.display_drive import DisplayDrive
+from canhaptic.drive.profile.bring_up import Confirmation
 
 _SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch on disabled
 _RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
@@ -42,6 +43,19 @@ class DisplayBringUp(CanBringUp):
             self._write_confirmed("quick stop", od.QUICK_STOP_DECELERATION, 0, self._most(od.QUICK_STOP_DECELERATION))
         if is_writable(dictionary, od.QUICK_STOP_OPTION, 0):
             self._write_confirmed("quick stop", od.QUICK_STOP_OPTION, 0, _SLOW_DOWN)
+
+    def command_operational(self) -> None:
+        """Sends NMT start to the drive, and to a sensor that is a node of its own; raises StartError."""
+        super().command_operational()
+        with self.step("bus"):
+            self._drive.command_sensor(od.NmtCommand.START)
+
+    def process_data(self) -> Confirmation:
+        """Returns every TPDO after a SYNC, and the frame of the sensor."""
+        wanted, node = super().process_data(), self._drive.display.force.node
+        if node is None:
+            return wanted
+        return wanted._replace(expected=f"{wanted.expected}, and frame {node.frame_id:#05x} of the force sensor")
 
     def _most(self, index: int) -> int:
         """Returns the largest value that the dictionary allows an object."""

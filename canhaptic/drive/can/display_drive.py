@@ -4,11 +4,13 @@ It runs in the same cycle as a `ServoDrive`: a sample holds minus the force of t
 display holds the torque, and the command is a velocity.
 """
 
+from collections.abc import Callable
 from typing import Final
 
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.force_node import ForceNode
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo_transfer import download
@@ -46,7 +48,7 @@ class DisplayDrive(ServoDrive):
         if display is None:
             raise ParameterError(f"{axis.name}: has no `admittance`; expected an admittance display")
         self.display: DisplayParameters = display
-        self.force = ForceChannel(display.force)
+        self.force = ForceChannel(display.force, bus.sample_time)
         self._is_position = display.mode == "position"
         self.command_quantum = speed_quantum(axis, bus)
         super().__init__(link, axis, dictionary, bus)
@@ -58,8 +60,47 @@ class DisplayDrive(ServoDrive):
         low, high = display.position_low, display.position_high
         self._low = -float("inf") if low is None else low
         self._high = float("inf") if high is None else high
+        self._sensor = display.force.node
+        if self._sensor is not None:
+            link.subscribe(self._sensor.frame_id, self._force_handler(self._sensor))
         if self._is_position:
             self.rest_text = "the position of the axis"
+
+    def _force_handler(self, node: ForceNode) -> Callable[[bytearray], None]:
+        """Returns what takes the frames of a sensor that is a node of its own: one more part of the sample."""
+        bit = self._all_tpdos + 1
+        self._all_tpdos |= bit
+        begin, end, length = node.first_byte, node.end, node.frame_length
+
+        def take(data: bytearray) -> None:
+            if len(data) != length:
+                self._statistics.short += 1
+                return
+            if not self._pending & bit:
+                self._count_surplus()
+                return
+            self._stage[2] = int.from_bytes(data[begin:end], node.order, signed=node.signed)
+            if not self._lacks_more_than(bit):
+                self._pending = 0
+                self.is_complete = True
+                self.statusword = self._values[0]
+                self.window.pending -= 1
+
+        return take
+
+    def command_sensor(self, command: od.NmtCommand) -> None:
+        """Sends an NMT command to a sensor that is a CANopen node of its own.
+
+        Raises:
+            LinkError: It could not be sent.
+        """
+        if self._sensor is not None and self._sensor.node_id is not None:
+            self.link.send(od.NMT_COB_ID, bytes([command, self._sensor.node_id]))
+
+    def leave_operational(self) -> None:
+        """Commands NMT pre-operational, of the sensor too; raises LinkError."""
+        self.command_sensor(od.NmtCommand.PRE_OPERATIONAL)
+        super().leave_operational()
 
     def reset(self) -> None:
         """Forgets everything received and commanded."""
@@ -81,7 +122,7 @@ class DisplayDrive(ServoDrive):
         if last.sync_index >= 0:
             self._step = (position - last.position) / periods
             self.longest_hold = max(self.longest_hold, periods)
-        force = self.force.take(shown)
+        force = self.force.take(shown, periods)
         self._last = sample = _tuple(Sample, (sync_index, position, -force, statusword, True))
         return sample
 

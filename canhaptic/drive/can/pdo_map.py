@@ -80,6 +80,7 @@ class AxisMap:
     rpdo: PdoPlan
     tpdos: tuple[PdoPlan, ...]
     read_back: ReadBack
+    awaited: tuple[int, ...] = ()  # lengths of frames of other nodes that belong to its sample [bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +116,8 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
         taken.add(plan.cob_id)
         plans.append(plan)
     _refuse_shared_cob_ids(axis, plans)
-    return AxisMap(plans[0], tuple(plans[1:]), read_back)
+    node = axis.admittance.force.node if axis.admittance else None
+    return AxisMap(plans[0], tuple(plans[1:]), read_back, (node.frame_length,) if node else ())
 
 
 def pdo_numbers(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[int]:
@@ -152,9 +154,9 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
 
 def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
     """Returns the force of an admittance display in the place of the torque; none is read back."""
-    if axis.admittance is None:
+    if axis.admittance is None or (place := axis.admittance.force.place) is None:
         return "none", None
-    index, subindex = axis.admittance.force.place
+    index, subindex = place
     variable = listed(dictionary, index, subindex)
     bits = None if variable is None else _FORCE_BITS.get(variable.data_type or 0)
     if bits is None:

@@ -66,8 +66,8 @@ class ServoDrive(TorqueAxis):
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
         self._pack = self._packer(self.map.rpdo, axis.target)
-        force = {} if axis.admittance is None else {axis.admittance.force.place[0]: 2}
-        self._listen({**_SLOTS, **force})
+        place = axis.admittance.force.place if axis.admittance else None
+        self._listen({**_SLOTS, **({place[0]: 2} if place else {})})
         self.reset()
 
     def reset(self) -> None:
@@ -187,16 +187,22 @@ class ServoDrive(TorqueAxis):
             else:
                 for slot, value in zip(slots, unpack(data), strict=True):
                     self._stage[slot] = value
-                if self._pending != bit:
-                    self._pending ^= bit
+                if self._lacks_more_than(bit):
                     return
-                self._values = list(self._stage)
             self._pending = 0
             self.is_complete = True
             self.statusword = self._values[0]
             self.window.pending -= 1
 
         return take
+
+    def _lacks_more_than(self, bit: int) -> bool:
+        """Notes the frame of a bit; returns whether others are still to come. Without, the values are whole."""
+        if self._pending != bit:
+            self._pending ^= bit
+            return True
+        self._values = list(self._stage)
+        return False
 
     def _count_surplus(self) -> None:
         if self.window.is_open:

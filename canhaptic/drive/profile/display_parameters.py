@@ -6,8 +6,10 @@ from typing import Annotated, Final, Literal
 from pydantic import field_validator, model_validator
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.force_node import ForceNode
 from canhaptic.units import Parameters, quantity
 
+_LARGEST_BITS: Final = 32
 _OBJECT: Final = re.compile(r"0x([0-9a-fA-F]{4})(?:\.([0-9a-fA-F]{1,2}))?")
 
 Mode = Literal["velocity", "position"]
@@ -15,18 +17,20 @@ Mode = Literal["velocity", "position"]
 
 
 class ForceParameters(Parameters):
-    """The force sensor of an admittance display, in the TPDO of its drive."""
+    """The force sensor of an admittance display: in the TPDO of its drive, or a node of its own."""
 
-    object: str
+    object: str | None = None
     """Object of the drive that shows the force, `0x3160.1` (index.subindex, hexadecimal); INTEGER16 or INTEGER32."""
+    node: ForceNode | None = None
+    """Of a sensor that answers the SYNC with a frame of its own; in place of `object`."""
     per_count: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)]
-    """Force of the hand towards +q, by one count; negative where the sensor counts the other way."""
+    """Force of the hand towards +q, by one count; negative where the sensor counts the other way; of an impulse N*s."""
     offset_counts: Annotated[float, quantity("count", ge=-2e9, le=2e9)] = 0.0
     """Counts at no force."""
     range: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """A force beyond it is not believed: the rig stops."""
-    sampling: Literal["point", "mean"] = "point"
-    """What one value is: the force at the SYNC, or its mean since the last."""
+    sampling: Literal["point", "mean", "impulse"] = "point"
+    """What one value is: the force at the SYNC, its mean since the last, or its integral, modulo its bits."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Whole SYNCs by which a value is late."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
@@ -40,8 +44,8 @@ class ForceParameters(Parameters):
 
     @field_validator("object")
     @classmethod
-    def _names_an_object(cls, text: str) -> str:
-        if not _OBJECT.fullmatch(text):
+    def _names_an_object(cls, text: str | None) -> str | None:
+        if text is not None and not _OBJECT.fullmatch(text):
             raise ValueError(f"got {text!r}, expected an object such as 0x3160.1 (index.subindex, hexadecimal)")
         return text
 
@@ -52,12 +56,23 @@ class ForceParameters(Parameters):
             raise ValueError("got 0, expected the force of one count")
         return value
 
+    @model_validator(mode="after")
+    def _has_one_source(self) -> "ForceParameters":
+        if (self.object is None) == (self.node is None):
+            raise ValueError("expected either object (in the drive) or node (of its own)")
+        return self
+
     @property
-    def place(self) -> tuple[int, int]:
-        """(index, subindex) of the object."""
-        match = _OBJECT.fullmatch(self.object)
-        if match is None:  # the validator made sure
-            raise ValueError(self.object)
+    def bits(self) -> int:
+        """Width of a counter that wraps."""
+        return _LARGEST_BITS if self.node is None else self.node.bits
+
+    @property
+    def place(self) -> tuple[int, int] | None:
+        """(index, subindex) of the object; None for a sensor that is a node of its own."""
+        match = _OBJECT.fullmatch(self.object or "")
+        if match is None:
+            return None
         return int(match.group(1), 16), int(match.group(2) or "0", 16)
 
 

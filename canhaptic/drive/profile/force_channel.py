@@ -10,6 +10,7 @@ class ForceChannel:
 
     Args:
         force: Its parameters.
+        sample_time: T [s].
 
     Attributes:
         force: The last one [N or N*m].
@@ -17,7 +18,9 @@ class ForceChannel:
         is_wrong: Whether it is beyond the range, or the sensor has shown one count for too long.
     """
 
-    def __init__(self, force: ForceParameters) -> None:
+    def __init__(self, force: ForceParameters, sample_time: float) -> None:
+        self._time = sample_time if force.sampling == "impulse" else 0.0
+        self._half = 1 << (force.bits - 1)
         self._per_count, self._offset = force.per_count, force.offset_counts
         self._range, self._error = force.range, force.error
         self._frozen_after = force.frozen_after or inf
@@ -28,14 +31,29 @@ class ForceChannel:
         self.force, self.same, self.is_wrong = 0.0, 0, False
         self._counts: int | None = None
 
-    def take(self, counts: int) -> float:
-        """Returns the force of the hand towards +q [N or N*m]."""
+    def take(self, counts: int, periods: int = 1) -> float:
+        """Returns the force of the hand towards +q [N or N*m]; of a running impulse its mean over the holds between.
+
+        Args:
+            counts: Shown.
+            periods: Sample times since the last value.
+        """
+        if self._time:
+            return self._take_impulse(counts, periods)
         force = (counts - self._offset) * self._per_count
         self.force, limit, error = force, self._range, self._error
         self.same = self.same + 1 if counts == self._counts and not -error <= force <= error else 0
         self._counts = counts
         self.is_wrong = not -limit <= force <= limit or self.same >= self._frozen_after
         return force
+
+    def _take_impulse(self, counts: int, periods: int) -> float:
+        before, half = self._counts, self._half
+        change = 0 if before is None else (counts - before + half) % (2 * half) - half
+        self._counts = counts
+        self.force = change * self._per_count / (periods * self._time)
+        self.is_wrong = self.is_beyond_range
+        return self.force
 
     @property
     def is_beyond_range(self) -> bool:

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, field_validator
 
+from canhaptic.canopen.force_node import ForceNode
 from canhaptic.units import Parameters, quantity
 
 _PLACE: Final = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:(?:\.|sub)(?:0x)?([0-9a-f]{1,2}))?", re.IGNORECASE)
@@ -34,8 +35,10 @@ def parse_place(key: str | int) -> tuple[int, int]:
 class DisplayScaling(Parameters):
     """What a simulated drive needs to know to serve an admittance display."""
 
-    force_object: str
-    """Object that shows the force."""
+    force_object: str | None = None
+    """Object that shows the force; None: a node of its own does."""
+    force_node: ForceNode | None = None
+    """That node; None: an object of the drive shows the force."""
     force_per_count: Annotated[float, quantity("N", "N*m")]
     """Force of the hand towards +q, by one count."""
     force_offset_counts: Annotated[float, quantity("count")] = 0.0

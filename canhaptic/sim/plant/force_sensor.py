@@ -57,6 +57,7 @@ class ForceReading:
         self._random = Random(self._seed)
         self._late = deque([0.0] * self._sensor.latency)
         self._impulse, self._taken_at = 0.0, -1
+        self._error = 0.0  # integral of what a running impulse has too much [N*s or N*m*s]
         self.value = 0.0
 
     def take(self, elapsed: int, force: float, impulse: float) -> float:
@@ -81,7 +82,8 @@ class ForceReading:
             deviation = self._random.gauss(0.0, 1.0)
             error += sensor.noise * (-3.0 if deviation < -3.0 else 3.0 if deviation > 3.0 else deviation)
         if sensor.sampling == "impulse":
-            shown = sensor.gain * impulse + error * time
+            self._error += error * (elapsed - max(last, 0)) / _NS_PER_S
+            shown = sensor.gain * impulse + self._error
         else:
             if sensor.sampling == "mean":
                 since = elapsed - last if last > 0 else elapsed

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def _settings(*, is_mean: bool, count: float = 0.0, error: float = 0.0, latency: int = 0) -> PortSettings:
-    return PortSettings(_TIME, is_mean, latency, _SLEW, _ACCELERATION, error, count, 0.0)
+    return PortSettings(_TIME, is_mean, False, latency, _SLEW, _ACCELERATION, error, count, 0.0)
 
 
 def _slopes(random: np.random.Generator, holds: int) -> Array:

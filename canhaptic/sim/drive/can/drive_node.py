@@ -23,6 +23,7 @@ from canhaptic.canopen.objects import (
     NMT_COB_ID,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
+    SYNC_FRAME_COB_ID,
     DataType,
     NmtCommand,
     NmtState,
@@ -32,6 +33,7 @@ from canhaptic.sim.drive.can import emergency as emcy
 from canhaptic.sim.drive.can.nmt_slave import HeartbeatConsumer, HeartbeatProducer, command_for
 from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
 from canhaptic.sim.drive.can.sdo_server import SdoServer
+from canhaptic.sim.drive.can.sensor_node import SensorNode
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.display_servo import DisplayMotor, DisplayServo
 from canhaptic.sim.drive.profile.object_store import ObjectStore
@@ -107,6 +109,7 @@ class SimulatedDrive:
         self._consumer = HeartbeatConsumer(
             store, timers, self._now, self._lose_heartbeat, self._regain_heartbeat, self._change_routes
         )
+        self._sensor = self._sensor_node(parameters)
         self._process_data = ProcessData(
             store, self.servo, timers, self._emergency, parameters, self._send, self._lose, self._change_routes
         )
@@ -117,6 +120,14 @@ class SimulatedDrive:
         self._are_routes_stale = True
         self._settle_timer = timers.add(self._settle)
         timers.start(timers.add(self._power_on), 0)
+
+    def _sensor_node(self, parameters: SimulatedDriveParameters) -> SensorNode | None:
+        """Returns the force sensor of an admittance display that is a node of its own."""
+        display, servo = parameters.display, self.servo
+        if display is None or display.force_node is None or not isinstance(servo, DisplayServo):
+            return None
+        scales = display.force_per_count, display.force_offset_counts
+        return SensorNode(display.force_node, *scales, servo.shown_force, self._send)
 
     # --- the far side of the master's clock -------------------------------------------------------------------------
 
@@ -217,6 +228,9 @@ class SimulatedDrive:
             routes[cob_id] = partial(self._on_heartbeat, slot)
         routes[SDO_REQUEST_BASE + self.node_id] = self._on_sdo
         routes[NMT_COB_ID] = self._on_nmt
+        if self._sensor is not None:
+            sync = SYNC_FRAME_COB_ID
+            routes[sync] = partial(self._on_sync_with_sensor, self._sensor, routes.get(sync))
         self._routes = routes
         self.on_routes_changed()
 
@@ -231,7 +245,14 @@ class SimulatedDrive:
         if len(content) == 1:
             self._consumer.hear(slot)
 
+    def _on_sync_with_sensor(self, sensor: SensorNode, handler: Handler | None, content: Content) -> None:
+        if handler is not None:
+            handler(content)
+        sensor.take_sync()
+
     def _on_nmt(self, content: Content) -> None:
+        if self._sensor is not None:
+            self._sensor.take_nmt(content)
         command = command_for(bytes(content), self.node_id)
         if command is NmtCommand.START:
             self._start()
@@ -256,6 +277,11 @@ class SimulatedDrive:
         self.servo.reset()
         self.servo.settle()
         self._boot()
+        self._boot_sensor()
+
+    def _boot_sensor(self) -> None:
+        if self._sensor is not None and self._sensor.state is NmtState.BOOT_UP:
+            self._sensor.power_on()
 
     def _boot(self) -> None:
         """Starts communication: boot-up, then PRE-OPERATIONAL."""

@@ -58,8 +58,8 @@ class DisplayServo(Servo):
             raise ParameterError("display: got none, expected scale and object of the force for a motor with a sensor")
         self._target_velocity = store.entry(TARGET_VELOCITY, DataType.INTEGER32)
         self._target_position = store.entry(TARGET_POSITION, DataType.INTEGER32)
-        force = store.find(*parse_place(display.force_object))
-        if force is None:
+        force = None if display.force_object is None else store.find(*parse_place(display.force_object))
+        if force is None and display.force_node is None:
             raise ParameterError(f"display.force_object: the dictionary has no object {display.force_object}")
         self._force, self._per_count, self._force_offset = force, display.force_per_count, display.force_offset_counts
         self._per_velocity_count = parameters.position_sign / (display.velocity_counts or parameters.counts_per_unit)
@@ -111,6 +111,10 @@ class DisplayServo(Servo):
         if word != self._statusword.value or (before is not None and before is not state):
             self._statusword.value = word
             self.has_event = True
+
+    def shown_force(self) -> float:
+        """Returns what the sensor shows at this SYNC, for a node of its own; 0 before the motor runs."""
+        return self.motor.read_force() if self.is_running else 0.0
 
     def _along_ramp(self, target: int) -> float:
         """Returns the velocity demanded in this hold [m/s or rad/s]."""
@@ -172,6 +176,8 @@ class DisplayServo(Servo):
         if self._mode_display.value == CYCLIC_SYNC_POSITION and self.machine.state is DriveState.OPERATION_ENABLED:
             self.torque = 0.0  # until the target of this SYNC acts
         entry = self._force
+        if entry is None:
+            return
         counts = round(self.motor.read_force() / self._per_count + self._force_offset) if self.is_running else 0
         if not entry.low <= counts <= entry.high:
             counts = int(entry.low if counts < entry.low else entry.high)
