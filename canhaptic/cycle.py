@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from canhaptic.control.axis_meter import AxisMeter
-from canhaptic.control.balance import Branch, EnergyBalance, Ledger
+from canhaptic.control.balance import Branch, Certificate, EnergyBalance, Ledger
 from canhaptic.control.energy_loss import EnergyLossMeter
 from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
 from canhaptic.control.passivity.controller import Controller
@@ -22,8 +22,12 @@ from canhaptic.histogram import DurationHistogram
 from canhaptic.meters import RunMeters
 from canhaptic.signals import CycleTiming, Measured, Sample, Truth
 
-_HELD = Branch.HELD.value
+_HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
 _FEWEST_UNCHANGED: Final = 20  # SYNCs; or those of a second
+_UNEVEN: Final = (
+    "a hold was {:.3g} s longer or shorter than the sample time, more than sync_jitter declares: its certificate is "
+    "void; measure again (canhaptic commission)"
+)
 _UNCHANGED: Final = (
     "position, torque and statusword were the same to the bit for 1 s, with a torque: a handle held still, a stuck "
     "encoder, or TPDOs that the drive does not make anew"
@@ -60,6 +64,7 @@ class Cycle:
         groups: Axes that render together, each group with one account.
         axis_meters: What is known of the sensors and the device of each axis; None where they are ideal.
         loss_meters: Of the ports that may give out only so much energy.
+        jitters: Part of a sample time by which a hold of each axis may differ from it; None: that is not watched.
 
     Raises:
         InputError: There is not one controller for each axis.
@@ -70,6 +75,7 @@ class Cycle:
         judge: What the simulated plant says of them; None without truth.
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
+        uneven: Holds that were longer or shorter than `sync_jitter` declares.
     """
 
     def __init__(
@@ -81,6 +87,7 @@ class Cycle:
         groups: Sequence[AxisGroup] = (),
         axis_meters: Sequence[AxisMeter] | None = None,
         loss_meters: Sequence[EnergyLossMeter] = (),
+        jitters: Sequence[float] | None = None,
     ) -> None:
         self.rig = rig
         self.controllers = tuple(controllers)
@@ -99,11 +106,13 @@ class Cycle:
         self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = EnergyAudit(axes, [group.axes for group in self.groups]) if truths is not None else None
-        self.cycles = 0
+        self.cycles = self.uneven = 0
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log = log
         self._truths = truths
         self._loss_meters = tuple(loss_meters)
+        self._jitters = None if jitters is None else [round(part * rig.bus.sample_time_ns) + 1 for part in jitters]
+        self._least_jitter = min(self._jitters or [0])
         self._frozen_after = max(_FEWEST_UNCHANGED, round(1.0 / rig.bus.sample_time))
 
     def step(self) -> None:
@@ -131,6 +140,8 @@ class Cycle:
         torques = []
         for balance in balances:
             torques.append(balance.torque)  # a comprehension is a function made and called anew
+        if self._jitters is not None and rig.uneven > self._least_jitter:
+            self._withdraw(balances, self._jitters)
         lost = self._lost(samples) if self._loss_meters else ""
         if lost:
             error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
@@ -138,6 +149,20 @@ class Cycle:
             raise error
         rig.write_torques(torques)  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
+
+    def _withdraw(self, balances: list[EnergyBalance], jitters: Sequence[int]) -> None:
+        """Withdraws the certificates of a hold that was longer or shorter than they were proved for."""
+        broken = [self.rig.uneven > jitter for jitter in jitters]
+        for axis in self._axes:
+            if broken[axis]:
+                balances[axis] = balances[axis]._replace(certificate=_NO_CERTIFICATE)
+        for group in self.groups:
+            if any(broken[axis] for axis in group.axes):
+                account = group.balance.account._replace(certificate=_NO_CERTIFICATE)
+                group.balance = group.balance._replace(account=account)
+        if self._log is not None and not self.uneven:
+            self._log.event(self.rig.sync_index, "timing", "", _UNEVEN.format(self.rig.uneven * 1e-9))
+        self.uneven += 1
 
     def _lost(self, samples: Sequence[Sample]) -> str:
         """Returns by which port too much energy went out, and how much; "" while none has."""

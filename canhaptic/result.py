@@ -131,7 +131,8 @@ def rendered_shares(asked: float, given: float, damping_asked: float, damping: f
 def withdraw_certificates(account: dict[str, Any], *, longest_gap: int) -> None:
     """Takes the certificates off an account where a torque acted for longer than they covered, or was not commanded.
 
-    The same where the axis moved as it cannot with the friction that is declared (`friction_watch`).
+    The same where one hold had none, being longer or shorter than declared, and where the axis moved as it cannot with
+    the friction that is declared (`friction_watch`).
 
     A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is no lost frame:
     the torque under way acts for longer, and the one behind it, which counted on a single hold, acts all the same.
@@ -143,6 +144,7 @@ def withdraw_certificates(account: dict[str, Any], *, longest_gap: int) -> None:
     covered = account["max_consecutive_losses"] if longest_gap == 1 else 0
     is_broken = account["longest_hold"] > 1 + covered or account.get("uncommanded_cycles", 0)
     is_broken = is_broken or account.get("friction_excess", 0.0) > 0.0
+    is_broken = is_broken or Certificate.NONE.name.lower() in account["certificates"]
     if is_broken and account["certificates"]:
         account["certificate"] = Certificate.NONE.name.lower()
         account["certificates"] = [account["certificate"]]

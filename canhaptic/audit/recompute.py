@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.multi_axis.axis_group import GroupedControllers
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 _INPUTS: Final = ("position", "torque_applied", "fresh")
 _OUTPUTS: Final = tuple("torque_command" if name == "torque" else name for name in EnergyBalance._fields)
+_CERTIFICATE: Final = EnergyBalance._fields.index("certificate")
+_NONE: Final = Certificate.NONE.value
 _BLOCK: Final = 65_536  # rows held in memory at a time
 _ALL: Final = struct.Struct(f"{len(_OUTPUTS)}d")
 _ONE: Final = struct.Struct("d")
@@ -47,6 +49,8 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
         samples = [Sample(row, position, torque, 0, fresh=bool(fresh)) for position, torque, fresh in seen]
         balances = [*controllers.step(samples), *(group.balance.account for group in controllers.groups)]
         for name, balance, logged in zip(names, balances, expected, strict=True):
+            if logged[_CERTIFICATE] == _NONE:  # withdrawn for the length of a hold, which is no input
+                balance = balance._replace(certificate=_NONE)
             if name not in found and _ALL.pack(*balance) != _ALL.pack(*logged):
                 number = next(n for n, values in enumerate(zip(balance, logged, strict=True)) if _differ(*values))
                 cycle = int(log.timing["sync_index"][row])

@@ -282,6 +282,9 @@ class CompensatedSum:
         return self._total + self._error
 
 
+_NONE: Final = Certificate.NONE.value
+
+
 def certificates_of(bits: int) -> tuple[Certificate, ...]:
     """Returns the certificates of a set in which each is one bit, weakest last."""
     return tuple(certificate for certificate in WEAKEST_LAST if bits >> certificate & 1)
@@ -321,7 +324,7 @@ class Ledger:
         self._last = balance
         if surplus > self._surplus_max:
             self._surplus_max = surplus
-        if torque:  # without one nothing was to be bounded
+        if torque or (h_i and certificate == _NONE):  # without one nothing was to be bounded
             self._certificates |= 1 << certificate
         if h_i or h_r:
             self._add_flows(h_i, h_r, cycle, cycle if deadline is None else deadline)

@@ -358,6 +358,11 @@ class Rig:
         return self._exchange.periods
 
     @property
+    def uneven(self) -> int:
+        """By how much the hold that ended was longer or shorter than its sample times [ns]."""
+        return self._exchange.uneven
+
+    @property
     def skipped_syncs(self) -> int:
         """Deadlines of SYNC that were missed and left out."""
         return self.deadline_index - max(0, self.sync_index)

@@ -84,7 +84,9 @@ class Experiment:
             controllers, truths = build_axis_controllers(scene), _truths(self.far_side)
             groups_of_axes, meters = build_axis_groups(scene), build_axis_meters(scene)
             losses = build_loss_meters(scene)
-            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, groups_of_axes, meters, losses)
+            self.cycle = Cycle(
+                self.rig, controllers, self.energy_log, truths, groups_of_axes, meters, losses, _jitters(scene, pace)
+            )
             if self._log_failure:  # before there was a cycle to stop
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
@@ -209,6 +211,16 @@ def _with_accuracy(scene: Scene) -> Scene:
 
 def _path(asked: str | Path | None, of_scene: Path | None) -> Path | None:
     return Path(asked) if asked is not None else of_scene
+
+
+def _jitters(scene: Scene, pace: str) -> list[float] | None:
+    """Returns by how much a hold of each axis may differ from the sample time, as a part of it.
+
+    None in a simulation in real time: what it declares is that of the simulated bus, and this computer is not even.
+    """
+    if scene.simulated and pace != "free":
+        return None
+    return [axis.loop.sync_jitter or 0.0 for axis in scene.axes]
 
 
 def _channel(bus: BusParameters) -> str | int | None:

@@ -22,6 +22,7 @@ UNTRUE = ["passivity.hand_force=0", "passivity.device_friction=1", "passivity.de
 RUNS = {
     "ideal": ("demo.yaml", WALL),
     "skipped SYNCs": ("demo.yaml", [*WALL, "simulation.bus={stall: [{begin: 0.3, duration: 5 ms, every: 0.21}]}"]),
+    "uneven holds": ("demo.yaml", [*WALL, "simulation.bus={stall: [{begin: 0.3, duration: 0.3 ms, every: 0.21}]}"]),
     "late SYNCs": ("demo.yaml", [*WALL, *UNTRUE, f"simulation.bus={LATE}"]),
     "losses": ("demo.yaml", [*WALL, "simulation.bus={drop: 0.02}"]),
     "the paper's": ("paper_fig7_40hz.yaml", []),

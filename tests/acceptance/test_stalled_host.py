@@ -66,6 +66,33 @@ def test_lost_frames_certify_no_sync_that_was_skipped(capsys: pytest.CaptureFixt
     assert port["certificate"] == "none"
 
 
+UNEVEN = "simulation.bus={stall: [{begin: 0.2, duration: 0.04 ms, every: 0.0113}]}"
+
+
+@pytest.mark.parametrize(("jitter", "certificate"), [(0.039, "none"), (0.041, "hand_force")])
+def test_a_hold_longer_than_declared_has_no_certificate_and_one_that_is_not_has(
+    jitter: float, certificate: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """0.04 ms of 1 ms: no SYNC is skipped."""
+    path = tmp_path / "run.h5"
+    words = ["--duration", "1.4", "--pace", "free", "--json", "--log", str(path)]
+    values = (UNEVEN, f"passivity.sync_jitter={jitter}")
+    main(["run", str(DEMO), *words, *[word for value in values for word in ("--set", value)]])
+    port = json.loads(capsys.readouterr().out)["ports"]["handle"]
+    assert (port["longest_hold"], port["certificate"]) == (1, certificate)
+    assert main(["inspect", str(path), "--recompute"]) == 0
+    with EnergyLog.open(path) as log:
+        assert any("sync_jitter" in event.text for event in log.events) == (certificate == "none")
+
+
+def test_a_group_with_a_hold_longer_than_declared_has_no_certificate(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = DEMO.with_name("two_handles.yaml")
+    main(["run", str(scene), "--duration", "0.5", "--json", "--set", UNEVEN])
+    ports = json.loads(capsys.readouterr().out)["ports"]
+    [group] = [port for port in ports.values() if "axes" in port]
+    assert (group["longest_hold"], group["certificates"]) == (1, ["none"])
+
+
 def test_the_table_names_the_longest_hold(capsys: pytest.CaptureFixture[str]) -> None:
     main(["run", str(DEMO), "--duration", "1.7", "--set", "bus.rate=250 Hz", "--set", STALLS])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]

@@ -28,6 +28,7 @@ class Exchange:
         silence: Of the master that a drive tolerates [ns].
         beat_cycles: Sample times from one heartbeat of the master to the next.
         periods: Sample times between the last two SYNCs; more than 1 after a skip.
+        uneven: By how much the last hold was longer or shorter than its sample times [ns].
         skipped: Deadlines missed and left out since `begin`.
         deadline: Of the last SYNC [ns].
         woken: When the wait for it ended [ns].
@@ -57,7 +58,7 @@ class Exchange:
     def begin(self) -> None:
         """Lets the next SYNC go out at once and counts from there."""
         self.periods = 1
-        self.skipped = 0
+        self.uneven = self.skipped = 0
         self._since_heartbeat = self.beat_cycles
         self._next = self.deadline = self.woken = self.heard = self._synced = self.clock.now()
 
@@ -83,6 +84,7 @@ class Exchange:
                     drive.refuse_tpdos()
         synced = clock.now()
         self.periods = (synced - self._synced + self._latest) // self._period or 1
+        self.uneven = abs(synced - self._synced - self.periods * self._period)
         self._synced = synced
         end = synced + self._window_ns
         for link, window, group in self._buses:
