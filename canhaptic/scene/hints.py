@@ -14,6 +14,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     renderable_by_hand_speed,
     start_speed,
 )
+from canhaptic.control.certificates.start_energy import start_energy
 from canhaptic.control.recovery import largest_stable_damping, least_oscillating_damping
 from canhaptic.scene.models import AxisScene, Scene
 
@@ -26,6 +27,10 @@ _LINEAR_ROTARY: Final = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "
 
 LEAN: Final = 0.25
 """Force of a hand that leans on a wall, as a part of the torque limit."""
+
+
+DRAG: Final = 0.1
+"""Drag that is hardly felt [N or N*m]."""
 
 
 class Hint(NamedTuple):
@@ -239,7 +244,18 @@ def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text:
     return [
         _hint(axis, what, "stiffness", limit, stiffness, f"{text}{_share(limit, stiffness)}"),
         _hint(axis, "speed of a contact that is felt, from", "speed", slowest, None, f"from zero energy; {text}"),
+        *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
     ]
+
+
+def _energy_hint(axis: AxisScene, response: DisplacementResponse, lag: int, stiffness: float) -> list[Hint]:
+    """Returns the energy with which a contact of any speed is felt; nothing where it needs none."""
+    energy, unit = start_energy(response, lag, stiffness), axis.parameters.unit
+    if energy in {0.0, math.inf}:
+        return []
+    what = f"energy for slower contacts with {stiffness:.4g} {_LINEAR_ROTARY['stiffness'][unit == 'rad']}"
+    text = f"earned before them, by {DRAG:g} {effort_unit(unit)} of drag over {energy / DRAG:.2g} {unit}; or allowed"
+    return [Hint(axis.parameters.name, what, energy, None, "J", text)]
 
 
 def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:

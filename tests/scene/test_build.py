@@ -193,6 +193,11 @@ def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
     # (m / 2 T^2) F / (F + F_h) with F the torque limit of 20 N
     assert limits["stiffness, certified by hand force"] == pytest.approx(0.2 / 2e-6 * 20 / (20 + 20))
     assert limits["speed of a contact that is felt, from"] == pytest.approx(20 * 1e-3 / 0.2)
+    held = 0.2 / 2e-6 * 5 / (5 + 20)  # leant on with a quarter of the torque limit
+    assert limits["stiffness felt at a push of 5 N"] == pytest.approx(held)
+    [stiffness] = [float(what.split()[-2]) for what in limits if what.startswith("energy for slower contacts")]
+    lacking, whole = 0.5 / stiffness - 1e-6 / 0.2, 1e-6 / 0.2 * 20  # the most of h F (F + F_h) - F^2 / 2k
+    assert limits[f"energy for slower contacts with {stiffness:.4g} N/m"] == pytest.approx(whole**2 / 4 / lacking)
 
 
 def test_the_quantisation_bound_needs_friction_and_takes_that_of_the_simulated_plant(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
+from canhaptic.control.certificates.start_energy import start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
@@ -154,6 +155,21 @@ def _slow_row(bench: Bench, hand: SlowHand, response: Any, delay: int, where: st
         target="<= 1.1 times", met=found.depth <= 1.1 * depth, note=note,
     )  # fmt: skip
     yield Row(f"slow hand, {where}: least sum(h_i)", found.least, "J", target=">= 0", met=found.least >= -1e-12)
+    if stiffness and "drag" not in where:
+        yield from _with_energy(bench, wall, hand, start_energy(response, delay, stiffness), depth, where)
+
+
+def _with_energy(
+    bench: Bench, wall: SpringDamperWall, hand: SlowHand, energy: float, depth: float, where: str
+) -> Iterator[Row]:
+    """What a drag would have to earn, and the depth where that much is allowed."""
+    yield Row(f"slow hand, {where}: way of 0.1 N of drag that would reach it", 1e3 * energy / 0.1, "mm")
+    assert bench.case.parameters is not None
+    parameters = bench.case.parameters.model_copy(update={"energy_allowance": energy})
+    found = enter(replace(bench, case=replace(bench.case, parameters=parameters)), wall, hand).depth
+    name = f"slow hand, {where}: depth with so much energy"
+    certificate = ("certificate", 1e3 * depth, found / depth)
+    yield Row(name, 1e3 * found, "mm", *certificate, target="<= 1.1 times", met=found <= 1.1 * depth)
 
 
 def entry_rows(algorithms: Sequence[str]) -> Iterator[Row]:

@@ -1,11 +1,13 @@
 """Hands that are guided, walls that are leant on, and slow hands: against closed forms and the continuous wall."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response
+from canhaptic.control.certificates.start_energy import start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.guided_hand import GuidedHand
@@ -108,3 +110,28 @@ def test_the_largest_rise_is_looked_for_at_entries_only() -> None:
     position = np.array([1.0, 1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0])
     torque = np.array([0.0, 0.0, 0.0, 3.0, 4.0, 4.0, 4.0, 4.0, 4.0, 4.0, 9.0])
     assert largest_rise(torque, position) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("rate", "delay", "hand_force", "stiffness"), [(1000, 1, 20, 9e3), (100, 1, 5, 160), (100, 0, 5, 500)]
+)
+def test_with_the_energy_of_a_start_a_hand_of_any_speed_is_held(
+    rate: float, delay: int, hand_force: float, stiffness: float
+) -> None:
+    holds = 3.0 if delay else 1.0
+    response = displacement_response(1.0 / rate, 0.25, hand_force)
+    energy, each = start_energy(response, delay, stiffness), holds / rate**2 / 0.25
+    assert energy == pytest.approx((each * hand_force) ** 2 / 4.0 / (0.5 / stiffness - each))
+    bench, wall = device("guarded", rate, 0.5, hand_force, delay), SpringDamperWall(stiffness=stiffness)
+    assert bench.case.parameters is not None
+    allowed = bench.case.parameters.model_copy(update={"energy_allowance": energy})
+    hand = SlowHand(0.02, free=1e-3, settling=1.5, rest=0.5)
+    found = enter(replace(bench, case=replace(bench.case, parameters=allowed)), wall, hand)
+    assert found.depth == pytest.approx(300.0 * 0.03 / (300.0 + stiffness), rel=0.02)
+    assert found.least >= -energy
+    assert enter(bench, wall, hand).depth > 0.025
+
+
+def test_no_energy_is_enough_for_a_wall_beyond_the_certificate() -> None:
+    assert start_energy(displacement_response(1e-3, 0.25, 5.0), 0, 0.26 / 2e-6) == math.inf
+    assert start_energy(displacement_response(1e-3, 0.25, 0.0), 0, 1e9) == 0.0

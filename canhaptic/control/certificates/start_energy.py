@@ -1,0 +1,44 @@
+"""The energy that a wall needs before a contact, so that the hand-force certificate holds it from the first hold on.
+
+At rest at a force F every hold may give out F D_i, the hand pulling with F_h, while the spring of stiffness k has taken
+in F^2 / 2k. What is lacking is largest at some force on the way in,
+
+    E = max over F of (sum of F D_i)(F) - F^2 / 2k,
+
+with D_i of the holds under way and the next one (`scalar_bounds`). Undamped the sum is h F (F + F_h), h = T^2 / m at
+delay 0 and 3 T^2 / m at delay 1, so that E = (h F_h)^2 / 4 a with a = 1 / 2k - h. A faster contact needs less: its own
+inward motion brings energy in. A drag f in front of the wall earns f times the way.
+"""
+
+import math
+from typing import Final
+
+from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, next_displacement, tail_reach
+
+_FIRST: Final = 1e-3  # [N or N*m]
+
+
+def start_energy(response: DisplacementResponse, delay: int, stiffness: float) -> float:
+    """Returns the energy [J] with which a contact of any speed is held; infinite where the stiffness is too large.
+
+    Args:
+        response: Of the axis, with the force of the hand.
+        delay: In holds.
+        stiffness: [N/m or N*m/rad].
+    """
+    if response.hand == 0.0:
+        return 0.0
+    # the sum is a quadratic polynomial in F without a constant: two values give it
+    one, two = _given_out(response, delay, _FIRST), _given_out(response, delay, 2.0 * _FIRST)
+    square = (two - 2.0 * one) / (2.0 * _FIRST * _FIRST)
+    linear = one / _FIRST - square * _FIRST
+    left = 0.5 / stiffness - square
+    return linear * linear / (4.0 * left) if left > 0.0 else math.inf
+
+
+def _given_out(response: DisplacementResponse, delay: int, torque: float) -> float:
+    displacement = energy = 0.0
+    for _ in range(delay + 1):
+        displacement = next_displacement(displacement, torque, torque, response, response.hand)
+        energy += torque * displacement
+    return energy + torque * tail_reach(displacement, torque, torque, response, response.hand)
