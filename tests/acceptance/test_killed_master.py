@@ -23,7 +23,9 @@ def test_the_drive_of_a_killed_master_drops_its_torque_by_its_own_watchdog(
         assert emergency.data[:3] == bytes.fromhex("30 81 11")  # heartbeat lost; communication and generic error
         last_word = max(frame.time for frame in listener.frames if frame.can_id == 0x77E)
         assert HEARTBEAT_TIMEOUT - 1_000 <= emergency.time - last_word <= 5 * HEARTBEAT_TIMEOUT
-        assert commands(listener.frames)[-1].target_torque != 0  # nobody told the drive to let go
+        last = commands(listener.frames)[-50:]  # a busy computer skips SYNCs, behind which no torque may be certified
+        assert any(command.target_torque for command in last)
+        assert last[-1].controlword == 0xF  # no command to disable
         assert listener.upload(0x6041) & 0x6F != 0x27  # no longer in OPERATION ENABLED
         assert listener.upload(0x6074) == 0
         assert drive.poll() is None  # the drive itself lives

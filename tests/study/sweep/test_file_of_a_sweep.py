@@ -155,7 +155,7 @@ def test_a_file_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_pa
     path = tmp_path / "a.h5"
     sweep(demo, VARY, path, **ONE)
     before = path.read_bytes()
-    with pytest.raises(InputError, match="--resume goes on with it, --force replaces it"):
+    with pytest.raises(InputError, match="--resume continues it, --force replaces it"):
         sweep(demo, VARY, path, **ONE)
     others = [
         (demo, VARY[:1], ONE, "varied"),
