@@ -28,6 +28,9 @@ def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
         if judged is not None:
             assert not false_group_claims(*judged), seed
             exchanged = min(exchanged, judged[1].given_by_one)
+    at_torque_limit = with_true_group_bounds(random_group(1100208), 200)
+    assert at_torque_limit is not None
+    assert not false_group_claims(*at_torque_limit)
     assert exchanged < -0.1  # one axis alone gave out what came in by the other
 
 

@@ -46,5 +46,5 @@ def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayPrope
     return VelocityLoopSettings(
         properties.sample_time, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
         parameters.loop_gain, parameters.loop_gain * least, parameters.integral_gain, parameters.integral_gain * least,
-        properties.encoder_count, properties.torque_limit,
+        properties.encoder_count, properties.torque_limit, properties.handle_acceleration,
     )  # fmt: skip

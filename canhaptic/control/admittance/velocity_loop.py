@@ -18,8 +18,8 @@ nothing and always fits; so does any between 0 and one that fits, as the loss is
 W is known from below in two ways, and the larger counts: from the force, E less the largest V; and from the encoder
 alone, as (E - V)' >= c v (v - r) - f_I r over a hold of which displacement and command are known.
 
-No friction is counted; it only helps. With a torque limit: without an integral the loss is smaller still. With one the
-bound holds only where the limit is not reached (`may_limit`).
+No friction is counted; it only helps. With a torque limit: without an integral the loss is smaller still, and so is
+what the encoder proves (`_by_damping`). With one the bound holds only where the limit is not reached (`may_limit`).
 """
 
 from dataclasses import dataclass
@@ -43,6 +43,7 @@ class VelocityLoopSettings:
     integral_least: float  # under-estimate of it
     count: float  # of the encoder [m or rad]
     torque_limit: float  # [N or N*m]
+    acceleration: float = 0.0  # largest of the handle [m/s^2 or rad/s^2]
 
 
 @dataclass(slots=True)
@@ -106,12 +107,22 @@ def lost_unseen(settings: VelocityLoopSettings, commands: Buffer, motion: Displa
 
 
 def _by_damping(settings: VelocityLoopSettings, command: float, moved: float) -> float:
-    """Returns the least c D (D / T - r) with D unsure by a count and c by its range [J]."""
+    """Returns the least c D (D / T - r) with D unsure by a count and c by its range [J].
+
+    Where the torque may be at its limit F, it is that of a gain between F / abs(v - r) and c, which may change within
+    the hold. The integral of v^2 - r v then counts by the smaller one, and its negative part, r^2 T / 4 at most, by c.
+    """
     time, count = settings.sample_time, settings.count
     turn = 0.5 * command * time  # D of the least value
     nearest = turn if turn > moved - count else moved - count
     nearest = nearest if nearest < moved + count else moved + count
     power = nearest * (nearest / time - command)
+    apart = abs(moved / time - command) + 0.5 * settings.acceleration * time + count / time
+    if apart * settings.gain > settings.torque_limit:
+        least = settings.torque_limit / apart
+        least = least if least < settings.gain_least else settings.gain_least
+        loss = 0.25 * (settings.gain - least) * command * command * time
+        return (least if power > 0.0 else settings.gain) * power - loss
     return (settings.gain_least if power > 0.0 else settings.gain) * power
 
 

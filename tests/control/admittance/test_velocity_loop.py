@@ -1,5 +1,7 @@
 """The certificate of the velocity loop against the worst motion, found by a quadratic programme of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,22 @@ def test_the_gain_by_encoder_and_command_is_the_least_of_all_motions_of_that_way
     scale = gain * time * (abs(command) + abs(moved) / time) ** 2 + 1e-12
     assert found <= least + 1e-9 * scale
     assert least - found <= 4e-3 * scale
+
+
+def test_a_drive_at_its_torque_limit_proves_no_more_than_it_brakes() -> None:
+    random, gain, limit, time, acceleration = np.random.default_rng(5), 1600.0, 300.0, 2e-3, 400.0
+    settings = replace(_settings(gain, 0.0, time=time), torque_limit=limit, acceleration=acceleration)
+    step, at_limit = time / 400, 0
+    for _ in range(300):
+        slopes = np.repeat(random.uniform(-acceleration, acceleration, 8), 50)
+        speed = random.uniform(-2.0, 2.0) + np.cumsum(slopes) * step
+        command = random.uniform(-1.5, 1.5)
+        torque = np.clip(gain * (command - speed), -limit, limit)
+        at_limit += bool((abs(torque) == limit).any())
+        ring, motion = _sent([command, 0.0])
+        found = gained(settings, 0.0, ring, motion, float(speed.sum() * step))
+        assert found <= -float((torque * speed).sum() * step) + 1e-3  # of the steps
+    assert at_limit > 100
 
 
 @pytest.mark.parametrize("seed", range(16))
