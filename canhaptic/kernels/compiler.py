@@ -7,6 +7,7 @@ Reference counts of arrays are left out - a kernel makes no array - which makes 
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
+from secrets import token_hex
 from types import CodeType, FunctionType
 from typing import Any, Final
 
@@ -41,6 +42,11 @@ METHODS: Final = (
 )
 """What a kernel may ask an environment, a mechanism, a geometry and the functions of a network."""
 
+_PROCESS: Final = token_hex(8)
+"""A part of the name of every function that this process compiles. numba names a record type by a number that counts
+from 0 in each process, so that code from two processes may have one name for two types, and the first that is loaded
+would be taken for both."""
+
 fixed_tuple: Any = to_fixed_tuple
 """(array, length) -> tuple of its numbers; the length is a global name of the function that calls it."""
 
@@ -73,7 +79,7 @@ def compiled(
     made: Any = numba.njit(rebound, **_OPTIONS)
     with kept_code(compiling.sources) as can_keep:
         if can_keep:
-            made._cache = CheckedCache(rebound)  # noqa: SLF001 - as `enable_caching` does
+            made._cache = CheckedCache(function)  # noqa: SLF001 - as `enable_caching` does
     return made
 
 
@@ -97,7 +103,9 @@ class _Compiling(Binding):
     def rebound(self, function: Any) -> FunctionType:
         """Returns the same code with compiled functions in the place of its global names."""
         self.sources.append(_text_of(function.__code__) + repr(function.__defaults__))
-        return super().rebound(function)
+        made = super().rebound(function)
+        made.__qualname__ = f"{function.__name__}_{_PROCESS}"
+        return made
 
     def constant(self, name: str, value: Any) -> Any:
         """Returns a value that a function names, and takes it down."""
