@@ -141,13 +141,24 @@ def build_group(scene: Scene, group: GroupScene) -> GroupController:
     """
     if any(scene.axis(name).parameters.admittance is not None for name in group.axes):
         return _build_display_group(scene, group)
+    check_group(scene, group)
     loops = [loop_as_known(scene.axis(name)) for name in group.axes]
     kinematics = cast(Kinematics, group.kinematics.parameters)  # every class of KINEMATICS is one
     network = cast(NetworkEnvironment, group.network.parameters)  # every class of NETWORKS is one
-    if kinematics.axes != len(loops):
+    return build_group_controller(network, kinematics, group.passivity.name, group.passivity.parameters, loops)
+
+
+def check_group(scene: Scene, group: GroupScene) -> None:
+    """Refuses a group whose parts do not fit its axes.
+
+    Raises:
+        ParameterError: They do not.
+    """
+    kinematics = cast(Kinematics, group.kinematics.parameters)
+    if kinematics.axes != len(group.axes):
         raise ParameterError(
-            f"kinematics {group.kinematics.name!r} has {kinematics.axes} motor axes, expected the {len(loops)} of the "
-            f"group: {', '.join(group.axes)}"
+            f"kinematics {group.kinematics.name!r} has {kinematics.axes} motor axes, expected the {len(group.axes)} of "
+            f"the group: {', '.join(group.axes)}"
         )
     limits = [scene.axis(name).parameters for name in group.axes]
     cut = [a.name for a in limits if a.torque_rate_limit is not None or a.power_limit is not None]
@@ -157,7 +168,6 @@ def build_group(scene: Scene, group: GroupScene) -> GroupController:
             "so turns the certified torque; expected passivity.max_consecutive_losses >= 1 (each axis certified), "
             "or no such limit"
         )
-    return build_group_controller(network, kinematics, group.passivity.name, group.passivity.parameters, loops)
 
 
 def _build_display_group(scene: Scene, group: GroupScene) -> GroupController:

@@ -8,7 +8,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.display_checks import refuse_displays
-from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, Scene
+from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
 from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
@@ -60,6 +60,24 @@ def _of_group(scene: Scene, group: GroupScene) -> Scene:
     axes = tuple(axis for axis in scene.axes if axis.group == group.name)
     moved = tuple(of for of in scene.mechanisms if not set(of.axes).isdisjoint(group.axes))
     return replace(scene, axes=axes, groups=(group,), mechanisms=moved)
+
+
+def mechanism_of_group(scene: Scene) -> MechanismScene | None:
+    """Returns the mechanism that the one group of a scene moves; None where each of its axes has a plant of its own.
+
+    Raises:
+        InputError: Its motors move with others.
+    """
+    (group,) = scene.groups
+    if not scene.mechanisms:
+        return None
+    (of, *others) = scene.mechanisms
+    if others or set(of.axes) != set(group.axes):
+        raise InputError(
+            f"{scene.source}: group {group.name!r} moves the axes {', '.join(group.axes)}, its mechanism "
+            f"{', '.join(of.axes)}; expected the same axes: use canhaptic run, which moves all of them"
+        )
+    return of
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:

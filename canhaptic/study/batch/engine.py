@@ -13,6 +13,9 @@ ChosenEngine = Literal["numba", "python"]
 WORTH_COMPILING: Final = 1e6
 """Scenes times cycles from which compiling pays: Python takes some 10 us for each, compiling some 10 s once."""
 
+WORTH_COMPILING_GROUPS: Final = 3e5
+"""The same of groups, for each of which Python takes some 150 us, compiling up to a minute once."""
+
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
     """Returns the engine that "auto" chooses here.

@@ -12,12 +12,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.control.multi_axis.group_controller import GroupBalance, GroupController
-from canhaptic.errors import ControlError, InputError
+from canhaptic.errors import ControlError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group, build_mechanism, build_plant
 from canhaptic.study.batch.closed_loop import LoopSettings, commanded, measured
 from canhaptic.study.loop import FURTHEST, DivergedError, LoopRun, Recorder
+from canhaptic.study.scenes import mechanism_of_group
 
 _PER_MILLE: Final = 1e-3
 
@@ -92,16 +93,9 @@ def motors_of(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
     Raises:
         InputError: The motors are not simulated, or move with others.
     """
-    names = [axis.parameters.name for axis in axes]
-    shared = [of for of in scene.mechanisms if not set(of.axes).isdisjoint(names)]
-    if not shared:
+    of, names = mechanism_of_group(scene), [axis.parameters.name for axis in axes]
+    if of is None:
         return _own_plants(scene, axes)
-    (of, *others) = shared
-    if others or set(of.axes) != set(names):
-        raise InputError(
-            f"{scene.source}: group {scene.groups[0].name!r} moves the axes {', '.join(names)}, its mechanism "
-            f"{', '.join(of.axes)}; expected the same axes: use canhaptic run, which moves all of them"
-        )
     mechanism, place = build_mechanism(of, scene.bus.sample_time_ns), [of.axes.index(name) for name in names]
     order = [names.index(name) for name in of.axes]
     mechanism.begin(0)

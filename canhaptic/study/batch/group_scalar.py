@@ -5,76 +5,90 @@ norms, `torque_peak` is the largest of any motor. Travel, stiffness and what is 
 a group has no position.
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict
-from math import nan, sqrt
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from math import nan
 from typing import Final
 
 import numpy as np
 
-from canhaptic.control.balance import Branch
-from canhaptic.control.multi_axis.group_controller import GroupBalance
-from canhaptic.errors import ControlError
-from canhaptic.scene.models import Scene
-from canhaptic.study.batch.closed_loop import LoopSettings
-from canhaptic.study.batch.group_loop import GroupHold, loop_of, run_group_loop
-from canhaptic.study.batch.meter import Meter, count_branch, take_energy
+from canhaptic.control.multi_axis.group_kernel import GroupKernel
+from canhaptic.control.multi_axis.group_motion import (
+    GroupMotion,
+)
+from canhaptic.errors import CanHapticError
+from canhaptic.kernels import with_quick_fields
+from canhaptic.kernels.binding import bound
+from canhaptic.study.batch.engine import ChosenEngine
+from canhaptic.study.batch.group_case import GroupCase
+from canhaptic.study.batch.group_closed_loop import (
+    GroupMeter,
+    GroupRoom,
+    LinearMotors,
+    move_motors,
+    run_group,
+    step,
+)
+from canhaptic.study.batch.group_loop import Motors
 from canhaptic.study.figures import CONTINUOUS, METRICS, metrics_of, sums_of
-from canhaptic.study.loop import FURTHEST, DivergedError
 
-_OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value)
 _OF_A_POSITION: Final = ("travel", "stiffness_rendered.value", "stiffness_rendered.share", *CONTINUOUS)
 
 
-def run_group(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:
-    """Returns the figures of the one group of a scene; see `run_scalar`.
+def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -> GroupMeter:
+    """Returns the sums of a loop after its cycles, or when it diverged.
 
-    Raises:
-        InputError: The motors of the group are not simulated, or move with others.
-        ParameterError: The group cannot be built.
+    Args:
+        case: Of motors that are linear, where it is compiled.
+        cycles: SYNCs.
+        engine: Python takes motors that are not linear, too.
     """
-    names = list(METRICS if metrics is None else metrics)
-    found = {name: np.array([value]) for name, value in asdict(_metered(scene, cycles)).items()}
-    own = [name for name in names if name not in _OF_A_POSITION]
-    figures = metrics_of(own, {name: found[name] for name in sums_of(own)})
-    return {name: float(figures[name][0]) if name in figures else nan for name in names}
+    if engine == "numba" and case.moves_by_flow:
+        from canhaptic.study.batch.compiled_group_loop import compiled_meter
 
-
-def _metered(scene: Scene, cycles: int) -> Meter:
-    """Returns the meter of the loop after its cycles, or when it diverged."""
-    (group,), meter = scene.groups, Meter()
-    axes = [scene.axis(name) for name in group.axes]
-    loop = loop_of(axes[0], scene.bus.delay)
-    damping = [(axis.loop.device_damping or 0.0) / scene.bus.sample_time for axis in axes]
-    before: list[Sequence[float]] = []
-
-    def take(hold: GroupHold) -> None:
-        last = before.pop() if before else hold.true
-        meter.lost += sum(b * (to - at) ** 2 for b, at, to in zip(damping, last, hold.true, strict=True))
-        before.append(hold.true)
-        _take(meter, loop, hold.held, hold.interaction, hold.balance)
-        if not all(-FURTHEST < at < FURTHEST for at in hold.true):
-            raise DivergedError(f"the group is at {tuple(hold.true)}")
-
+        return compiled_meter(case, cycles)
+    meter, memory = GroupMeter(), with_quick_fields(case.kernel.memory(case.world, case.settings))
+    run, motors = _python_loop(case.kernel), case.motors
+    if isinstance(motors, LinearMotors):
+        motors = motors._replace(state=list(motors.state))
+    else:
+        run = bound(run_group, {step: case.kernel.step, move_motors: _Moved(motors, case.period)})
+    fixed = (with_quick_fields(part) for part in (case.world, case.settings))
     try:
-        run_group_loop(scene, cycles, take)
-    except ControlError:
-        meter.diverged = 1.0
+        run(*fixed, case.kernel.state(), memory, case.rig, motors, case.room(), GroupMotion(), meter, cycles)
+    except CanHapticError:  # of a mechanism that is pushed where it cannot move
+        meter.figures.diverged = 1.0
     return meter
 
 
-def _take(meter: Meter, loop: LoopSettings, held: tuple[float, ...], interaction: float, balance: GroupBalance) -> None:
-    """Takes one SYNC; see `meter.take`."""
-    account, norm = balance.account, sqrt(sum(torque * torque for torque in held))
-    meter.cycles += 1.0
-    take_energy(loop.meter, meter, 0.0, interaction, account)
-    meter.torque_peak = max(meter.torque_peak, *map(abs, held))
-    meter.variation += abs(norm - meter.torque)
-    meter.torque = norm
-    meter.certificate = max(meter.certificate, float(account.certificate))
-    count_branch(meter, account.branch)
-    if account.branch not in _OUT_OF_CONTACT:
-        meter.contacts += 1.0
-        meter.damping += account.damping_rendered
-        meter.damping_least = min(meter.damping_least, account.damping_rendered)
-        meter.damping_most = max(meter.damping_most, account.damping_rendered)
+@lru_cache(maxsize=16)
+def _python_loop(kernel: GroupKernel) -> Callable[..., None]:
+    found: Callable[..., None] = bound(run_group, {step: kernel.step})
+    return found
+
+
+class _Moved:
+    """Takes the place of `move_motors` for motors that do not move by one flow."""
+
+    def __init__(self, motors: Motors, period: int) -> None:
+        self._motors, self._period, self._done = motors, period, 0.0
+
+    def __call__(self, _motors: Motors, room: GroupRoom, cycle: int) -> float:
+        """Moves them to a SYNC; returns the work that they did in that hold [J]."""
+        motors = self._motors
+        if cycle:
+            motors.advance_to(cycle * self._period, tuple(room.held))
+        for i, at in enumerate(motors.positions()):
+            room.moved[i] = at - room.true[i] if cycle else 0.0
+            room.true[i] = at
+        room.read[:] = motors.encoders()
+        before, self._done = self._done, motors.work()
+        return self._done - before
+
+
+def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> dict[str, float]:
+    """Returns the figures that are made of sums; NaN for those of a position."""
+    names, sums = list(METRICS if metrics is None else metrics), meter.figures
+    own = [name for name in names if name not in _OF_A_POSITION]
+    figures = metrics_of(own, {name: np.array([getattr(sums, name)]) for name in sums_of(own)})
+    return {name: float(figures[name][0]) if name in figures else nan for name in names}

@@ -12,7 +12,8 @@ from canhaptic.errors import ControlError
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.study.batch.closed_loop import LoopSettings
-from canhaptic.study.batch.group_scalar import run_group
+from canhaptic.study.batch.group_case import group_case
+from canhaptic.study.batch.group_scalar import group_figures, group_meter
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
 from canhaptic.study.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of
 from canhaptic.study.loop import FURTHEST, DivergedError, LoopCase
@@ -33,7 +34,7 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
         ParameterError: The algorithm cannot do without something that its loop does not say.
     """
     if scene.groups:
-        return run_group(scene, cycles, metrics)
+        return group_figures(group_meter(group_case(scene), cycles), metrics)
     axis = scene.axes[0]
     case, names, continuous = loop_case(axis, scene), list(METRICS if metrics is None else metrics), None
     if any(name in CONTINUOUS for name in names):

@@ -27,6 +27,7 @@ from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.reference_group import AxesModel, GroupModel, State, mechanism_model
+from canhaptic.study.scenes import mechanism_of_group
 
 _TOLERANCES: Final = (1e-9, 1e-7)
 """Relative, of the run and of the one that it is compared with."""
@@ -53,8 +54,8 @@ def group_model(scene: Scene) -> GroupModel:
         InputError: There are none for it.
     """
     (group,) = scene.groups
-    if scene.mechanisms:
-        (of,) = scene.mechanisms
+    of = mechanism_of_group(scene)
+    if of is not None:
         if of.axes != group.axes:
             raise InputError("the mechanism names its axes in another order than the group")
         return mechanism_model(cast(MechanismParameters, of.mechanism.parameters), of.hand)

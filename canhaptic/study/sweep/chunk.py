@@ -24,6 +24,8 @@ from canhaptic.study.batch import (
     why_not_batchable,
     why_not_compared,
 )
+from canhaptic.study.batch.group_case import group_case
+from canhaptic.study.batch.group_scalar import group_figures, group_meter
 from canhaptic.study.loop import Array
 from canhaptic.study.scenes import parts_of
 from canhaptic.study.sweep.places import batch_key
@@ -215,17 +217,19 @@ class _Chunk:
             if built.scene is None:
                 self._note(row, REFUSED, 0, built.remark)
                 continue
-            status, remark = COMPLETED, _joined(reason, built.remark)
+            status, engine, remark = COMPLETED, _SCALAR, _joined(reason, built.remark)
             for name in self._recipe.axes:
                 scene = seeded(self._recipe, _alone(built, name), self._start + row)
                 try:
-                    figures = run_scalar(scene, cycles_in(self._recipe, scene), asked)
+                    figures, is_compiled = _figures_alone(self._recipe, scene, asked)
                 except CanHapticError as error:
                     status, remark = _FAILED, str(error).splitlines()[0]
                     continue
+                if is_compiled:
+                    engine, remark = ENGINES.index("numba"), built.remark
                 for metric in asked:
                     self._figures[f"{name}/{metric}"][row] = figures[metric]
-            self._note(row, status, _SCALAR, remark)
+            self._note(row, status, engine, remark)
 
     def _note_all(self, rows: _Rows, engine: int, remark: str) -> None:
         self._status[rows], self._engine[rows], self._remark[rows] = COMPLETED, engine, self._slot(remark)
@@ -255,6 +259,16 @@ def _numbered(column: Column) -> NDArray[np.int64]:
 def _alone(built: Built, name: str) -> Scene:
     """Returns the scene of one axis or group alone: they share nothing but the bus."""
     return parts_of(built.permitted())[name]
+
+
+def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[dict[str, float], bool]:
+    """Returns the figures of one axis or group, and whether its loop was compiled."""
+    cycles = cycles_in(recipe, scene)
+    if not scene.groups:
+        return run_scalar(scene, cycles, asked), False
+    case = group_case(scene)
+    is_compiled = recipe.engine == "numba" and case.moves_by_flow
+    return group_figures(group_meter(case, cycles, recipe.engine), asked), is_compiled
 
 
 def _joined(*remarks: str) -> str:

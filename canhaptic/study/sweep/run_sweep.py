@@ -23,8 +23,9 @@ from canhaptic.scene.models import Scene
 from canhaptic.scene.old_names import algorithm_now
 from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import why_not_batchable
-from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
-from canhaptic.study.scenes import cycles_of
+from canhaptic.study.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
+from canhaptic.study.batch.group_case import group_case
+from canhaptic.study.scenes import cycles_of, parts_of
 from canhaptic.study.sweep.chunk import FIGURES, USUAL, ChunkResult, is_batch_key, run_chunk
 from canhaptic.study.sweep.points import Points, make_points
 from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe, scene_of
@@ -171,16 +172,23 @@ def _make_sweep(
         allow_code=allow_code,
     )
     together = _together(recipe, points)
-    if together < _FEWEST_TOGETHER:
+    if together < _FEWEST_TOGETHER and not scene.groups:
         reason = f"only {together} of the scenes differ in nothing but keys of a batch, expected {_FEWEST_TOGETHER}"
         recipe = replace(recipe, alone=reason)
     least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
-    count, per_scene = len(points), recipe.cycles or cycles_of(scene, duration)
-    batches = max(-(-count // chunk), count // max(1, together))
-    pays = count * per_scene >= WORTH_COMPILING or batches * per_scene >= _WORTH_COMPILING
+    batches = max(-(-len(points) // chunk), len(points) // max(1, together))
+    pays = _pays(scene, len(points), batches, recipe.cycles or cycles_of(scene, duration))
     recipe = replace(recipe, engine=chosen_engine(engine, pays))
     return _Sweep(recipe, points, chunk, _identity(scene, recipe, points))
+
+
+def _pays(scene: Scene, scenes: int, batches: int, cycles: int) -> bool:
+    """Returns whether compiling takes less time than it saves."""
+    if scene.groups:
+        parts = [part for part in parts_of(scene).values() if part.groups]
+        return scenes * cycles >= WORTH_COMPILING_GROUPS and any(group_case(part).moves_by_flow for part in parts)
+    return scenes * cycles >= WORTH_COMPILING or batches * cycles >= _WORTH_COMPILING
 
 
 def _is_long(asked: _Sweep) -> bool:

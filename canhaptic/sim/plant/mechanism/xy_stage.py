@@ -13,7 +13,7 @@ from canhaptic.axis_units import Motion
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.dry_friction import DryFriction, StickSlip
-from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
+from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
 from canhaptic.sim.plant.mechanism.sample_clock import SampleClock
 from canhaptic.sim.plant.mechanism.task_hand import Length, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
@@ -62,6 +62,9 @@ class XYMotion:
     Attributes:
         order: None: exact between events.
         state_names: Every state, and nothing else.
+        force_places: Of the forces of the motors among them.
+        position_places: Of the positions.
+        is_linear: Whether one flow moves it: there is no dry friction.
     """
 
     order: int | None = None
@@ -70,12 +73,13 @@ class XYMotion:
         self._clock = SampleClock(sample_time_ns)
         self._scene = scene = _scene(stage, hand, sample_time_ns * 1e-9)
         self._machine = machine = HybridAutomaton(scene, _MAX_EVENTS, LEVELS)
-        self._run = machine.run if any(part.has_guards for part in scene.parts) else machine.run_free
+        self.is_linear = not any(part.has_guards for part in scene.parts)
+        self._run = machine.run_free if self.is_linear else machine.run
         self.state_names = scene.names
         index = {name: i for i, name in enumerate(scene.names)}
-        self._positions = [index[f"{name}_position"] for name in _NAMES]
+        self.position_places = [index[f"{name}_position"] for name in _NAMES]
         self._velocities = [index[f"{name}_velocity"] for name in _NAMES]
-        self._forces = [index[f"{name}_force"] for name in _NAMES]
+        self.force_places = [index[f"{name}_force"] for name in _NAMES]
         self._masses = (stage.mass_x, stage.mass_y)
         self._works = [_works_of(name, scene) for name in _NAMES]
 
@@ -83,7 +87,7 @@ class XYMotion:
     def positions(self) -> tuple[float, ...]:
         """True positions in x and y [m]."""
         state = self._machine.state
-        return tuple(state.item(i) for i in self._positions)
+        return tuple(state.item(i) for i in self.position_places)
 
     @property
     def velocities(self) -> tuple[float, ...]:
@@ -95,6 +99,10 @@ class XYMotion:
     def state(self) -> Array:
         """A copy of its state, in the order of `state_names`."""
         return self._machine.state.copy()
+
+    def whole_flow(self) -> Array:
+        """Returns the flow of the first mode over one sample time, shape (n, n)."""
+        return matrix_of(self._machine.first_mode.flows[0]).copy()
 
     @property
     def handle(self) -> tuple[float, float]:
@@ -127,7 +135,7 @@ class XYMotion:
         ticks = self._clock.pass_until(now)
         if ticks:
             machine = self._machine
-            for place, force in zip(self._forces, torques, strict=True):
+            for place, force in zip(self.force_places, torques, strict=True):
                 machine.state[place] = force
             machine.allow_events(before, before + ticks)
             self._run(ticks)

@@ -1,0 +1,98 @@
+"""The loop of a group as a kernel: against the loop with the plants themselves, and compiled."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from canhaptic.study.batch.group_case import group_case
+from canhaptic.study.batch.group_closed_loop import GroupMeter, LinearMotors, shares
+from canhaptic.study.batch.group_loop import motors_of
+from canhaptic.study.batch.group_scalar import group_meter
+from canhaptic.study.sweep import sweep
+from canhaptic.study.sweep.chunk import ENGINES
+from canhaptic.study.sweep.sweep_table import SweepTable
+from tests.study.sweep.conftest_sweep import REPOSITORY
+
+_SCALING = "groups.0.passivity={algorithm: step_scaling}"
+
+
+def scene_of(name: str, *overrides: str) -> Scene:
+    return load_scene(REPOSITORY / "configs" / f"{name}.yaml", list(overrides))
+
+
+def values_of(meter: GroupMeter) -> dict[str, float]:
+    found = asdict(meter)
+    return {**found.pop("figures"), **found}
+
+
+def random_scene(name: str, seed: int) -> Scene:
+    """One of many scenes: another network, rate, delay and moving mass."""
+    random = np.random.default_rng(seed)
+    overrides = [
+        f"groups.0.network.stiffness={10.0 ** random.uniform(2.0, 4.5)!r}",
+        f"groups.0.network.damping={random.integers(2) * 10.0 ** random.uniform(-1.0, 1.5):.17g}",
+        f"bus.rpdo={('synchronous', 'event')[random.integers(2)]}",
+        f"bus.rate={random.choice([250, 500, 1000])}",
+    ]
+    if random.random() < 0.5:
+        return scene_of(name, *overrides, _SCALING)
+    return scene_of(name, *overrides, f"groups.0.passivity.moving_mass={random.uniform(0.05, 0.2)!r}")
+
+
+@pytest.mark.parametrize(("name", "seed"), [("xy_box", 1), ("xy_box", 2), ("two_handles", 2)])
+def test_motors_as_one_flow_do_what_the_plants_do(name: str, seed: int) -> None:
+    scene = random_scene(name, seed)
+    case = group_case(scene, explains=True)
+    assert case.moves_by_flow
+    axes = [scene.axis(axis) for axis in scene.groups[0].axes]
+    by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 300))
+    by_flow = values_of(group_meter(case, 300))
+    assert by_flow == pytest.approx(by_plants, rel=1e-9, abs=1e-13)
+    assert by_flow["torque_peak"] > 0.0
+
+
+def test_what_is_held_is_explained_by_spring_and_damper() -> None:
+    share, damper = shares(group_meter(group_case(scene_of("xy_box"), explains=True), 1000))
+    assert share == pytest.approx(1.0, abs=0.03)
+    assert damper == pytest.approx(0.9, abs=0.05)
+    weak = scene_of("xy_box", "groups.0.passivity.moving_mass=1e-3")  # next to nothing is certified
+    assert shares(group_meter(group_case(weak, explains=True), 1000))[0] < 0.5
+
+
+def test_nothing_felt_has_no_share() -> None:
+    away = scene_of("xy_box", "groups.0.network.lower=[-1, -1]", "groups.0.network.upper=[1, 1]")
+    assert np.isnan(shares(group_meter(group_case(away, explains=True), 100))).all()
+
+
+def test_a_number_that_is_not_finite_ends_the_loop() -> None:
+    case = group_case(scene_of("xy_box"))
+    assert isinstance(case.motors, LinearMotors)
+    far = case.motors._replace(state=[float("nan"), *case.motors.state[1:]])
+    assert group_meter(case._replace(motors=far), 10).figures.diverged == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["xy_box", "two_handles"])
+def test_compiled_it_has_the_same_bits(name: str) -> None:
+    pytest.importorskip("numba")
+    for seed in range(30):
+        case = group_case(random_scene(name, seed), explains=True)
+        expected, found = (values_of(group_meter(case, 500, engine)) for engine in ("python", "numba"))
+        assert repr(found) == repr(expected), seed
+
+
+@pytest.mark.slow
+def test_a_sweep_of_groups_says_what_computed_it(tmp_path) -> None:
+    pytest.importorskip("numba")
+    found = []
+    for engine in ("python", "numba"):
+        path = tmp_path / f"{engine}.h5"
+        sweep(scene_of("xy_box"), ["groups.0.network.stiffness=500,3000"], path, cycles=300, engine=engine)
+        with SweepTable(path) as table:
+            computed = "scalar" if engine == "python" else engine
+            assert table.engine().tolist() == [ENGINES.index(computed)] * 2
+            found.append(table.figure("stage", "believed_error").tolist())
+    assert found[0] == found[1]
