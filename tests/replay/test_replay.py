@@ -64,7 +64,7 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
         ("bound_lost_frames", "certificates.certified_torque.by_hand_force_if_held_on"),
         ("bound_device_damping", "certificates.certified_torque.device_damping_bound"),
         ("bound_hand_speed", "certificates.certified_torque.hand_speed_bound"),
-        ("bound_group", "multi_axis.group_account.hand_force_bound"),
+        ("bound_group", "multi_axis.group_shares.hand_force_bound"),
         ("bound_group_of_handles", "multi_axis.per_axis_certificates.hand_force_bound"),
     ],
 )
