@@ -91,11 +91,11 @@ def test_markup_in_what_is_no_name_is_printed_as_it_is(tmp_path: Path, capsys: p
 
 def test_thousands_of_axes_with_one_node_id_are_refused_at_once() -> None:
     values = demo()
-    values["axes"] = [{**values["axes"][0], "name": f"axis{n}"} for n in range(2000)]
-    begin = time.process_time()  # 9 s of CPU before, for parts that no such scene can have
+    values["axes"] = [{**values["axes"][0], "name": f"axis{n}"} for n in range(500)]
+    begin = time.process_time()  # more before, for parts that no such scene can have
     lines = refused(values)
-    assert time.process_time() - begin < 5.0
-    assert len(lines) == 1999
+    assert time.process_time() - begin < 2.0
+    assert len(lines) == 499
     assert lines[0].startswith("scene: axes.1.node_id: got 1, which is the node_id of another axis already")
 
 

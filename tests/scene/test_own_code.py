@@ -252,7 +252,7 @@ def test_an_own_wall_has_a_continuous_reference(folder: Path, capsys: pytest.Cap
     assert np.abs(known.impulse).max() > 0.1
     assert mine.position == pytest.approx(known.position, abs=1e-9)
     assert mine.interaction == pytest.approx(known.interaction, abs=1e-9)
-    words = ["accuracy", str(folder / "scene.yaml"), "--set", same, "--duration", "0.4", "--budget", "0", "--json"]
+    words = ["accuracy", str(folder / "scene.yaml"), "--set", same, "--duration", "0.1", "--budget", "0", "--json"]
     assert main([*words, "--allow-code"]) == 0
 
 
