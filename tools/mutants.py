@@ -2,11 +2,11 @@
 
 Each mutant is a module with one change that a slip of the hand could make (`tests/mutation/mutator.py`), written into a
 copy of the repository. First of all the tests of the rooms run once there, unchanged, and note what each of them calls
-(`tests/mutation/reached.py`). A mutant then meets the tests that call its function, or, where it is in no function, its
-module: quick ones first, until one fails. That one must fail again with the mutant and pass without it: then the mutant
-is killed. One that ends no test run within its time is killed as well. What has run is kept in `--kept` (JSON lines),
-so that the same command goes on where it was stopped. A survivor is equivalent, or a test is missing: both are for a
-person to say, in `EQUIVALENT` here or as a test.
+(`tests/mutation/reached.py`). A mutant then meets the tests that call its function, or, where it is in no function,
+those of its room and module: quick ones first, until one fails. That one must fail again with the mutant and pass
+without it: then the mutant is killed. One that ends no test run within its time is killed as well. What has run is kept
+in `--kept` (JSON lines), so that the same command goes on where it was stopped. A survivor is equivalent, or a test is
+missing: both are for a person to say, in `EQUIVALENT` here or as a test.
 
 Exit status 1 when fewer than `--at-least` of the mutants that are not equivalent were killed. 300 mutants take some two
 hours of one processor; `--seconds` ends earlier, and `--only PATH:NUMBER` runs one.
@@ -74,9 +74,9 @@ def sample(rooms: Sequence[str], count: int, seed: int) -> list[tuple[Path, int]
 
 
 def room_of(path: Path) -> str:
-    """Returns the key of `ROOMS` that a module belongs to."""
+    """Returns the key of `ROOMS` that a module belongs to; "" where it belongs to none."""
     inside = path.relative_to("canhaptic").as_posix()
-    return next(room for room in ROOMS if inside == room or inside.startswith(f"{room}/"))
+    return next((room for room in ROOMS if inside == room or inside.startswith(f"{room}/")), "")
 
 
 def copied(folder: Path) -> Path:
@@ -114,6 +114,10 @@ def reached(copy: Path, folders: Sequence[str], into: Path, budget: float) -> Re
         for name in one["calls"]:
             callers.setdefault(name, set()).add(one["test"])
             callers.setdefault(name.partition(":")[0], set()).add(one["test"])
+    for module in [name for name in callers if name.endswith(".py")]:
+        room = room_of(Path(module))
+        near = tuple(f"tests/{folder}/" for folder in ROOMS[room][:2]) if room else ()
+        callers[module] |= {test for test in seconds if near and test.startswith(near)}
     found = {}
     for name, tests in callers.items():
         ordered = sorted(tests, key=seconds.__getitem__)
@@ -123,7 +127,7 @@ def reached(copy: Path, folders: Sequence[str], into: Path, budget: float) -> Re
 
 
 def _tests_of(mutant: str, path: Path, callers: Reached) -> Sequence[str]:
-    """Returns the tests that call what a mutant is in."""
+    """Returns the tests that call what a mutant is in; those of its room where it is in no function."""
     function = f"{path.as_posix()}:{mutant.partition(':')[0]}"
     return callers.get(function) or callers.get(path.as_posix(), ())
 

@@ -10,6 +10,7 @@ Identity of every step, for every algorithm (to 1e-12 of the largest term); for 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from math import inf
 from typing import Any, Final, Literal, NamedTuple
 
 
@@ -81,28 +82,40 @@ class EnergyBalance(NamedTuple):
 
 
 Verdict = Literal["yes", "no", "in doubt"]
-"""Whether a port was passive; "in doubt" where energy that lost samples leave open decides."""
+"""Whether a port was passive; "in doubt" where energy that is not known for certain decides."""
 
 PASSIVE_TOLERANCE: Final = 1e-6
 """Energy below zero that still counts as zero, for counts of the encoder, where its resolution is not known [J]."""
 _ROUNDING: Final = 1e-9
 """The same where the resolution of the energy is known [J]."""
+_LARGEST_DOUBT: Final = 0.1
+"""Resolution over the energy that came in beyond which nothing is said of a port without certificates."""
 
 
 def passive_verdict(
-    least: float, resolution: float = 0.0, *, is_promised: bool = False, has_open_hold: bool = False
+    least: float,
+    resolution: float = 0.0,
+    *,
+    energy_in: float = inf,
+    is_promised: bool = False,
+    has_open_hold: bool = False,
 ) -> Verdict:
     """Returns whether a sum of energy stayed at zero or above.
+
+    Without certificates it may have fallen to minus the resolution: "yes" only where that is small.
 
     Args:
         least: Its least value after any hold, as booked [J].
         resolution: Largest difference of that from the true one [J].
+        energy_in: That came in, all in all [J].
         is_promised: Whether certificates held in every hold that rule out less than zero.
         has_open_hold: Whether the run ended in holds that are not booked, because no position came any more.
     """
     if least + resolution < -_ROUNDING:
         return "no"
-    return "yes" if (least >= -_ROUNDING or is_promised) and not has_open_hold else "in doubt"
+    is_small = resolution <= max(PASSIVE_TOLERANCE, _LARGEST_DOUBT * energy_in)
+    is_sure = is_promised or (least >= -_ROUNDING and is_small)
+    return "yes" if is_sure and not has_open_hold else "in doubt"
 
 
 def is_certified(account: Mapping[str, Any]) -> bool:
@@ -123,7 +136,13 @@ def account_verdict(account: Mapping[str, Any]) -> Verdict:
     if resolution is None:  # of an older log, which does not hold it
         least, resolution = least + PASSIVE_TOLERANCE, account.get("unsure", 0.0)
     promised = is_certified(account) and account.get("least_at_handle") is None
-    return passive_verdict(least, resolution, is_promised=promised, has_open_hold=account.get("open_hold", False))
+    return passive_verdict(
+        least,
+        resolution,
+        energy_in=account["in"],
+        is_promised=promised,
+        has_open_hold=account.get("open_hold", False),
+    )
 
 
 def handle_verdict(account: Mapping[str, Any]) -> Verdict | None:
@@ -139,7 +158,11 @@ def handle_verdict(account: Mapping[str, Any]) -> Verdict | None:
         return None
     open_hold = account.get("open_hold", False)
     found = passive_verdict(
-        least, account["energy_resolution"], is_promised=is_certified(account), has_open_hold=open_hold
+        least,
+        account["energy_resolution"],
+        energy_in=account["in"],
+        is_promised=is_certified(account),
+        has_open_hold=open_hold,
     )
     return "in doubt" if found == "no" else found
 

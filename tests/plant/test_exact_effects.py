@@ -4,6 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canhaptic.sim.plant.effects import encoder_noise
 from canhaptic.sim.plant.user import UserParameters
 from tests.plant.plant_scenes import (
     DAMPING,
@@ -236,6 +237,12 @@ def test_a_winding_warms_exponentially_and_holds_the_torque_it_can_stand():
     held = 2.0 * (400.0 - winding.temperature) / 50.0  # type: ignore[attr-defined]
     assert winding.temperature == pytest.approx(300 + 50 * held**2, rel=1e-6)  # type: ignore[attr-defined]
     assert 0.5 < held < 2.0
+
+
+def test_noise_comes_from_splitmix64():
+    """The published first numbers of that generator, begun with 1234567."""
+    numbers = [encoder_noise._mix(1234567 + step * encoder_noise._GAMMA) for step in (1, 2, 3)]
+    assert numbers == [6457827717110365317, 3203168211198807973, 9817491932198370423]
 
 
 def test_the_encoder_reads_steps_and_repeatable_noise():

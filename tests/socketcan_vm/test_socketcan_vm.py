@@ -14,7 +14,8 @@ from tests.socketcan_vm.machine import boot
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 BOOT_TIMEOUT = 700.0  # [s] a minute on an idle machine
-CYCLES = 3000
+CYCLES = 1500
+MOST_BUSY = 0.5  # share of the guest's processor
 STOP_CYCLES = 20  # bus.stop_cycles of the scene: missed SYNCs after which the torque is zero
 Results = dict[str, dict[str, Any]]
 
@@ -46,7 +47,9 @@ def test_a_whole_run_of_two_processes_loses_no_frame_and_skips_no_sync(guest: Re
     account, link = run["account"], run["account"]["link"]
     assert account["cycles"] == CYCLES
     lost = link["skipped_syncs"], link["missed_tpdos"], link["late"], link["error_frames"]
-    assert lost == (0, 0, 0, 0), f"late SYNCs [number, seconds to the next]: {run['late']}"
+    print(f"{bus}: busy {run['busy']:.2f}, processes {run['processes']}")
+    assert lost == (0, 0, 0, 0), f"late SYNCs [number, seconds to the next, ms by process around it]: {run['late']}"
+    assert run["busy"] <= MOST_BUSY
     assert run["syncs"] == run["tpdos"] >= CYCLES
     assert run["most_torque"] > 500  # it was a contact
     assert run["last_torque"] == [0]

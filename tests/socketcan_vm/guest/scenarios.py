@@ -12,6 +12,8 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -23,7 +25,7 @@ EXAMPLE = "/packages/configs/socketcan_example.yaml"
 PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
 FIRST = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30)); "  # answers before anybody else runs
 HAND_IN_THE_WALL = ["--set", "simulation.user.rest=-0.2 m"]
-RATE = 1000  # [Hz]
+RATE = 500  # [Hz]; a cycle of both processes takes 0.8 ms of this processor
 SYNC, TPDO, RPDO = 0x080, 0x181, 0x201
 TIMESTAMP_NS = 35  # SO_TIMESTAMPNS of <asm-generic/socket.h>
 RCVBUF_FORCE = 33  # SO_RCVBUFFORCE: more than net.core.rmem_max, as root
@@ -66,6 +68,56 @@ class Listener:
         return self.frames
 
 
+class Usage:
+    """Notes how much processor each process took, five times a second, in a thread of its own."""
+
+    def __init__(self) -> None:
+        self.samples: list[tuple[float, dict[str, int]]] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> "Usage":
+        self._busy = _busy()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._ended.set()
+        self._thread.join()
+        now = _busy()
+        self.busy = (now[0] - self._busy[0]) / max(1, now[1] - self._busy[1])
+
+    def _watch(self) -> None:
+        while not self._ended.wait(0.2):
+            self.samples.append((time.clock_gettime(time.CLOCK_REALTIME), _taken()))
+
+    def around(self, moment: float) -> dict[str, float]:
+        """Returns what each process took in the stretch around a moment [ms]; those of less than 0.1 ms left out."""
+        for (begin, before), (end, after) in pairwise(self.samples):
+            if begin <= moment <= end:
+                took = {name: (value - before.get(name, 0)) * 1e-6 for name, value in after.items()}
+                return {"stretch": 1e3 * (end - begin), **{name: ms for name, ms in took.items() if ms >= 0.1}}
+        return {}
+
+
+def _busy() -> tuple[int, int]:
+    """Returns the ticks in which the processor was busy, and all of them."""
+    ticks = [int(word) for word in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+    return sum(ticks) - ticks[3] - ticks[4], sum(ticks)
+
+
+def _taken() -> dict[str, int]:
+    """Returns the time that each process took so far [ns]."""
+    found = {}
+    for place in Path("/proc").glob("[0-9]*/task/[0-9]*/schedstat"):
+        try:
+            name = place.with_name("comm").read_text().strip()
+            found[f"{name} {place.parts[2]}/{place.parts[4]}"] = int(place.read_text().split()[0])
+        except OSError:  # it has ended
+            continue
+    return found
+
+
 def torque(frame: Frame) -> int:
     """Target torque of an RPDO1 (controlword, target torque) [per mille]."""
     return int(struct.unpack_from("<h", frame.data, 2)[0])
@@ -99,7 +151,7 @@ def whole_run(master: str, drive: str, seconds: float, scene: str = SCENE) -> di
         assert far.stderr is not None
         powered = far.stderr.readline()
         command = ["run", scene, *on_bus(master), "--pace", "real", "--duration", str(seconds), "--json"]
-        with canhaptic(*command, "--bus-log", "/tmp/run.log") as near:
+        with canhaptic(*command, "--bus-log", "/tmp/run.log") as near, Usage() as usage:
             out, err = near.communicate(timeout=PATIENCE)
         far.send_signal(signal.SIGTERM)
         far.communicate(timeout=PATIENCE)
@@ -111,11 +163,22 @@ def whole_run(master: str, drive: str, seconds: float, scene: str = SCENE) -> di
     return {
         "powered": powered.strip(), "ends": ends, "error": err.strip()[-800:], "account": account,
         "syncs": len(syncs), "tpdos": count(frames, TPDO), "rpdos": count(frames, RPDO),
-        "late": [[number, gap] for number, gap in enumerate(gaps) if gap > 1.5 / RATE],
+        "late": [[n, gap, usage.around(syncs[n])] for n, gap in enumerate(gaps) if gap > 1.5 / RATE],
+        "busy": busy_between(usage, syncs),
+        "processes": {"master": near.pid, "drive": far.pid, "listener": os.getpid()},
         "shortest_gap": min(gaps, default=0.0),
         "most_torque": max((abs(torque(frame)) for frame in frames if frame.can_id == RPDO), default=0),
         "last_torque": [torque(frame) for frame in frames if frame.can_id == RPDO][-1:],
     }  # fmt: skip
+
+
+def busy_between(usage: Usage, syncs: list[float]) -> float:
+    """Returns the share of the processor that all processes took while SYNCs were sent."""
+    during = [one for one in usage.samples if syncs and syncs[0] <= one[0] <= syncs[-1]]
+    if len(during) < 2:
+        return usage.busy
+    (begin, before), (end, after) = during[0], during[-1]
+    return sum(value - before.get(name, 0) for name, value in after.items()) * 1e-9 / (end - begin)
 
 
 def count(frames: list[Frame], can_id: int) -> int:
