@@ -128,8 +128,10 @@ def reached(copy: Path, folders: Sequence[str], into: Path, budget: float) -> Re
 
 def _tests_of(mutant: str, path: Path, callers: Reached) -> Sequence[str]:
     """Returns the tests that call what a mutant is in; those of its room where it is in no function."""
-    function = f"{path.as_posix()}:{mutant.partition(':')[0]}"
-    return callers.get(function) or callers.get(path.as_posix(), ())
+    scope = mutant.partition(":")[0]
+    is_class = scope.rpartition(".")[2].lstrip("_")[:1].isupper()  # whose body runs with the import, in one test alone
+    found = callers.get(f"{path.as_posix()}:{scope}", ())
+    return found if found and not is_class else callers.get(path.as_posix(), ())
 
 
 def outcome(copy: Path, path: Path, number: int, callers: Reached) -> dict[str, Any]:
@@ -142,18 +144,25 @@ def outcome(copy: Path, path: Path, number: int, callers: Reached) -> dict[str, 
     for few in (_QUICK, len(tests)):
         batch, passed = list(tests[passed:few]), max(passed, few)
         while batch and killer is None:
-            target.write_bytes(mutant)
+            _put(target, mutant)
             failed = _failure(copy, batch)
             if not failed:
                 break
             again = _failure(copy, [failed]) if "::" in failed else failed
-            target.write_bytes(kept)
+            _put(target, kept)
             if "::" not in failed or (again and not _failure(copy, [failed])):
                 killer = failed
             batch = [test for test in batch if test != failed]
-    target.write_bytes(kept)
+    _put(target, kept)
     found = {"path": path.as_posix(), "number": number, "name": name, "tests": len(tests), "killed_by": killer}
     return {**found, "seconds": round(time.monotonic() - begin, 1)}
+
+
+def _put(target: Path, text: bytes) -> None:
+    """Writes a module and forgets its compiled form, whose time stamp is no better than a second."""
+    target.write_bytes(text)
+    for compiled in (target.parent / "__pycache__").glob(f"{target.stem}.*.pyc"):
+        compiled.unlink()
 
 
 def _failure(copy: Path, tests: Sequence[str]) -> str:
@@ -191,7 +200,7 @@ def _pytest(
         "not slow",
         "--no-header",
     ]
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **more}
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "", **more}
     return subprocess.run(
         [sys.executable, *fixed, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=longest,
         check=False,

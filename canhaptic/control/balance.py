@@ -93,13 +93,9 @@ _LARGEST_DOUBT: Final = 0.1
 
 
 def passive_verdict(
-    least: float,
-    resolution: float = 0.0,
-    *,
-    energy_in: float = inf,
-    is_promised: bool = False,
+    least: float, resolution: float = 0.0, *, energy_in: float = inf, is_promised: bool = False,
     has_open_hold: bool = False,
-) -> Verdict:
+) -> Verdict:  # fmt: skip
     """Returns whether a sum of energy stayed at zero or above.
 
     Without certificates it may have fallen to minus the resolution: "yes" only where that is small.
@@ -136,13 +132,7 @@ def account_verdict(account: Mapping[str, Any]) -> Verdict:
     if resolution is None:  # of an older log, which does not hold it
         least, resolution = least + PASSIVE_TOLERANCE, account.get("unsure", 0.0)
     promised = is_certified(account) and account.get("least_at_handle") is None
-    return passive_verdict(
-        least,
-        resolution,
-        energy_in=account["in"],
-        is_promised=promised,
-        has_open_hold=account.get("open_hold", False),
-    )
+    return _verdict_of(account, least, resolution, promised)
 
 
 def handle_verdict(account: Mapping[str, Any]) -> Verdict | None:
@@ -156,15 +146,13 @@ def handle_verdict(account: Mapping[str, Any]) -> Verdict | None:
     least = account.get("least_at_handle")
     if least is None:
         return None
-    open_hold = account.get("open_hold", False)
-    found = passive_verdict(
-        least,
-        account["energy_resolution"],
-        energy_in=account["in"],
-        is_promised=is_certified(account),
-        has_open_hold=open_hold,
-    )
+    found = _verdict_of(account, least, account["energy_resolution"], is_certified(account))
     return "in doubt" if found == "no" else found
+
+
+def _verdict_of(account: Mapping[str, Any], least: float, resolution: float, is_promised: bool) -> Verdict:
+    open_hold = account.get("open_hold", False)
+    return passive_verdict(least, resolution, energy_in=account["in"], is_promised=is_promised, has_open_hold=open_hold)
 
 
 OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.GROUP.value)

@@ -14,7 +14,7 @@ from tests.socketcan_vm.machine import boot
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 BOOT_TIMEOUT = 700.0  # [s] a minute on an idle machine
-CYCLES = 1500
+CYCLES = 1200
 MOST_BUSY = 0.5  # share of the guest's processor
 STOP_CYCLES = 20  # bus.stop_cycles of the scene: missed SYNCs after which the torque is zero
 Results = dict[str, dict[str, Any]]

@@ -25,7 +25,7 @@ EXAMPLE = "/packages/configs/socketcan_example.yaml"
 PROGRAM = "import sys; from canhaptic.cli.main import main; sys.exit(main())"
 FIRST = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30)); "  # answers before anybody else runs
 HAND_IN_THE_WALL = ["--set", "simulation.user.rest=-0.2 m"]
-RATE = 500  # [Hz]; a cycle of both processes takes 0.8 ms of this processor
+RATE = 400  # [Hz]; a cycle of both processes takes 1 ms of this processor
 SYNC, TPDO, RPDO = 0x080, 0x181, 0x201
 TIMESTAMP_NS = 35  # SO_TIMESTAMPNS of <asm-generic/socket.h>
 RCVBUF_FORCE = 33  # SO_RCVBUFFORCE: more than net.core.rmem_max, as root
@@ -141,6 +141,7 @@ def on_bus(channel: str) -> list[str]:
     values = ["bus.interface=socketcan", f"bus.channel={channel}", f"bus.rate={RATE} Hz"]
     values += ["bus.spin_margin=0 s", "bus.tpdo_timeout=0.8"]  # one processor of 10^9 instructions a second for both
     values += ["bus.realtime.priority=20", "bus.realtime.freeze_garbage=true"]
+    values += ["passivity.sync_jitter=0.05", "passivity.torque_window=0.1 ms", "passivity.current_lag=0 s"]
     return [word for value in values for word in ("--set", value)]
 
 
