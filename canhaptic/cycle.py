@@ -199,7 +199,8 @@ class Cycle:
             samples, balances, truths = self._account_groups(samples, balances, truths)
         timing = self.rig.timing
         meters = self.meters
-        meters.take(samples, balances, self._ledgers, deadline)
+        late = timing.wakeup_lateness / self.rig.bus.sample_time_ns if timing.wakeup_lateness else 0.0
+        meters.take(samples, balances, self._ledgers, deadline, late)
         if self._is_timed:
             for histogram, duration in zip(self.timing.values(), timing, strict=True):
                 histogram.add(duration)

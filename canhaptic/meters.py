@@ -86,7 +86,12 @@ class RunMeters:
         self.asked: list[tuple[float, float]] = [(0.0, 0.0)] * len(self.axes)
 
     def take(
-        self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], ledgers: Sequence[Ledger], deadline: int
+        self,
+        samples: Sequence[Sample],
+        balances: Sequence[EnergyBalance],
+        ledgers: Sequence[Ledger],
+        deadline: int,
+        late: float = 0.0,
     ) -> None:
         """Takes the SYNC whose balances the ledgers have just taken.
 
@@ -95,8 +100,9 @@ class RunMeters:
             balances: The same.
             ledgers: The same.
             deadline: Sample times since the first SYNC.
+            late: Time by which the SYNC was later than that [sample times].
         """
-        self.deadline = deadline
+        self.deadline, sent = deadline, deadline + late
         axes = self._count
         for place in self._places:  # walked by number, see `Cycle`
             balance = balances[place]
@@ -106,7 +112,7 @@ class RunMeters:
                 if branch != _HELD:
                     sample, drive = samples[place], self._drives[place]
                     before = meter.position
-                    meter.take(sample.position, sample.torque_applied, deadline, balance)
+                    meter.take(sample.position, sample.torque_applied, sent, balance)
                     if drive.open_time:
                         exact = -sample.torque_applied * (sample.position - before)
                         meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))

@@ -87,7 +87,7 @@ class AxisMeter:
         self._accuracy, self.watch = accuracy, watch
         self._environment = None if environment is None or environment.relaxes else environment
         self.damping_asked = 0.0 if environment is None else environment.damping
-        self._booked_at = -1
+        self._booked_at = -1.0
         self._lazy = 0.0, 0.0  # where the laziest motion may be
         self.position = self._torque = self._changes = self._uneven = self._speed = 0.0
         self.resolution = self.dissipated = self.asked = 0.0
@@ -113,13 +113,13 @@ class AxisMeter:
             self._uneven += energy
             self.resolution += energy
 
-    def take(self, position: float, torque: float, deadline: int, balance: EnergyBalance) -> None:
+    def take(self, position: float, torque: float, deadline: float, balance: EnergyBalance) -> None:
         """Takes a hold that was booked.
 
         Args:
             position: At its end [m or rad].
             torque: Booked for it [N or N*m].
-            deadline: Sample times from the first SYNC to its end.
+            deadline: Sample times from the first SYNC to its end, which may be late.
             balance: Of it.
         """
         environment = self._environment
@@ -129,25 +129,25 @@ class AxisMeter:
                 self.asked = environment.effort(environment.true_state(position, 0.0, 0.0))
         booked_at, self._booked_at = self._booked_at, deadline
         moved, self.position = abs(position - self.position), position
-        accuracy = self._accuracy
+        accuracy, holds = self._accuracy, max(0.5, deadline - booked_at)  # no two SYNCs are nearer
         if booked_at < 0:
             self._lazy = position - accuracy.position, position + accuracy.position
             if self.watch is not None:
-                self.watch.take(position, torque, deadline, self.asked)
+                self.watch.take(position, torque, round(deadline), self.asked)
             return
         if accuracy.device_damping:
             certain = moved - 2.0 * accuracy.position
             if certain > 0.0:
-                time = (deadline - booked_at) * accuracy.sample_time
+                time = holds * accuracy.sample_time
                 self.dissipated += accuracy.device_damping * certain * certain / time
         if accuracy.device_friction:
             self.dissipated += accuracy.device_friction * self._path_to(position)
             if self.watch is not None:
-                self.watch.take(position, torque, deadline, self.asked)
+                self.watch.take(position, torque, round(deadline), self.asked)
         if torque != 0.0 or self._torque != 0.0:
-            self._leave_open(torque, moved, deadline - booked_at)
+            self._leave_open(torque, moved, holds)
         else:
-            self._speed = moved / (deadline - booked_at)
+            self._speed = moved / holds
 
     def _path_to(self, position: float) -> float:
         """Returns how far the axis has gone at least to be at a position [m or rad]; see the module."""
@@ -162,7 +162,7 @@ class AxisMeter:
         self._lazy = (lowest if lowest > low else low), (highest if highest < high else high)
         return 0.0
 
-    def _leave_open(self, torque: float, moved: float, holds: int) -> None:
+    def _leave_open(self, torque: float, moved: float, holds: float) -> None:
         accuracy, size = self._accuracy, abs(torque)
         mean, before = moved / holds, self._speed
         self._speed = mean
@@ -187,6 +187,6 @@ class SilentMeter(AxisMeter):
     def leave_open(self, torque: float, time: int, booked: float) -> None:
         """Takes nothing."""
 
-    def take(self, position: float, torque: float, deadline: int, balance: EnergyBalance) -> None:
+    def take(self, position: float, torque: float, deadline: float, balance: EnergyBalance) -> None:
         """Takes the position [m or rad]."""
         self.position = position

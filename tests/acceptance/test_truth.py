@@ -30,6 +30,10 @@ def test_what_was_mended_stays_mended(seed: int) -> None:
     assert outcome.false_claims == ()
 
 
+def test_a_hold_ended_by_a_late_sync_dissipates_for_its_own_length():
+    assert outcome_with_fault(400828).false_claims == ()
+
+
 def _outcomes(scenes: int) -> list[Outcome]:
     return [outcome_of(seed) for seed in range(scenes)]
 

@@ -1,5 +1,7 @@
 """One rig on two buses: one SYNC index, each bus with its own budget."""
 
+import itertools
+
 import can
 import pytest
 
@@ -67,6 +69,31 @@ def test_two_buses_share_one_sync_index_and_stop_together() -> None:
     assert len(two.rig.budgets) == 2
     two.rig.stop()
     assert {drive.state for drive in two.simulated} == {DriveState.SWITCH_ON_DISABLED}
+    two.close()
+
+
+def test_a_host_that_stops_while_it_reads_the_second_bus_sends_no_two_syncs_in_a_burst(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    two = Buses()
+    two.rig.start()
+    period, drain, sent = two.rig.bus.sample_time_ns, two.links[1].drain, [0]
+    stops = itertools.count()
+
+    def late() -> None:
+        drain()
+        if len(sent) == 6 and next(stops) == 0:
+            two.clock.wait_until(two.clock.now() + 9 * period + 9 * period // 10)
+
+    monkeypatch.setattr(two.links[1], "drain", late)
+    for _ in range(12):
+        two.rig.sync()
+        two.rig.write_torques([1.0] * 4)
+        sent.append(two.rig._exchange._synced)
+    gaps = [(after - before) / period for before, after in itertools.pairwise(sent[2:])]
+    assert max(gaps) == pytest.approx(11.0)
+    assert min(gaps) == pytest.approx(1.0)
+    assert two.rig.skipped_syncs == 10
     two.close()
 
 

@@ -106,15 +106,15 @@ class Exchange:
         """
         links, period, now = self.links, self._period, self.clock.now
         links[0].pump(self._next)
+        for link in links[1:]:
+            link.drain()
         while (lateness := (woken := now()) - self._next) > self._latest:
             skipped = (lateness + self._latest) // period
             self.skipped += skipped
             self._next += skipped * period
             links[0].pump(self._next)
-        if len(links) > 1:
             for link in links[1:]:
                 link.drain()
-            woken = now()
         self.deadline = self._next
         self._next += period
         return woken
