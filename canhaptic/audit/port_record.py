@@ -37,7 +37,7 @@ class PortRecord:
         self._certificates = self._contacts = self._silent = self._uncommanded = 0
         self._interaction, self._least, self._at_handle = np.longdouble(0.0), 0.0, 0.0
         self._device = self._asked = self._given = self._damping = 0.0
-        self._is_open = False
+        self._is_open, self._in = False, 0.0
         declared = log.attributes.get(f"{name}.{FRICTION_DECLARED}")
         self._watch = None if declared is None else FrictionWatch(FrictionDeclared(**json.loads(str(declared))))
 
@@ -50,7 +50,9 @@ class PortRecord:
         if stop <= start:
             return
         branch, torque = port.read("branch", start, stop), port.read("torque_command", start, stop)
-        running = self._interaction + np.cumsum(port.read("h_i", start, stop), dtype=np.longdouble)
+        h_i = port.read("h_i", start, stop)
+        self._in += float(h_i[h_i > 0.0].sum())
+        running = self._interaction + np.cumsum(h_i, dtype=np.longdouble)
         self._interaction = running[-1]
         self._least = min(self._least, float(running.min()))
         for number in np.unique(port.read("certificate", start, stop)[torque != 0.0]):
@@ -98,6 +100,7 @@ class PortRecord:
         """Returns what is known so far, by the names of `run --json`, without verdicts."""
         certificates = [certificate.name.lower() for certificate in certificates_of(self._certificates)]
         account: dict[str, Any] = {
+            "in": self._in,
             "least_interaction": self._least,
             "certificate": certificates[-1] if certificates else "exact",
             "certificates": certificates,

@@ -133,7 +133,7 @@ class AxisMeter:
         if booked_at < 0:
             self._lazy = position - accuracy.position, position + accuracy.position
             if self.watch is not None:
-                self.watch.take(position, torque, round(deadline), self.asked)
+                self.watch.take(position, torque, int(deadline), self.asked)
             return
         if accuracy.device_damping:
             certain = moved - 2.0 * accuracy.position
@@ -143,7 +143,7 @@ class AxisMeter:
         if accuracy.device_friction:
             self.dissipated += accuracy.device_friction * self._path_to(position)
             if self.watch is not None:
-                self.watch.take(position, torque, round(deadline), self.asked)
+                self.watch.take(position, torque, int(deadline), self.asked)
         if torque != 0.0 or self._torque != 0.0:
             self._leave_open(torque, moved, holds)
         else:
