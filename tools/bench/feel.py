@@ -250,7 +250,10 @@ FIGURES: Final = (held_rows, slow_rows, entry_rows, friction_rows)
 
 def main(words: Sequence[str]) -> None:
     """Measures all of them and publishes the table."""
+    from tools.bench.feel_picture import draw
+
     algorithms = list(words) or list(ALGORITHMS)
+    draw()
     publish("feel", [row for figure in FIGURES for row in figure(algorithms)], ["canhaptic", "numpy"])
 
 
