@@ -11,12 +11,12 @@ from canhaptic.cli.arguments import check_folder, scene_of
 from canhaptic.cli.output import failure, write_failure, write_file, write_json, write_line, write_note
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.commission.dialogue import Dialogue, Unattended
+from canhaptic.commission.display_tests import commission_displays
 from canhaptic.commission.findings import Report
 from canhaptic.commission.laws import CommissioningLimits
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import Session
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import make_console
 
@@ -28,7 +28,6 @@ _YES: Final = ("y", "yes")
 def execute(arguments: argparse.Namespace) -> int:
     """Walks the steps; returns 0 when all agrees, 1 when something is to be corrected, 130 or 143 after a signal."""
     scene = scene_of(arguments)
-    refuse_displays(scene, "commission")
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
     if arguments.out is not None:
         check_folder(arguments.out)
@@ -37,7 +36,10 @@ def execute(arguments: argparse.Namespace) -> int:
     with StopSignal() as stop:
         session = Session(scene, dialogue, limits, stop.requested)
         try:
-            commission(session, arguments.duration)
+            if any(axis.parameters.admittance is not None for axis in scene.axes):
+                commission_displays(session)
+            else:
+                commission(session, arguments.duration)
         except CanHapticError as raised:
             error = raised
         _print(session.report, error, arguments)

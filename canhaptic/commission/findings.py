@@ -102,9 +102,9 @@ def _axis_snippet(axis: str, values: Iterable[Value]) -> str:
     for value in values:
         head, _, key = value.key.rpartition(".")
         if head != section and head:
-            lines.append(f"{head}:")
+            lines += [f"{'  ' * depth}{name}:" for depth, name in enumerate(head.split("."))]
         section = head
-        indent, comment = "  " if head else "", f"  # {value.comment}" if value.comment else ""
+        indent, comment = "  " * len(head.split(".")) if head else "", f"  # {value.comment}" if value.comment else ""
         number = (
             f"{value.value:.6g}" if isinstance(value.value, float) else value.value
         )  # a number of the drive is whole

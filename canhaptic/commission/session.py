@@ -84,7 +84,12 @@ class Session:
         return self.scene.axes
 
     def play(
-        self, axis: int, torques: Sequence[float], cycles: int, ready: Callable[[], bool] = lambda: False
+        self,
+        axis: int,
+        torques: Sequence[float],
+        cycles: int,
+        ready: Callable[[], bool] = lambda: False,
+        limits: CommissioningLimits | None = None,
     ) -> OpenLoop:
         """Runs the rig with torques on one axis and none on the others, stops it, and returns what that axis did.
 
@@ -93,13 +98,15 @@ class Session:
             torques: One per cycle [N or N*m].
             cycles: How long, at most.
             ready: Ends it earlier.
+            limits: In place of those of the session.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
         """
-        largest_step = self.limits.speed * self.sample_time
+        limits = limits or self.limits
+        largest_step = limits.speed * self.sample_time
         laws = [
-            OpenLoop(torques, self.limits.travel, largest_step) if n == axis and torques else OpenLoop(NO_TORQUE)
+            OpenLoop(torques, limits.travel, largest_step) if n == axis and torques else OpenLoop(NO_TORQUE)
             for n in range(len(self.axes))
         ]
         self.run(laws, cycles, ready)

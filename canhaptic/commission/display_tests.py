@@ -1,0 +1,189 @@
+"""What is measured of an admittance display: its sensor at rest, its drive while a hand pushes and a chirp moves it.
+
+With r the velocity commanded, v that of the handle and F the force, the velocity loop says
+
+    F = M v' + c (v - r) - k lead + friction sgn(v) + F_0
+
+Each term is averaged with a hat of some milliseconds, of which the mean of v' is a difference of three positions, so
+that no position is differentiated twice from SYNC to SYNC. Least squares give M, c and k. The hand is needed: a handle
+that is let go shows forces that only repeat its own motion, so that M and c were known as a ratio alone. The latency of
+the force is the one that leaves the least.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canhaptic.commission.findings import StepVerdict
+from canhaptic.commission.laws import OpenLoop, sweep
+from canhaptic.commission.session import Session
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.errors import InputError
+
+_REST: Final = 1.0  # [s] without a hand
+_CHIRP: Final = (2.0, 40.0, 8.0)  # from [Hz], to [Hz], for [s]
+_AMPLITUDE: Final = 0.02  # of the chirp [m/s or rad/s], if the limits allow it
+_TRAVELS: Final = 3.0  # of the limit: it is the hand that pushes the drive away
+_HALF: Final = 5e-3  # half the width of the hat [s]
+_LATEST: Final = 4  # samples by which a force may be late
+_SAFE: Final = 1.1  # over what was measured, for what is to be declared over
+_SLOWEST: Final = 2.0  # [1/s] of an integral that counts as one
+_SURE: Final = 0.1  # largest standard deviation of M and c, as a part of them
+Array = NDArray[np.float64]
+
+
+class _Fit(NamedTuple):
+    """What least squares gave."""
+
+    mass: float
+    gain: float
+    integral: float
+    doubt: float  # larger standard deviation of mass and gain, as a part of them
+    square: float  # of what is left, on average [N^2 or N^2*m^2]
+    latency: int
+
+
+def commission_displays(session: Session) -> None:
+    """Walks every step for scenes of admittance displays; the findings are in `session.report`.
+
+    Raises:
+        InputError: Some axes are impedance displays.
+        RigError: Drive or link failed; the velocity is zero, every drive that answers is disabled.
+    """
+    if any(axis.parameters.admittance is None for axis in session.axes):
+        raise InputError(f"{session.scene.source}: has displays of both kinds; commission a scene of each")
+    names = ", ".join(axis.parameters.name for axis in session.axes)
+    if not session.agreed(
+        f"{names}: hands off, clear of the machine. Enable the drives at velocity zero?", "sensor", [0]
+    ):
+        return
+    with session.rig_of(with_hand=False):
+        for axis in range(len(session.axes)):
+            _rest(session, axis)
+    asked = "hold the handle, push and pull while it shakes a little. Move it?"
+    with session.rig_of(with_hand=True):
+        for axis, of in enumerate(session.axes):
+            if session.stop_requested() or not session.agreed(
+                f"{of.parameters.name}: {asked}", "velocity loop", [axis]
+            ):
+                return
+            _loop(session, axis)
+
+
+def _rest(session: Session, axis: int) -> None:
+    """Measures offset and noise of a sensor on which nothing pushes."""
+    law = session.play(axis, (), session.cycles(_REST))
+    force = -np.array(law.applied[1:])
+    given = session.axes[axis].parameters.admittance
+    if given is None or not len(force):
+        return
+    declared, unit = given.force, "N" if session.axes[axis].parameters.unit == "m" else "N*m"
+    offset, largest = float(force.mean()), float(abs(force).max())
+    good = largest <= declared.error
+    text = "paste offset_counts; what is left must be below force.error"
+    found = f"{offset:.4g} {unit} on average, {largest:.4g} {unit} at most"
+    session.judged(axis, "force at rest", f"error {declared.error:g} {unit}", found, good=good, text=text)
+    if not good and declared.sampling != "impulse":
+        counts = declared.offset_counts + offset / declared.per_count
+        session.propose(axis, "admittance.force.offset_counts", counts, "", "tare: nothing pushed on the sensor")
+
+
+def _loop(session: Session, axis: int) -> None:
+    """Measures mass and gains of a drive, sign and latency of its sensor."""
+    given, bus = session.axes[axis].parameters, session.scene.bus
+    lowest, highest, seconds = _CHIRP
+    amplitude = min(_AMPLITUDE, 0.5 * (given.speed_limit or _AMPLITUDE), session.limits.speed)
+    speeds = sweep(amplitude, lowest, min(highest, 0.1 / session.sample_time), seconds, session.sample_time)
+    travel = session.limits.model_copy(update={"travel": _TRAVELS * session.limits.travel})
+    law = session.play(axis, speeds, len(speeds) + 2, limits=travel)
+    if law.tripped:
+        session.found(axis, "velocity loop", "", law.tripped, StepVerdict.UNKNOWN, "push less, or raise --travel")
+        return
+    commands = np.concatenate([np.zeros(1 + bus.delay), speeds])[: len(law.positions)]
+    is_mean = given.admittance is not None and given.admittance.force.sampling != "point"
+    fit = _fitted(law, commands, session.sample_time, is_mean=is_mean)
+    _judge(session, axis, fit)
+
+
+def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _Fit:
+    """Returns what fits best; `commands[k]` acts in the hold that ends at SYNC k."""
+    position, force = np.array(law.positions), -np.array(law.applied)
+    acted, half = commands[1 : len(position)], max(1, round(_HALF / time))
+    holds = np.minimum(np.arange(2 * half) + 0.5, 2 * half - 0.5 - np.arange(2 * half)) / half**2
+    syncs = np.minimum(np.arange(2 * half + 1), 2 * half - np.arange(2 * half + 1)) / half**2
+    way = np.diff(position)
+    speed, lead = _weighted(way / time, holds), np.concatenate([[0.0], np.cumsum(acted * time - way)])
+    change = (position[2 * half :] - 2.0 * position[half:-half] + position[: -2 * half]) / (half * time) ** 2
+    rows = np.stack(
+        [
+            change,
+            speed - _weighted(acted, holds),
+            -_weighted(lead, syncs),
+            np.sign(speed),
+            np.ones(len(speed)),
+        ],
+        1,
+    )
+    pushed = _weighted(force[1:], holds) if is_mean else _weighted(force, syncs)
+    best: _Fit | None = None
+    for latency in range(_LATEST + 1):
+        shown = pushed[latency:]
+        part = rows[: len(shown)]
+        found, _, _, _ = np.linalg.lstsq(part, shown, rcond=None)
+        rest = shown - part @ found
+        square = float(rest @ rest) / max(1, len(shown) - len(found))
+        alike = 2.0 * half  # rows that share samples count once
+        spread = np.sqrt(np.diag(np.linalg.inv(part.T @ part)) * square * alike)
+        doubt = max(abs(spread[:2] / found[:2]).tolist())
+        if best is None or square < best.square:
+            mass, gain, integral = found[:3].tolist()
+            best = _Fit(mass, gain, integral, doubt, square, latency)
+    if best is None:
+        raise InputError("commission: got no samples, expected some seconds of them")
+    return best
+
+
+def _weighted(values: Array, weights: Array) -> Array:
+    """Returns the mean of each stretch of values under weights, shape (n - len(weights) + 1,)."""
+    return np.convolve(values, weights[::-1], mode="valid")
+
+
+def _judge(session: Session, axis: int, fit: _Fit) -> None:
+    linear, given = session.axes[axis].parameters.unit == "m", session.axes[axis].parameters.admittance
+    mass_unit, gain_unit = ("kg", "N*s/m") if linear else ("kg*m^2", "N*m*s/rad")
+    if given is None:
+        return
+    if fit.doubt > _SURE:
+        text = "push and pull harder and slower while it shakes: the forces of the hand tell mass and gain apart"
+        session.found(axis, "velocity loop", "", f"unsure by {fit.doubt:.0%}", StepVerdict.UNKNOWN, text)
+        return
+    right = fit.gain > 0.0
+    session.judged(
+        axis, "sign of the force", f"{given.force.per_count:g}", "as configured" if right else "the other way",
+        good=right, text="paste per_count: the display would push against the hand", otherwise=StepVerdict.FAILED,
+    )  # fmt: skip
+    if not right:
+        session.propose(axis, "admittance.force.per_count", -given.force.per_count, "N" if linear else "N*m")
+        return
+    late, text = given.force.latency, "paste latency: a force that is booked with another hold is no energy"
+    found = f"{fit.latency} samples"
+    session.judged(axis, "latency of the force", f"{late} samples", found, good=late == fit.latency, text=text)
+    if late != fit.latency:
+        session.propose(axis, "admittance.force.latency", fit.latency)
+    known = session.axes[axis].passivity.parameters
+    declared = known if isinstance(known, GuardedDisplayParameters) else None
+    for item, value, key, unit in (
+        ("mass of the drive", fit.mass, "drive_mass", mass_unit),
+        ("gain of the velocity loop", fit.gain, "loop_gain", gain_unit),
+        ("integral gain", fit.integral, "integral_gain", gain_unit.replace("*s", "")),
+    ):
+        if key == "integral_gain" and fit.integral < _SLOWEST * fit.gain and not getattr(declared, key, 0.0):
+            continue
+        stated = None if declared is None else float(getattr(declared, key))
+        least = 0.0 if declared is None else (1.0 - declared.spread) * (stated or 0.0)
+        good = stated is not None and value <= stated and (key != "loop_gain" or value >= least)
+        configured = "" if stated is None else f"{stated:.4g} {unit}, an over-estimate"
+        session.judged(axis, item, configured, f"{value:.4g} {unit}", good=good, text="paste the value")
+        if not good:
+            session.propose(axis, f"passivity.{key}", _SAFE * value, unit, "1.1 times what was measured")

@@ -1,0 +1,48 @@
+"""`commission` of an admittance display: what it finds of sensor and drive, against what is simulated."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canhaptic.cli.main import main
+
+SCENE = str(Path(__file__).parents[2] / "configs" / "admittance" / "virtual_mass.yaml")
+
+
+def _commissioned(capsys: pytest.CaptureFixture[str], *overrides: str) -> tuple[int, dict[str, Any]]:
+    words = [word for override in ("bus.rate=500", *overrides) for word in ("--set", override)]
+    status = main(["commission", SCENE, "--yes", "--json", *words])
+    report = json.loads(capsys.readouterr().out)
+    return status, {finding["item"]: finding for finding in report["findings"]} | {"snippet": report["snippet"]}
+
+
+def test_a_right_configuration_agrees_and_the_drive_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    status, found = _commissioned(capsys)
+    assert status == 0
+    assert {found[item]["verdict"] for item in found if item != "snippet"} == {"agrees"}
+    assert float(found["mass of the drive"]["found"].split()[0]) == pytest.approx(2.0, rel=0.03)
+    assert float(found["gain of the velocity loop"]["found"].split()[0]) == pytest.approx(630.0, rel=0.02)
+    assert found["snippet"] == ""
+
+
+def test_a_late_sensor_with_an_offset_and_a_heavy_drive_are_found(capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = (
+        "simulation.admittance.sensor.latency=2",
+        "simulation.admittance.sensor.offset=5",
+        "simulation.plant.mass=3",
+    )
+    status, found = _commissioned(capsys, *wrong)
+    assert status == 1
+    assert found["latency of the force"]["found"] == "2 samples"
+    assert "    offset_counts: 499" in found["snippet"]
+    assert "    latency: 2" in found["snippet"]
+    assert "  drive_mass: 3.2" in found["snippet"]
+
+
+def test_a_wrong_sign_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    status, found = _commissioned(capsys, "simulation.admittance.sensor.gain=-1")
+    assert status == 1
+    assert found["sign of the force"]["verdict"] == "failed"
+    assert "per_count: -0.01 N" in found["snippet"]
