@@ -160,14 +160,6 @@ def check_group(scene: Scene, group: GroupScene) -> None:
             f"kinematics {group.kinematics.name!r} has {kinematics.axes} motor axes, expected the {len(group.axes)} of "
             f"the group: {', '.join(group.axes)}"
         )
-    limits = [scene.axis(name).parameters for name in group.axes]
-    cut = [a.name for a in limits if a.torque_rate_limit is not None or a.power_limit is not None]
-    if cut and getattr(group.passivity.parameters, "max_consecutive_losses", 1) == 0:
-        raise ParameterError(
-            f"group {group.name!r}: torque_rate_limit or power_limit of {', '.join(cut)} cuts one axis alone, and "
-            "so turns the certified torque; expected passivity.max_consecutive_losses >= 1 (each axis certified), "
-            "or no such limit"
-        )
 
 
 def _build_display_group(scene: Scene, group: GroupScene) -> GroupController:

@@ -12,6 +12,7 @@ from canhaptic.cli.main import main
 from canhaptic.control.multi_axis.axis_group import AxisGroup
 from canhaptic.control.multi_axis.group_certificates import axes_of
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.cycle import Cycle, run
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.build import build
 from canhaptic.scene.hints import group_hints, stability_hints
@@ -103,10 +104,22 @@ def test_an_axis_may_know_more_of_its_own_loop_than_the_group() -> None:
     assert [axis.group for axis in scene.axes] == ["stage", "stage"]
 
 
-def test_a_limit_that_cuts_one_axis_asks_for_axes_certified_apart() -> None:
-    cut = "axes.y.torque_rate_limit=100 N/s"
-    assert any("cuts one axis alone" in fault for fault in faults(STAGE, cut))
-    load_scene(STAGE, [cut, "groups.0.passivity.max_consecutive_losses=1"])
+def test_a_group_stays_within_the_limits_of_each_axis_before_it_is_certified() -> None:
+    """What a limiter cut of one axis would turn the torque of the group."""
+    cut = ["axes.y.torque_rate_limit=100 N/s", "axes.x.power_limit=0.05 W"]
+    largest: list[float] = []
+    for limits in ([], cut):
+        with build(load_scene(STAGE, limits), "free") as experiment:
+            cycle, sent = experiment.cycle, [0.0]
+
+            def compare(_cycles: int, cycle: Cycle = cycle, sent: list[float] = sent) -> None:
+                for drive, torque in zip(cycle.rig.drives, cycle.groups[0].balance.torques, strict=True):
+                    assert abs(drive.limiter.last - torque) < 1e-12
+                    sent.append(abs(torque))
+
+            run(cycle, 400, progress=compare)
+        largest.append(max(sent))
+    assert 0.5 < largest[1] < largest[0]
 
 
 def test_the_identity_counts_the_axes_of_its_group() -> None:

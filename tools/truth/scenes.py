@@ -352,7 +352,7 @@ def _group(chance: _Chance, group: str, values: dict[str, Any]) -> tuple[int, ..
     passivity = {"algorithm": algorithm, **_loop(chance, plant["mass"], plant["damping"])}
     if algorithm == "guarded":
         passivity["hand_force"] = chance.decades(0.5, 4.0)
-        if chance.drawn(0.3) or {"limit:torque_rate_limit", "limit:power_limit"} & chance.tags:
+        if chance.drawn(0.3):
             passivity["max_consecutive_losses"] = 1
     both = {"axes": ["x", "y"], "network": network, "passivity": passivity}
     values["groups"] = [{"name": "pair", **both}]

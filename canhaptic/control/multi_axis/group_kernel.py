@@ -36,6 +36,8 @@ class GroupLoop(NamedTuple):
     least_cap: float
     most_cap: float
     largest: Buffer  # torques that limiters and drives let act, (axes,) [N*m or N]
+    rises: Buffer  # by which a torque may grow from SYNC to SYNC, (axes,) [N*m or N]
+    powers: Buffer  # that it may put into the user's side, (axes,) [W]
     motion: MotionSettings
 
 
@@ -81,7 +83,9 @@ def group_loop(world: World, loops: tuple[LoopProperties, ...]) -> GroupLoop:
     sample_time, delay = loops[0].sample_time, loops[0].delay
     caps = [min(_NO_CAP, damping_cap(delay, loop.moving_mass, sample_time)) for loop in loops]
     largest = [loop.torque_limit or inf for loop in loops]
-    return GroupLoop(delay, caps, min(caps), max(caps), largest, motion_settings(world, loops))
+    rises = [(loop.torque_rate_limit or inf) * sample_time for loop in loops]
+    powers = [loop.power_limit or inf for loop in loops]
+    return GroupLoop(delay, caps, min(caps), max(caps), largest, rises, powers, motion_settings(world, loops))
 
 
 def group_memory(world: World, loop: GroupLoop, ports: int) -> GroupMemory:

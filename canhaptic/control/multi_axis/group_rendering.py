@@ -52,14 +52,15 @@ def render(
     damper, modulated, torques = memory.damper, memory.modulated, memory.torques
     for i in range(len(torques)):
         torques[i] = -(share * wish.spring[i] + lead_share * wish.lead[i] + damper[i] + modulated[i])
-    factor, certificate = certify(settings, state, memory, under_way, energy, covered)
+    most = within_limits(settings, state, memory)
+    factor, certificate = certify(settings, state, memory, under_way, energy, most, covered)
     sent, splits = memory.sent, settings.account.apart.losses > 0 and factor < 1.0
     for i in range(len(torques)):
         commands.torques[place][i] = torques[i] if splits else sent[i]
         commands.dampers[place][i] = damper[i] if splits else factor * damper[i]
         commands.modulated[place][i] = modulated[i] if splits else factor * modulated[i]
     if splits:
-        split(settings, memory, commands, place, factor, energy)
+        split(settings, memory, commands, place, factor, most, energy)
     group.oldest = next_place(commands, place)
     return new(Rendering, (factor * rendered, certificate))
 
@@ -70,13 +71,14 @@ def split(
     commands: GroupCommands,
     place: int,
     factor: float,
+    most: float,
     energy: float,
 ) -> None:
     """Makes the command at a place one of which axes that take energy in have more than the certified share of all.
 
     What the drives leave of it by their grid is a part of what was certified, axis by axis.
     """
-    most, account, found = within_limits(settings, memory.torques), settings.account, memory.sent
+    account, found = settings.account, memory.sent
     share = factor / most if most > 0.0 else 0.0  # no share at all of torques that are no numbers
     for i in range(len(found)):
         memory.scaled[i] = most * memory.torques[i]
@@ -89,11 +91,20 @@ def split(
     take_applied(commands, place, found)
 
 
-def within_limits(settings: GuardedGroupSettings, torques: Buffer) -> float:
-    """Returns the largest share of torques, up to 1, that no limit cuts."""
-    most = 1.0
+def within_limits(settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory) -> float:
+    """Returns the largest share of the torques asked for, up to 1, that no limiter cuts: see `drive.profile.limiter`.
+
+    What is cut of one axis after all were certified together turns the torque of the group.
+    """
+    loop, torques, most = settings.loop, memory.torques, 1.0
+    newest, moved = memory.group.commands.torques[state.group.oldest - 1], memory.group.ended.displacement
+    time = state.group.motion.holds * loop.motion.sample_time
     for i in range(len(torques)):
-        size, limit = abs(torques[i]), settings.loop.largest[i]
+        sign = 1.0 if torques[i] > 0.0 else -1.0
+        size, limit = sign * torques[i], loop.largest[i]
+        limit = min(limit, loop.rises[i] + max(0.0, sign * newest[i]))
+        if sign * moved[i] > 0.0:
+            limit = min(limit, loop.powers[i] * time / (sign * moved[i]))
         if size > limit:
             most = min(most, limit / size)
     return most
@@ -105,6 +116,7 @@ def certify(
     memory: GuardedGroupMemory,
     under_way: UnderWay,
     energy: float,
+    most: float,
     covered: bool,
 ) -> tuple[float, int]:
     """Writes the torques to send; returns their share of those asked for, and the certificate."""
@@ -114,7 +126,7 @@ def certify(
             sent[i] = torques[i]
         return 1.0, _UNBOUNDED
     by_force, by_damping, by_speed = shares(settings.account, state.account, memory.account, under_way, torques, energy)
-    factor, largest = within_limits(settings, torques), max(by_force, by_damping, by_speed)
+    factor, largest = most, max(by_force, by_damping, by_speed)
     if factor > largest:
         factor, covered = largest, False
     certificate = _UNBOUNDED

@@ -27,7 +27,7 @@ def write_late_cells(
         limits: Of the group.
         memory: After `take_sent`.
         torques: W, (axes,).
-        fixed: Torques sent whatever l is, (axes,).
+        fixed: Torques sent for every l, (axes,).
         norm: N_0 + h.
         more: N_1.
         place: Of the next parabola.

@@ -48,7 +48,7 @@ class LateShare(NamedTuple):
 
 
 class Norms(NamedTuple):
-    """Of the torques that act, and of the hand: N + h <= least + more l."""
+    """Norm of the torques that act and of the hand: N + h <= least + more l."""
 
     least: float
     more: float
@@ -101,7 +101,7 @@ def given_early(
         axes: What is known of the motor axes.
         memory: Its `now` is the range at the SYNC at which the hold begins.
         held: Torques of the hold, (axes,) [N*m or N], of which fixed + l size are held.
-        fixed: 1 where they are sent whatever l is, else 0.
+        fixed: 1 where they are sent for every l, else 0.
         size: 0 then, else the share that l = 1 stands for.
         hold: From now, the next being 1.
         norms: Of what acts.
