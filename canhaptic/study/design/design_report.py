@@ -17,8 +17,7 @@ _UNITS: Final = {"m": ("N/m", "N*s/m"), "rad": ("N*m/rad", "N*m*s/rad")}
 def snippet(result: dict[str, Any]) -> str:
     """Returns the wall as YAML for a scene."""
     stiffness, damping = _UNITS[result["unit"]]
-    known = {key: value for key, value in result["loop"].items() if value is not None}
-    passivity: dict[str, Any] = {"algorithm": "guarded", **known, "hand_force": result["hand_force"]}
+    passivity: dict[str, Any] = {"algorithm": "guarded", **result["loop"], **result["hand"]}
     wall = {
         "type": "spring_damper_wall",
         "stiffness": f"{result['stiffness']:g} {stiffness}",
@@ -59,7 +58,7 @@ def _price(result: dict[str, Any]) -> list[Text]:
         for name, limit in result["certified"].items()
     ]
     rest = si(max(0.0, -result["least_judged"]), "J", 3)
-    covered = f", {rest} with what the device dissipates at least" if result["loop"]["device_damping"] else ""
+    covered = f", {rest} with what the device dissipates at least" if "device_damping" in result["loop"] else ""
     lines.append(
         f" energy given out beyond what came in: {si(max(0.0, -result['least_interaction']), 'J', 3)}{covered}"
     )

@@ -23,11 +23,14 @@ from canhaptic.study.design.felt_walls import felt_of
 from canhaptic.study.design.trial import ALGORITHM, DAMPING, DURATION, STIFFEST, STIFFNESS, Trial, TrialVerdict
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import places_of
+from canhaptic.units import Parameters
 
 TOLERANCE: Final = 0.05
 MARGIN: Final = 0.2
 _DECADES: Final = 4.0
 """Decades of damping that are tried, below what is hardly rendered."""
+_DEVICE: Final = ("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound")
+"""Of the loop, what is declared of the device: timing is that of a rig."""
 _DIGITS: Final = 3
 _SHARES: Final = (1.0, 0.6, 0.3)
 """Parts of the stiffest wall whose largest damping is shown, so that one can be traded for the other."""
@@ -190,6 +193,12 @@ def _edges(passed: Any, nearly: Any) -> tuple[int, int]:
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
 
 
+def _chosen(parameters: Parameters) -> dict[str, Any]:
+    """Returns what differs from its default; `alpha`, whose unit is its own, is left out."""
+    fields = {key: field for key, field in type(parameters).model_fields.items() if key != "alpha"}
+    return {key: value for key, of in fields.items() if (value := getattr(parameters, key)) != of.default}
+
+
 def _rounded(value: float) -> float:
     """Returns a value with a few digits, never a larger one."""
     if value <= 0.0:
@@ -208,7 +217,7 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
     wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
     [axis] = wall.axes
     axes = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["axes"]
-    run = axes[axis.parameters.name]["algorithms"][ALGORITHM]
+    run, parameters = axes[axis.parameters.name]["algorithms"][ALGORITHM], axis.passivity.parameters
     return {
         "scene": trial.scene.source,
         "unit": axis.parameters.unit,
@@ -222,6 +231,6 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
         "certified": {hint.certificate: hint.limit for hint in stability_hints(axis) if hint.certificate},
         "engine": trial.engine,
         "told": trial.remark,
-        "loop": {key: getattr(axis.loop, key) for key in ("moving_mass", "device_damping", "device_damping_bound")},
-        "hand_force": getattr(axis.passivity.parameters, "hand_force", 0.0),
+        "loop": {key: value for key, value in _chosen(axis.loop).items() if key in _DEVICE},
+        "hand": {"hand_force": getattr(parameters, "hand_force", 0.0), **_chosen(parameters)},
     }
