@@ -51,7 +51,7 @@ def test_a_fault_is_reset_only_when_the_configuration_says_so(bench: MakeBench) 
     assert b.clock.now() - before < 150_000_000
 
 
-@pytest.mark.parametrize("device_type", [0x00030191, 0x00000000, 0x01920000])
+@pytest.mark.parametrize("device_type", [0x00030191, 0x00000000, 0x01920000, 0x00020196])
 def test_a_drive_that_is_no_cia_402_device_is_refused(bench: MakeBench, device_type: int) -> None:
     refuse(bench(objects={0x1000: device_type}), "device type", f"{device_type:#010x}", "0x0192")
 

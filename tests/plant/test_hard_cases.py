@@ -185,6 +185,14 @@ def test_the_cap_counts_per_sample_time_however_it_is_cut():
             fly(ball(10), pieces)
 
 
+def test_the_cap_is_no_larger_late_in_a_run():
+    """A ball that is at rest for 20 ms, then thrown: more than four changes in the next hold."""
+    stops = [dict(stop, position=1e-3 * (1 if stop["position"] > 0 else -1)) for stop in STOPS]  # type: ignore[operator]
+    plant = make_plant(*stops, user=None, damping=0.0, mass=1e-6, accuracy={"max_events": 4})
+    with pytest.raises(EventLimitError, match=r"before 0\.02\d s: got more than 4 changes"):
+        run(plant, [0.0] * 20 + [0.016] + [0.0] * 8)
+
+
 def test_a_force_at_the_very_edge_of_stiction_holds_and_a_hair_more_slides():
     friction = {"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5}
     still, sliding = make_plant(friction, user=None), make_plant(friction, user=None)

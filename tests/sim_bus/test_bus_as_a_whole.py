@@ -114,6 +114,7 @@ def test_frames_of_other_devices_reach_both_sides_at_the_rate_asked_for() -> Non
         heard = bench.until(bench.clock.now() + 1000 * MS)
         assert len(heard) == pytest.approx(2000, abs=180)
         assert heard == bench.ear.heard[1:]
+        assert bench.master.totals() == {"foreign": {"both": len(heard)}}
         assert [can_id for _, can_id, _ in heard[:4]] == [0x123, 0x321, 0x123, 0x321]
         assert {len(data) for _, _, data in heard} == set(range(9))
         gaps = [after[0] - before[0] for before, after in itertools.pairwise(heard)]

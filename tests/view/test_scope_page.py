@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from canhaptic.cycle import run
+from canhaptic.logs.columns import Event
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view.live_log import LiveLog
@@ -88,3 +89,16 @@ def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> No
     assert sorted(titles_of(document)) == sorted(["lost", "timing", *of_axes, *of_group])
     assert "stage: " in status_of(document)
     assert "x: " not in status_of(document)
+
+
+def test_the_status_ends_with_the_last_four_events(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    write_run(path, cycles=100)
+    news = LiveLog(path).look()
+    assert news is not None
+    news = news._replace(events=[Event(number, "late", "handle", f"text {number}") for number in range(6)])
+    from canhaptic.view.scope_page import _status
+
+    lines = _status(news, news).split("<br>")
+    assert lines[-4:] == [f"SYNC {number} late handle: text {number}" for number in (2, 3, 4, 5)]
+    assert "text 1" not in "".join(lines)
