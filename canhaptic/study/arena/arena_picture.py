@@ -58,7 +58,7 @@ def _draw_border(panel: Any, found: Found, delay: int, key: str) -> None:
         _, style, colour = next(kind for kind in _THEORY if name.startswith(kind[0]))
         places = [p["damping"] for p in points], [p["stiffness"] for p in points]
         panel.plot(*places, linestyle=style, color=colour, linewidth=1.3, label=name)
-    if any(border["open"] and border["delay"] == delay for border in found["borders"]):
+    if key == "passive" and any(border["open"] and border["delay"] == delay for border in found["borders"]):
         most = max(border["passive"] for border in found["borders"])
         panel.annotate("all that was tried", (0.0, most), xytext=(4, -12), textcoords="offset points", fontsize=7.0)
     panel.set_yscale("log")
