@@ -18,17 +18,17 @@ class ForceNode(Parameters):
     """The frame of a force sensor with a node of its own."""
 
     node_id: Annotated[int, quantity("1", ge=1, le=127)] | None = None
-    """Of a CANopen node, which the start sets operational; None: it sends by itself."""
+    """Node ID of a CANopen node, which the start sets operational; None: it sends by itself."""
     cob_id: Annotated[int, quantity("1", ge=1, le=0x7FF)] | None = None
-    """Of its frame; None: 0x180 + node_id."""
+    """Identifier of its frame; None: 0x180 + node_id."""
     first_byte: Annotated[int, quantity("1", ge=0, le=7)] = 0
-    """Of the value in the frame, from 0."""
+    """First byte of the value in the frame, from 0."""
     bits: Literal[8, 16, 24, 32] = 32
-    """Of the value, an integer."""
+    """Bits of the value, an integer."""
     signed: bool = True
     """Whether its highest bit is the sign."""
     order: Literal["little", "big"] = "little"
-    """Of its bytes: little as in CANopen."""
+    """Order of its bytes: little as in CANopen."""
     length: Annotated[int, quantity("1", ge=1, le=_LONGEST)] | None = None
     """Bytes of the frame; None: up to the end of the value."""
 

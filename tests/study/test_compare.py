@@ -144,7 +144,7 @@ def test_a_wall_that_rings_out_of_the_room_is_reported_as_diverged(scene):
     assert found["force_variation"]["ratio"] is None
 
 
-def test_an_algorithm_that_lacks_something_is_told_the_plant_or_refused_with_its_reason(scene):
+def test_an_algorithm_that_lacks_something_takes_the_plant_or_is_refused_with_its_reason(scene):
     bare = scene("passivity={algorithm: unprotected}")
     assert "device_damping 0.1" in account(bare, "energy_bounding", duration=0.1)["remark"]
     frictionless = scene("passivity={algorithm: unprotected}", "simulation.plant.damping=0")

@@ -66,7 +66,7 @@ def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
 def norms_of(
     axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer, size: float
 ) -> Norms:
-    """Returns the norms of torques under way, and of W as far as l = 1 stands for it."""
+    """Returns the norms of torques under way, and the part of W that l = 1 replaces."""
     total = added = 0.0
     for i in range(len(torques)):
         most = max(abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i])
@@ -102,7 +102,7 @@ def given_early(
         memory: Its `now` is the range at the SYNC at which the hold begins.
         held: Torques of the hold, (axes,) [N*m or N], of which fixed + l size are held.
         fixed: 1 where they are sent for every l, else 0.
-        size: 0 then, else the share that l = 1 stands for.
+        size: 0 then, else the share that l = 1 replaces.
         hold: From now, the next being 1.
         norms: Of what acts.
     """
@@ -157,7 +157,7 @@ def share_of_late(
         first: Place of the ones that act next; below 0 it wraps.
         holds: How many.
         torques: W, (axes,).
-        size: Of W, that l = 1 stands for.
+        size: Part of W that l = 1 replaces.
     """
     norms = norms_of(axes, memory, under_way, first, holds, torques, size)
     copy_range(axes, memory, True)

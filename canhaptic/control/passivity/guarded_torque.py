@@ -85,7 +85,7 @@ def permitted_size(
 ) -> tuple[float, int]:
     """Returns the largest size of a torque, up to its own, that limits and certificates let pass [N or N*m].
 
-    Beside it the certificate that holds for it.
+    And the certificate that holds for it.
 
     Args:
         settings: Of the run.

@@ -22,7 +22,7 @@ class ForceParameters(Parameters):
     object: str | None = None
     """Object of the drive that shows the force, `0x3160.1` (index.subindex, hexadecimal); INTEGER16 or INTEGER32."""
     node: ForceNode | None = None
-    """Of a sensor that answers the SYNC with a frame of its own; in place of `object`."""
+    """Frame of a sensor that answers the SYNC by itself; in place of `object`."""
     per_count: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)]
     """Force of the hand towards +q, by one count; negative where the sensor counts the other way; of an impulse N*s."""
     offset_counts: Annotated[float, quantity("count", ge=-2e9, le=2e9)] = 0.0

@@ -79,11 +79,11 @@ def test_more_reasons_than_a_chunk_keeps_are_said_to_be_more(demo, tmp_path):
         assert {table.remark(row) for row in range(SLOTS - 1, 60)} == {_MORE}
 
 
-def test_an_algorithm_without_what_it_rests_on_is_told_of_the_plant_in_every_row(tmp_path):
+def test_an_algorithm_without_what_it_rests_on_takes_it_from_the_plant_in_every_row(tmp_path):
     scene = load_scene(DEMO, ["passivity={algorithm: unprotected}"])
     vary = ["simulation.plant.mass=0.1,0.4"]
     with run(scene, vary, tmp_path / "a.h5", cycles=1200, controllers=["unprotected", "guarded"]) as table:
-        assert "told moving_mass" in table.remark(2)
+        assert "from the plant: moving_mass" in table.remark(2)
         for row, mass in ((2, 0.1), (3, 0.4)):
             alone = load_scene(
                 DEMO,
