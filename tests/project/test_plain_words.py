@@ -58,7 +58,7 @@ def prose(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def files() -> list[Path]:
-    pages = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
+    pages = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")]
     pages += [*(ROOT / "docs").rglob("*.md")]
     scenes = [*(ROOT / "configs").rglob("*.yaml"), *(ROOT / "examples").rglob("*.yaml")]
     code = [path for folder in ("canhaptic", "tools", "examples") for path in (ROOT / folder).rglob("*.py")]

@@ -30,7 +30,7 @@ MARGIN: Final = 0.2
 _DECADES: Final = 4.0
 """Decades of damping that are tried, below what is hardly rendered."""
 _DEVICE: Final = ("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound")
-"""Of the loop, what is declared of the device: timing is that of a rig."""
+"""Keys of the loop that declare the device: timing is that of a rig."""
 _DIGITS: Final = 3
 _SHARES: Final = (1.0, 0.6, 0.3)
 """Parts of the stiffest wall whose largest damping is shown, so that one can be traded for the other."""
