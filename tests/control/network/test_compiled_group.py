@@ -58,6 +58,9 @@ def environment_of(rng, place):
     )()
 
 
+LATE = {"sync_jitter": 0.02, "torque_window": 1e-4, "current_lag": 2e-4, "torque_rate_limit": 500.0, "power_limit": 5.0}
+
+
 def group_of(rng):
     """Returns what makes a random group, compiled or not, the positions at which it begins, and its masses."""
     kinematics, start, mass = rng.choice(
@@ -73,7 +76,7 @@ def group_of(rng):
     loop = LoopProperties(
         sample_time=rng.choice((1e-3, 1e-2)), delay=rng.choice((0, 1, 2)), moving_mass=mass,
         device_damping=rng.choice((None, 0.1)), device_damping_bound=0.4, encoder_count=count, torque_quantum=quantum,
-        torque_limit=limit,
+        torque_limit=limit, **rng.choice(({}, LATE)),
     )  # fmt: skip
     alpha, losses, speed = rng.choice(("0", "100 s/m^2")), rng.choice((0, 1, 3)), rng.choice((None, 0.5))
     algorithm, force = rng.choice(("guarded", "guarded", "step_scaling")), rng.choice((0.0, 2.0))
