@@ -5,9 +5,9 @@ import argparse
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.cli.scene_progress import scene_progress
+from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.study.design.design_report import design_report, snippet
 from canhaptic.study.design.wall import design_wall
-from canhaptic.study.scenes import require_single_axes
 from canhaptic.study.sweep.run_sweep import Progress
 from canhaptic.view.energy_table import make_console
 
@@ -20,7 +20,7 @@ def execute(arguments: argparse.Namespace) -> int:
         CheckFailedError: No wall at all is rendered.
     """
     scene = scene_of(arguments)
-    require_single_axes(scene, "design")
+    refuse_displays(scene, "design")
     with scene_progress("trying walls") as show:
         found = design_wall(
             scene, arguments.margin, arguments.tolerance, arguments.engine,

@@ -145,15 +145,3 @@ def test_the_simulated_drive_asks_for_what_the_scene_says_of_its_thread(capsys: 
     assert main([*words, "--set", f"bus.realtime.cpus=[{cpu}]"]) == 0
     assert "bus.realtime.cpus: granted" in capsys.readouterr().err
     assert os.sched_getaffinity(0) == before
-
-
-@pytest.mark.parametrize("scene", ["xy_box", "two_handles", "five_bar_sphere"])
-@pytest.mark.parametrize("command", ["design"])
-def test_a_study_of_single_axes_says_what_to_do_with_a_group(
-    command: str, scene: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([command, str(CONFIGS / f"{scene}.yaml")]) == 2
-    shown = capsys.readouterr().err
-    assert f"{command} judges one axis at a time" in shown
-    assert "`canhaptic run` and `canhaptic inspect` give the account of a group" in shown
-    assert "has no `simulation`" not in shown

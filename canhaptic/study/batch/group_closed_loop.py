@@ -76,6 +76,7 @@ class GroupMeter:
     damper_damper: float = 0.0
     held_spring: float = 0.0  # of what was held with what was asked for
     held_damper: float = 0.0
+    damping_asked: float = 0.0  # along the motion, as `Meter.damping` is what was rendered [N*s/m or N*m*s/rad]
 
 
 def step(
@@ -180,7 +181,10 @@ def explain(world: World, rig: GroupRig, room: GroupRoom, followed: GroupMotion,
     follow(world, rig.true, followed, room.asked, room.true, room.moved, 1)
     if followed.engaged:
         write_efforts(world, rig.true, followed, room.asked, 0.0, wish)
+    along = square = 0.0
     for i in range(len(room.held)):
+        along += wish.damper[i] * wish.velocity[i]
+        square += wish.velocity[i] * wish.velocity[i]
         now = wish.spring[i] if followed.engaged else 0.0
         spring, damper = 0.5 * (room.spring[i] + now), wish.damper[i]
         room.spring[i] = now
@@ -190,20 +194,24 @@ def explain(world: World, rig: GroupRig, room: GroupRoom, followed: GroupMotion,
             meter.damper_damper += damper * damper
             meter.held_spring -= room.held[i] * spring
             meter.held_damper -= room.held[i] * damper
+    if followed.engaged and square > 0.0:
+        meter.damping_asked += along / square
 
 
 def shares(meter: GroupMeter) -> tuple[float, float]:
-    """Returns the shares of spring and damper that the torques held were, by least squares; NaN without any."""
-    nothing = float("nan")
-    both = meter.spring_spring * meter.damper_damper
+    """Returns the shares of spring and damper that were rendered; NaN without any.
+
+    The spring's is that in the torques held, by least squares with the damper; the damper's is the damping that the
+    controller booked over that asked for.
+    """
+    both, nothing = meter.spring_spring * meter.damper_damper, float("nan")
     apart = both - meter.spring_damper * meter.spring_damper
+    damper = meter.figures.damping / meter.damping_asked if meter.damping_asked > 0.0 else nothing
     if meter.spring_spring == 0.0:
-        return nothing, nothing
+        return nothing, damper
     if meter.damper_damper <= _SEEN * meter.spring_spring or apart <= _SEEN * both:
-        return meter.held_spring / meter.spring_spring, nothing
-    spring = (meter.held_spring * meter.damper_damper - meter.held_damper * meter.spring_damper) / apart
-    damper = (meter.held_damper * meter.spring_spring - meter.held_spring * meter.spring_damper) / apart
-    return spring, damper
+        return meter.held_spring / meter.spring_spring, damper
+    return (meter.held_spring * meter.damper_damper - meter.held_damper * meter.spring_damper) / apart, damper
 
 
 def states_of(moved: Buffer) -> int:

@@ -18,6 +18,9 @@ def snippet(result: dict[str, Any]) -> str:
     """Returns the wall as YAML for a scene."""
     stiffness, damping = _UNITS[result["unit"]]
     passivity: dict[str, Any] = {"algorithm": "guarded", **result["loop"], **result["hand"]}
+    if "network" in result:
+        group = {"name": result["group"], "network": result["network"], "passivity": passivity}
+        return str(yaml.safe_dump({"groups": [group]}, sort_keys=False))
     wall = {
         "type": "spring_damper_wall",
         "stiffness": f"{result['stiffness']:g} {stiffness}",
@@ -74,6 +77,8 @@ def _price(result: dict[str, Any]) -> list[Text]:
 
 def _felt(result: dict[str, Any]) -> list[RenderableType]:
     """Returns what the hand feels: walls that are held for a push, what drags it, and when a contact begins."""
+    if "felt" not in result:
+        return []
     felt, motion = result["felt"], result["unit"]
     stiffness, effort = _UNITS[motion][0], effort_unit(motion)
     table = FigureTable(title=f"largest wall within {100.0 * result['tolerance']:g} % at rest", pad_edge=False)

@@ -21,6 +21,7 @@ import yaml
 
 from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
+from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.hints import LEAN
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
@@ -135,15 +136,20 @@ class Trial:
         result = run_chunk(self._recipe, 0, columns)
         self._look_at(result)
         figures = {metric: result.figures[f"{name}/{metric}"].reshape(2, count) for metric in _METRICS}
-        share = _furthest(*figures["stiffness_rendered.share"])
         with np.errstate(all="ignore"):
             damped = np.array(figures["damping_rendered.mean"][1] / np.where(damping > 0.0, damping, np.nan))
         least, judged = (figures[metric].min(axis=0) for metric in ("least_interaction", self._judged))
         ran = (result.status == COMPLETED).reshape(2, count) & (figures["diverged"] == 0.0) & (figures["contact"] > 0.0)
-        passive = ran.all(axis=0) & (judged >= -self._allowance)
-        error = np.maximum(np.abs(share - 1.0), np.where(damping > 0.0, np.abs(damped - 1.0), 0.0))
-        within = [passive & (error <= tolerance) for tolerance in (self._tolerance, self._tolerance * (1.0 + _SLACK))]
-        return TrialVerdict(share, damped, least, judged, *within)
+        shares = figures["stiffness_rendered.share"]
+        return verdict_of(
+            shares, damped, least, judged, ran.all(axis=0), self._allowance, self._tolerance, damping
+        )  # fmt: skip
+
+    def damping_scale(self, stiffness: float) -> float:
+        """Returns a damping that is hardly rendered: it stops the mass in one hold, or is half the critical one."""
+        [axis] = self.scene.axes
+        mass = simulation_of(axis).plant.mass
+        return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
 
     def _look_at(self, result: ChunkResult) -> None:
         """Notes what computed the trials, and refuses a rig on which none can be made.
@@ -155,6 +161,28 @@ class Trial:
             raise InputError(f"{self.scene.source}: no wall can be tried: {result.texts[0]}")
         self.engine = ENGINES[int(result.engine.max())]
         self.remark = result.of_plant or self.remark
+
+
+def verdict_of(
+    shares: Array, damped: Array, least: Array, judged: Array, ran: Any, allowance: float, tolerance: float,
+    damping: Array,
+) -> TrialVerdict:  # fmt: skip
+    """Returns what walls did under two hands.
+
+    Args:
+        shares: Stiffness rendered over asked, shape (2, n).
+        damped: The same of the damping, shape (n,).
+        least: Least true energy that came in, shape (n,) [J].
+        judged: What of it is judged [J].
+        ran: Whether both hands ran to their end, in contact.
+        allowance: Energy that may be given out [J].
+        tolerance: How far a rendering may be from what is asked, as a part of it.
+        damping: Asked for.
+    """
+    share, passive = _furthest(*shares), ran & (judged >= -allowance)
+    error = np.maximum(np.abs(share - 1.0), np.where(damping > 0.0, np.abs(damped - 1.0), 0.0))
+    within = [passive & (error <= limit) for limit in (tolerance, tolerance * (1.0 + _SLACK))]
+    return TrialVerdict(share, damped, least, judged, *within)
 
 
 def _furthest(first: Array, second: Array) -> Array:

@@ -6,23 +6,26 @@ a rig renders need not fall evenly.
 """
 
 import math
+import os
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from canhaptic.errors import CheckFailedError, InputError
-from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.engine import Engine
 from canhaptic.study.comparison import compare
 from canhaptic.study.design.felt_walls import felt_of
+from canhaptic.study.design.group_trial import GroupTrial
 from canhaptic.study.design.trial import ALGORITHM, DAMPING, DURATION, STIFFEST, STIFFNESS, Trial, TrialVerdict
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.places import places_of
+from canhaptic.study.sweep.workers import Pool
 from canhaptic.units import Parameters
 
 TOLERANCE: Final = 0.05
@@ -53,6 +56,8 @@ class _Places(NamedTuple):
 
 _COMPILED: Final = _Places((128, 64), (32, 32), 10)
 _ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
+_GROUPS: Final = _Places((12, 6), (6,), 3)
+"""Places where Python runs the loop of a group, which takes four times as long as that of an axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +80,7 @@ def design_wall(
     """Returns the stiffest wall for the rig of a scene, and the largest damping at that stiffness.
 
     Args:
-        scene: Of one axis, simulated or with `passivity.moving_mass` declared.
+        scene: Of one group, simulated; or of one axis, simulated or with `passivity.moving_mass` declared.
         margin: Part by which stiffness and damping could both be larger and still pass.
         tolerance: How far a rendering may be from what is asked, as a part of it.
         engine: Of the trials, as for a sweep.
@@ -89,15 +94,37 @@ def design_wall(
         raise InputError(
             f"got margin {margin:g} and tolerance {tolerance:g}, expected 0 <= margin <= 10, 0 < tolerance < 1"
         )
-    trial = Trial(scene, tolerance, engine)
+    with ExitStack() as stack:
+        trial = _trial_of(scene, tolerance, engine, stack)
+        return _designed(trial, margin, tolerance, progress)
+
+
+def _trial_of(scene: Scene, tolerance: float, engine: Engine, stack: ExitStack) -> Trial | GroupTrial:
+    """Returns the rig of a scene; a group that Python runs gets a process on each core until the stack is left."""
+    if not scene.groups:
+        return Trial(scene, tolerance, engine)
+    trial, cores = GroupTrial(scene, tolerance, engine), os.cpu_count() or 1
+    if trial.is_quick or cores == 1:
+        return trial
+    pool = Pool(cores)
+    stack.callback(pool.close)
+    return GroupTrial(scene, tolerance, engine, pool.executor)
+
+
+def _designed(
+    trial: Trial | GroupTrial, margin: float, tolerance: float, progress: Callable[[int, int], None]
+) -> _Design:
     search = _WallSearch(trial, 1.0 + margin, progress)
     stiffest = search.largest_stiffness()
     stiffnesses = [_rounded(share * stiffest) for share in _SHARES]
     trade = tuple(zip(stiffnesses, search.largest_dampings(np.array(stiffnesses)), strict=True))
     stiffness, damping = trade[0]
     below, verdict = search.below_and_at(stiffness, damping)
-    result = _account(trial, verdict, stiffness, damping)
-    result["felt"] = felt_of(trial.scene, ALGORITHM, trial.hand, tolerance, stiffness)
+    if isinstance(trial, Trial):
+        result = _account(trial, verdict, stiffness, damping)
+        result["felt"] = felt_of(trial.scene, ALGORITHM, trial.hand, tolerance, stiffness)
+    else:
+        result = trial.account(verdict, stiffness, damping)
     result |= {"margin": margin, "tolerance": tolerance, "walls": trial.walls}
     result |= {"tried_below": len(below), "failing_below": int((~below).sum())}
     result["trade"] = [{"stiffness": k, "damping": d} for k, d in trade]
@@ -107,9 +134,9 @@ def design_wall(
 class _WallSearch:
     """A batch for the whole range and one for each interval found, with a factor on everything that is tried."""
 
-    def __init__(self, trial: Trial, factor: float, progress: Callable[[int, int], None]) -> None:
+    def __init__(self, trial: Trial | GroupTrial, factor: float, progress: Callable[[int, int], None]) -> None:
         self._trial, self._factor, self._progress = trial, factor, progress
-        self._places = _COMPILED if trial.is_quick else _ONE_BY_ONE
+        self._places = _COMPILED if trial.is_quick else _ONE_BY_ONE if isinstance(trial, Trial) else _GROUPS
         progress(0, self._places.most)
 
     def largest_stiffness(self) -> float:
@@ -136,11 +163,12 @@ class _WallSearch:
             f"tolerance (stiffness {100.0 * float(verdict.stiffness_share[0]):.3g} % of what was asked, "
             f"{float(verdict.least_interaction[0]):.3g} J given out); raise bus.rate, or declare what is "
             "certain (passivity.moving_mass, device_damping)"
+            + (", or a smaller passivity.max_consecutive_losses" if self._trial.scene.groups else "")
         )
 
     def largest_dampings(self, stiffnesses: Array) -> list[float]:
         """Returns the largest damping at each stiffness, shape (n,), 0 where none passes; all are searched at once."""
-        highest = 4.0 * np.array([self._damping_scale(stiffness) for stiffness in stiffnesses.tolist()])
+        highest = 4.0 * np.array([self._trial.damping_scale(stiffness) for stiffness in stiffnesses.tolist()])
         first, *others = self._places.dampings
         shares = np.concatenate([[0.0], np.logspace(-_DECADES, 0.0, first - 1)])
         low, high = self._between(stiffnesses, highest[:, None] * shares)
@@ -173,13 +201,6 @@ class _WallSearch:
         own = np.array([[1.0, 1.0]]) / self._factor
         verdict = self._verdict(*(np.concatenate([grid, own]) * (stiffness, damping)).T)
         return verdict.passed[:-1], verdict.last()
-
-    def _damping_scale(self, stiffness: float) -> float:
-        """Returns a damping that is hardly rendered: it stops the mass in one hold, or is half the critical one."""
-        scene = self._trial.scene
-        [axis] = scene.axes
-        mass = simulation_of(axis).plant.mass
-        return max(mass / scene.bus.sample_time, math.sqrt(stiffness * mass))
 
     def _verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
         found = self._trial.verdict(self._factor * stiffness, self._factor * damping)
