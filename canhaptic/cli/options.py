@@ -182,16 +182,7 @@ def _inspect(parser: argparse.ArgumentParser) -> None:
         metavar="OTHER",
         help="exit with 1 unless the other log is the same; pictures show both",
     )
-    parser.add_argument(
-        "--overlay", type=Path, action="append", default=[], metavar="OTHER",
-        help="lay another log over this one in pictures and page; repeatable",
-    )  # fmt: skip
-    tables = {"--csv": "a table of every row (PlotJuggler)", "--parquet": "the same", "--mat": "the same"}
-    for option, what in {**tables, "--mcap": "every row as messages (Foxglove, PlotJuggler)"}.items():
-        parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
-    for option in ("--png", "--svg"):
-        parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")
-    parser.add_argument("--html", type=Path, metavar="FILE", help="write one self-contained interactive page")
+    _inspect_files(parser)
     parser.add_argument(
         "--recompute",
         action="store_true",
@@ -207,6 +198,20 @@ def _inspect(parser: argparse.ArgumentParser) -> None:
         help="derive the account again from the frames alone; exit with 1 unless it is that of the log bit for bit",
     )
     parser.add_argument("--repair", type=Path, metavar="FILE", help="save all that can be read into a clean log")
+
+
+def _inspect_files(parser: argparse.ArgumentParser) -> None:
+    """Declares the files that `inspect` writes."""
+    parser.add_argument(
+        "--overlay", type=Path, action="append", default=[], metavar="OTHER",
+        help="draw another log over this one in pictures and page; repeatable",
+    )  # fmt: skip
+    tables = {"--csv": "a table of every row (PlotJuggler)", "--parquet": "the same", "--mat": "the same"}
+    for option, what in {**tables, "--mcap": "every row as messages (Foxglove, PlotJuggler)"}.items():
+        parser.add_argument(option, type=Path, metavar="FILE", help=f"write {what}")
+    for option in ("--png", "--svg"):
+        parser.add_argument(option, type=Path, metavar="FILE", help="draw the run")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write one self-contained interactive page")
 
 
 def _map(parser: argparse.ArgumentParser) -> None:
