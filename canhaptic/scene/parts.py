@@ -90,7 +90,8 @@ def display_properties(axis: AxisScene) -> DisplayProperties:
     counts = given.counts_per_unit
     quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
     return DisplayProperties(
-        sample_time=time, delay=axis.loop.delay, sampling=force.sampling, latency=force.latency, filter=force.filter,
+        sample_time=time, jitter=axis.loop.sync_jitter or 0.0,
+        delay=axis.loop.delay, sampling=force.sampling, latency=force.latency, filter=force.filter,
         force_slew=force.slew, handle_acceleration=display.handle_acceleration, force_error=force.error,
         encoder_count=1.0 / counts, speed_quantum=quantum, speed_limit=given.speed_limit,
         acceleration_limit=display.acceleration_limit, torque_limit=given.torque_limit,

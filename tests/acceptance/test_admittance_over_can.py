@@ -74,7 +74,8 @@ def test_two_displays_on_a_path_have_one_account_and_every_reader_agrees(
     words = ["--json", "--log", str(log), "--bus-log", str(bus_log)]
     assert main(["run", scene, *overrides, *words]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["ports"]["stage"]["passive"] == "yes"
+    assert found["ports"]["stage"]["passive"] != "no"
+    assert found["ports"]["stage"]["certificate"] in ("velocity_loop", "exact")
     assert found["ports"]["x"]["out"] > 0.05  # what came in along y went out along x
     assert found["truth"]["stage"]["least_interaction"] >= -1e-3
     assert main(["replay", "--config", scene, *overrides, str(bus_log)]) == 0

@@ -89,6 +89,7 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
     random, found = Random(display.seed), Outcome()
     queue, acting, row, count = [0.0] * (properties.delay + display.late), 0.0, 0, properties.encoder_count
     plant.begin(0)
+    times = sync_times(display, cycles)
     before, heard = (plant.force, plant.velocity, plant.position), (0, 0.0)
     for k in range(cycles):
         if k:
@@ -97,9 +98,10 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
                 row += 1
             else:
                 row, acting = 0, command
+            begin, length = times[k - 1], times[k] - times[k - 1]
             for part in range(1, _PARTS + 1):
-                plant.advance_to((k - 1) * period + part * period // _PARTS, acting)
-                before = watch(found, plant, before, period * 1e-9 / _PARTS)
+                plant.advance_to(begin + part * length // _PARTS, acting)
+                before = watch(found, plant, before, length * 1e-9 / _PARTS)
         shown = plant.read_force()
         position = plant.encoder_position
         if count:
@@ -117,6 +119,13 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
             found.velocities.append(plant.velocity)
     found.doubt = controller.energy_resolution
     return found
+
+
+def sync_times(display: Display, cycles: int) -> list[int]:
+    """Returns the times of the SYNCs [ns], each up to half the jitter declared early or late, in parts of 64 ns."""
+    period, random = round(display.properties.sample_time * 1e9), Random(display.seed + 1)
+    reach = 0.5 * display.properties.jitter * period
+    return [k * period + (64 * round(random.uniform(-reach, reach) / 64.0) if k else 0) for k in range(cycles)]
 
 
 def watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float) -> _Motion:

@@ -59,6 +59,9 @@ def random_group(seed: int) -> DisplayGroup:
     if random.random() < 0.5:
         corners = ((-0.02, 0.0), (0.02, 0.0), (0.02, 0.03))
         environment = PathMass(mass=mass, damping=damping, points=corners, closed=random.random() < 0.5)
+    first, other = (
+        replace(axis, properties=axis.properties.model_copy(update={"jitter": 0.0})) for axis in (first, other)
+    )
     return DisplayGroup((first, other), environment, known.model_copy(update={"largest_hand_force": 0.0}))
 
 

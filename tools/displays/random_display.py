@@ -35,11 +35,12 @@ def random_display(seed: int, algorithm: str | None = None) -> Display:
     )  # fmt: skip
     loop = VelocityLoopParameters(gain=gain, integral_gain=integral, torque_limit=random.choice([None, 500.0]))
     losses = 0 if integral else random.choice([0, 0, 1, 2])
+    jitter = random.choice([0.0, 0.0, 0.0, 0.05])
     properties = DisplayProperties(
         sample_time=time, delay=random.choice([0, 1, 1, 2]), sampling=sensor.sampling,
         latency=sensor.latency, filter=sensor.filter, force_slew=2e4, handle_acceleration=200.0, force_error=error,
-        encoder_count=random.choice([1e-7, 1e-6, 1e-5]), speed_quantum=1e-6, speed_limit=2.0, acceleration_limit=200.0,
-        torque_limit=500.0,
+        encoder_count=random.choice([1e-7, 1e-6, 1e-5]), jitter=jitter, speed_quantum=1e-6,
+        speed_limit=2.0, acceleration_limit=200.0, torque_limit=500.0,
     )  # fmt: skip
     name = algorithm or random.choice(["guarded", "guarded", "guarded", *DISPLAY_ALGORITHMS])
     guarded = GuardedDisplayParameters(

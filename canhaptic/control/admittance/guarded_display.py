@@ -149,6 +149,7 @@ def step(
     inner, time = memory.display.inner, settings.motion.sample_time
     if not state.axis.started:
         begin_port(state.axis, memory.display.positions, position, force)
+        state.unsure = settings.loop.integral > 0.0 and settings.port.jitter > 0.0  # what fills it is then not known
         return AT_REST
     h_i, velocity = _take(settings, state, memory, position, force)
     before = motion.speed

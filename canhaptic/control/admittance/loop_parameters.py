@@ -28,7 +28,7 @@ class GuardedDisplayParameters(Parameters):
 
 
 def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayProperties) -> VelocityLoopSettings:
-    """Returns what is declared of the drive.
+    """Returns what is declared of the drive; a hold lasts as long as it may, which costs and proves the least.
 
     Raises:
         ParameterError: Losses or a largest force of the hand are declared for a drive with an integral.
@@ -42,9 +42,9 @@ def loop_settings(parameters: GuardedDisplayParameters, properties: DisplayPrope
             raise ParameterError(
                 f"guarded: {key}: got {getattr(parameters, key)}, expected 0 with an integral_gain: {why}"
             )
-    least = 1.0 - parameters.spread
+    least, longest = 1.0 - parameters.spread, properties.sample_time * (1.0 + properties.jitter)
     return VelocityLoopSettings(
-        properties.sample_time, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
+        longest, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
         parameters.loop_gain, parameters.loop_gain * least, parameters.integral_gain, parameters.integral_gain * least,
         properties.encoder_count, properties.torque_limit, properties.handle_acceleration,
     )  # fmt: skip

@@ -37,6 +37,7 @@ class PortSettings:
     error: float  # largest of one force [N or N*m]
     count: float  # of the encoder [m or rad]
     lag: float  # time constant of the sensor's filter; 0: none [s]
+    jitter: float = 0.0  # every hold lasts T (1 +- jitter)
 
 
 @dataclass(slots=True)
@@ -72,7 +73,7 @@ def port_settings(properties: DisplayProperties) -> PortSettings:
     return PortSettings(
         properties.sample_time, properties.sampling != "point", properties.sampling == "impulse", properties.latency,
         properties.force_slew,
-        properties.handle_acceleration, properties.force_error, properties.encoder_count, lag,
+        properties.handle_acceleration, properties.force_error, properties.encoder_count, lag, properties.jitter,
     )  # fmt: skip
 
 
@@ -126,12 +127,13 @@ def _put(port: Port, positions: Buffer, position: float) -> None:
 
 def _energy(settings: PortSettings, port: Port, moved: float, force: float, samples: int) -> tuple[float, float, float]:
     """Returns (the energy [J] that came in at least, the largest speed at the end [m/s or rad/s], at most [J])."""
-    length, way = samples * settings.sample_time, abs(moved)
+    length, way = samples * settings.sample_time * (1.0 + settings.jitter), abs(moved)
+    shortest = samples * settings.sample_time * (1.0 - settings.jitter)
     slew, acceleration, change = settings.slew, settings.acceleration, force - port.force
     error, count = settings.error, settings.count
     if not settings.is_mean:
         mean, rise = 0.5 * (force + port.force), abs(change)
-        fastest = (way + count) / length + 0.5 * acceleration * length
+        fastest = (way + count) / shortest + 0.5 * acceleration * length
         room = slew * slew * length * length - rise * rise
         doubt = rise * acceleration * length * length / 12.0
         if room > 0.0:
@@ -145,10 +147,13 @@ def _energy(settings: PortSettings, port: Port, moved: float, force: float, samp
     if settings.lag > 0.0:
         mean += change * settings.lag / length
         doubt += 0.25 * slew * acceleration * length * length * settings.lag
-        error += 2.0 * error * settings.lag / length
+        doubt += abs(change) * settings.lag * (1.0 / shortest - 1.0 / length) * way
+        error += 2.0 * error * settings.lag / shortest
+    if settings.is_impulse:  # it was divided by the sample time
+        doubt += abs(mean) * way * settings.jitter / (1.0 - settings.jitter)
     doubt += error * (way + count)
     doubt += 0.5 * count * (abs(mean - port.mean) + abs(mean) - abs(port.mean))
     port.mean = mean
     port.doubt += doubt
     energy = mean * moved
-    return energy - doubt, (way + count) / length + 0.5 * acceleration * length, energy + doubt
+    return energy - doubt, (way + count) / shortest + 0.5 * acceleration * length, energy + doubt

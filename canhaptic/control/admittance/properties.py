@@ -10,6 +10,8 @@ class DisplayProperties(Parameters):
 
     sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Time T from SYNC to SYNC."""
+    jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] = 0.0
+    """Every hold, from sample to sample, lasts T (1 +- jitter)."""
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 1
     """Whole holds between the computation of a command and the hold in which it acts."""
     sampling: Literal["point", "mean", "impulse"] = "point"
