@@ -46,7 +46,7 @@ class Certificate(IntEnum):
     """Which promise bounded the torque of the next hold; the numbers are those of the logs, see `WEAKEST_LAST`."""
 
     EXACT = 0  # no bound was active
-    DEVICE_DAMPING = 1
+    DEVICE_DAMPING = 1  # by what the device dissipates, in dry friction too: for every hand
     HAND_FORCE = 2
     HAND_SPEED = 3
     NONE = 4  # the algorithm gives no bound

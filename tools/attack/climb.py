@@ -220,7 +220,7 @@ class Attack:
         self._memory = Guarded.kernel.memory(settings, make_buffer)
         self._climb = _compiled(kind)
         self._rig, self._hand, self._count = rig, hand, declared.encoder_count
-        self._at_handle = bool(declared.device_damping)
+        self._at_handle = bool(declared.device_damping or declared.device_friction)
         self.strongest = 0.0
 
     @property

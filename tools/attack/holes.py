@@ -104,6 +104,7 @@ def random_attack(seed: int) -> Attack:
     declared = {
         "sync_jitter": jitter, "torque_window": window, "current_lag": lag, "device_friction_bound": friction,
         "device_damping": damping * float(random.choice([0.0, 0.5, 1.0])) or None,
+        "device_friction": friction * float(random.choice([0.0, 0.5, 1.0])) or None,
     }  # fmt: skip
     loop = LoopProperties(
         sample_time=sample_time, delay=rig.delay, moving_mass=mass * float(random.choice([0.6, 1.0])),
@@ -116,6 +117,10 @@ def random_attack(seed: int) -> Attack:
         stiffness=decades(50.0, 5e4), damping=float(random.choice([0.0, 5.0, 20.0])) if _PUSH_MATTERS else 0.0,
         position=0.0,
     )  # fmt: skip
+    if random.random() < 0.5:
+        more |= {"earned_energy": decades(1e-4, 0.1), "drag": float(random.choice([0.0, 0.1, 1.0]))}
+    if random.random() < 0.25 and (declared["device_damping"] or declared["device_friction"]):
+        return Attack(rig, wall, loop, GuardedParameters(**{**more, "hand_force": None}), hand._replace(pull=60.0))
     return Attack(rig, wall, loop, GuardedParameters(hand_force=hand.pull, **more), hand)
 
 

@@ -15,6 +15,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     hand_speed_bound,
     next_displacement,
 )
+from canhaptic.control.certificates.sum_of_certificates import free_in_sum, largest_in_sum
 from canhaptic.control.certificates.torque_bound import (
     BoundMemory,
     Declared,
@@ -29,8 +30,8 @@ from canhaptic.kernels import Buffer
 def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
     """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
     delay, losses = declared.delay, declared.losses
-    if delay == 0 and losses == 0 and declared.late == 0.0:
-        return energy + bound.dissipated
+    if losses == 0 and declared.late == 0.0:
+        return free_in_sum(declared, bound, memory, energy)
     if losses == 0:
         hand, path, squares = needed(declared, bound, memory, memory.under_way, bound.first, delay)
         free = energy - hand if declared.by_hand_force else 0.0
@@ -235,12 +236,18 @@ def by_hand_force_if_held_on(declared: Declared, energy: float, base: float, han
 def largest_torques(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Returns the bound of each certificate along `sign` [N or N*m]: hand force, device damping, hand speed.
+    """Returns the largest torque along `sign`: by all certificates, for every hand, without the hand speed [N or N*m].
 
-    0 where a certificate is not declared. `energy` [J] is what may be taken out.
+    Where torques come late or frames are lost it is the largest of the certificates, else their sum. `energy` [J] is
+    what may be taken out.
     """
     losses, delay, torques, first = declared.losses, declared.delay, memory.under_way, bound.first
-    force = damping = speed = 0.0
+    if losses == 0 and declared.late == 0.0:
+        if declared.by_hand_force_alone:
+            force = by_hand_force(declared, bound, memory, sign, energy, torques, first)
+            return force, 0.0, force
+        return largest_in_sum(declared, bound, memory, sign, energy)
+    force, damping, speed = 0.0, declared.friction, 0.0
     if declared.by_hand_force:
         if losses and (delay > 1 or declared.late > 0.0):
             force = by_hand_force_of_any(declared, bound, memory, sign, energy)
@@ -252,19 +259,35 @@ def largest_torques(
     if losses:
         take_sizes(declared, bound, memory, delay)
         torques, first = memory.held_on, 0
-    if declared.damping == 0.0 and declared.hand_speed == 0.0:
-        return force, damping, speed
+    if declared.damping > 0.0 or declared.hand_speed > 0.0:
+        damping, speed = by_damping_or_speed(declared, bound, torques, first, energy)
+        damping = max(damping, declared.friction)
+    force = max(force, damping)
+    return max(force, speed), damping, force
+
+
+def by_damping_or_speed(
+    declared: Declared, bound: TorqueBound, torques: Buffer, first: int, energy: float
+) -> tuple[float, float]:
+    """Returns the largest torque by device damping, and by hand speed [N or N*m]; 0 where one is not declared.
+
+    Args:
+        declared: Of axis and hand.
+        bound: Of the axis.
+        torques: Of which `delay` act before it [N or N*m].
+        first: Place of the one that acts first.
+        energy: That may be taken out [J].
+    """
     hold, tail, tail_square = acting_time(declared, bound)
+    damping = speed = sizes = squares = 0.0
+    for place in range(first, first + declared.delay):
+        sizes += abs(torques[place])
+        squares += torques[place] * torques[place]
     if declared.damping > 0.0:
-        squares = 0.0
-        for place in range(first, first + delay):
-            squares += torques[place] * torques[place]
         energy_left = energy + bound.dissipated
-        damping = device_damping_bound(energy_left, declared.damping, hold, squares + tail_square, losses + 1)
+        squares += tail_square
+        damping = device_damping_bound(energy_left, declared.damping, hold, squares, declared.losses + 1)
     if declared.hand_speed > 0.0:
-        sizes = 0.0
-        for place in range(first, first + delay):
-            sizes += abs(torques[place])
         rest = energy - declared.hand_speed * (hold * sizes + tail)
-        speed = hand_speed_bound(rest, declared.hand_speed, hold, losses + 1)
-    return force, damping, speed
+        speed = hand_speed_bound(rest, declared.hand_speed, hold, declared.losses + 1)
+    return damping, speed

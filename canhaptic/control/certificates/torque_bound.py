@@ -23,6 +23,8 @@ class Declared:
     late: float = 0.0  # theta of `hold_timing`: window and lag of a new torque [s]; 0: torques change at the SYNC
     late_share: float = 0.0  # the same as a part of the shortest hold
     left: float = 0.0  # c of `hold_timing`: share of older torques that is left after a hold
+    friction: float = 0.0  # certain dry friction of the device [N or N*m]; 0: not declared
+    by_hand_force_alone: bool = False  # whether no other certificate is declared
 
 
 @dataclass(slots=True)
@@ -35,6 +37,7 @@ class TorqueBound:
     changes: float = 0.0  # energy that the encoder leaves unsure, up to the last change of torque [J]
     unsure: float = 0.0  # how much less than booked may have come in so far [J]: encoder counts and lost samples
     dissipated: float = 0.0  # by the device for certain, and not forgotten [J]
+    slack: float = 0.0  # of the laziest motion that the encoder's positions leave open, behind them [m or rad]
     kept: int = 0  # holds in the history
     newest: int = 0  # their newest place
     first: int = 0  # place of the torque that acts next in `BoundMemory.under_way`
@@ -104,6 +107,8 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
         certain = abs(displacement) - count
         if certain > 0.0:
             bound.dissipated += declared.damping / declared.sample_time * certain * certain
+    if declared.friction > 0.0:
+        bound.dissipated += declared.friction * certain_path(bound, displacement, count)
     if declared.late > 0.0:
         doubt = doubt_of_late(declared, bound, displacement, torque)
         take_late(declared, bound, torque)
@@ -128,6 +133,17 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
     if bound.turning:
         bound.turning -= 1
     return doubt
+
+
+def certain_path(bound: TorqueBound, displacement: float, count: float) -> float:
+    """Returns what the laziest motion within a count of the encoder's positions moves in a hold [m or rad]."""
+    behind = bound.slack + displacement
+    moved = abs(behind) - count
+    if moved <= 0.0:
+        bound.slack = behind
+        return 0.0
+    bound.slack = count if behind > 0.0 else -count
+    return moved
 
 
 def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:

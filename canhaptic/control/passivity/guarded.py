@@ -12,7 +12,12 @@ contact: the store begins empty and pushing on fills it. What the account does n
 * the spring effort stays below that of a spring with the energy in the account, as stiff as the certificate holds;
 * beyond it, only while moving inward, a damper brings in what is missing and all of that is stored; and a spring whose
   account is short is led as if no torque slowed the axis down;
-* and the torque stays below the largest of the declared certificates (`certificates`), which is the proof.
+* and the torque stays below what the declared certificates hold together (`sum_of_certificates`): that is the proof.
+
+What came in beyond the store (a drag in free motion, a wall left behind) or was dissipated by the device for certain is
+kept for contacts to come as far as `earned_energy`. From no energy at all no torque begins below an inward speed of
+(1 + delay) F_h T / m: a hand of F_h could turn every slower motion outward before the torque ends, so that energy would
+come out first. Only what is certain of the device begins slower.
 
 For every user without exception, sum(h_i) >= 0 admits no torque at all: a larger promise relies on something known
 of the hand or of the device. A hand force of 0 is the usual setting: it covers every hand that does not pull the axis
@@ -26,9 +31,9 @@ from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalanc
 from canhaptic.control.certificates.torque_bound import turn
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_account import GuardedState, Memory, book, end, fade, memory_of, relax
+from canhaptic.control.passivity.guarded_account import GuardedState, Memory, book, end, memory_of, relax
 from canhaptic.control.passivity.guarded_settings import GuardedParameters, GuardedSettings, settings_of
-from canhaptic.control.passivity.guarded_torque import render
+from canhaptic.control.passivity.guarded_torque import drag, render
 from canhaptic.control.passivity.hold_account import Axis, begin
 from canhaptic.control.passivity.in_flight import send
 from canhaptic.control.passivity.stepped import SteppedController
@@ -52,10 +57,7 @@ def step(
     zone, zone_before, axis = environment.contact(position), state.zone, state.axis
     state.zone = zone
     if not axis.started:
-        begin(axis, memory.axis, position)
-        if zone:
-            turn(settings.declared, state.bound, way_out(environment, environment.true_state(position, 0.0, 0.0)))
-        return AT_REST
+        return start(environment, settings, state, memory, position)
     holds = axis.missed + 1
     displacement, damper, modulated, unsure = end(settings, state, memory, position, torque_applied)
     same = zone == zone_before
@@ -66,7 +68,9 @@ def step(
     ceiling = environment.stored_energy(true) if zone else 0.0
     h_i = interaction_energy(torque_applied, displacement) - unsure
     h_pas = modulated * displacement
-    h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
+    h_r, deficit, leak, paid = book(
+        settings, state, memory, h_i, h_pas, damper * displacement, ceiling + settings.earned
+    )
     torque = damper = modulated = rendered = 0.0
     certificate = _UNBOUNDED
     if zone:
@@ -82,16 +86,27 @@ def step(
         )
         branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
     else:
-        if state.bound.dissipated > 0.0:
-            fade(state)
-        branch = _EXIT if zone_before or h_i != 0.0 or leak != 0.0 else _FREE
+        branch = _EXIT if zone_before or ((h_i != 0.0 or leak != 0.0) and settings.drag == 0.0) else _FREE
+        if settings.drag > 0.0 or state.bound.dissipated > 0.0:
+            torque, certificate = drag(settings, state, memory, displacement / holds)
     axis.oldest = send(memory.axis.commands, axis.oldest, torque, damper, modulated)
     state.true, h_s = true, state.h_s
-    stored = true if h_s == ceiling else environment.state_of_energy(h_s, true)
+    stored = true if h_s >= ceiling else environment.state_of_energy(h_s, true)
     return new(EnergyBalance, (
         torque, h_i, h_pas, h_i - h_pas, h_r, h_s, axis.h_dis, 0.0, deficit, leak, paid,
         _DEPLETED if deficit > 0.0 else branch, rendered, certificate, stored,
     ))  # fmt: skip
+
+
+def start(
+    environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, position: float
+) -> EnergyBalance:
+    """Takes the first position [m or rad]; returns the balance of a step that books nothing."""
+    begin(state.axis, memory.axis, position)
+    state.bound.out = settings.outside if settings.drag > 0.0 else 0.0
+    if state.zone:
+        turn(settings.declared, state.bound, way_out(environment, environment.true_state(position, 0.0, 0.0)))
+    return AT_REST
 
 
 def way_out(environment: Environment, true: float) -> float:

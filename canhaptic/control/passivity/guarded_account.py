@@ -143,7 +143,8 @@ def relax(
     return relaxed, left, lost
 
 
-def fade(state: GuardedState) -> None:
-    """Lets past dissipation of the device fade, out of contact."""
+def fade(settings: GuardedSettings, state: GuardedState) -> None:
+    """Lets past dissipation of the device fade, out of contact, down to what is kept for contacts to come."""
     bound, energy = state.bound, state.h_s - state.axis.h_dis
-    keep(bound, energy, _FADE * max(0.0, energy + bound.dissipated))
+    have = max(0.0, energy + bound.dissipated)
+    keep(bound, energy, max(_FADE * have, settings.earned))

@@ -38,6 +38,12 @@ class GuardedParameters(Parameters):
     """Largest speed of the hand. None: the certificate is not used. Alone it begins only with an energy allowance."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
+    earned_energy: Annotated[float, quantity("J", ge=0.0)] = 0.0
+    """Energy that came in beyond what is stored, or that the device dissipated, kept for contacts to come: a contact
+    under a hand force starts at any speed. It came in before: sum(h_i) stays >= 0."""
+    drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
+    """Largest drag felt in free motion, while less than `earned_energy` is there; 0: none. There too the hand pulls
+    away from the environment with no more than `hand_force`."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
     prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.75
@@ -52,6 +58,9 @@ class GuardedSettings:
 
     sample_time: float  # [s]
     credit: float  # [J]
+    earned: float  # energy kept for contacts to come [J]
+    drag: float  # in free motion [N or N*m]
+    outside: float  # direction away from the environment, 1 or -1; 0 where it has none
     alpha: float  # [s/m^2 or s/rad^2]
     torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
     least_limit: float  # torque up to which no limit cuts [N or N*m]
@@ -78,21 +87,21 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     """
     sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
     timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
-    by_hand_force = response is not NO_RESPONSE
-    if not (by_hand_force or damping or speed):
+    by_hand_force, friction = response is not NO_RESPONSE, loop.device_friction or 0.0
+    if not (by_hand_force or damping or friction or speed):
         raise ParameterError(
-            "guarded: got neither moving_mass with hand_force, nor device_damping, nor hand_speed, expected one of "
-            "them; without any no torque can be certified: declare what is known or choose another algorithm"
+            "guarded: got neither moving_mass with hand_force, nor device_damping, nor device_friction, nor "
+            "hand_speed, expected one of them; without any no torque can be certified: declare what is known or choose "
+            "another algorithm"
         )
     cap, late = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time)), timing.late / sample_time
-    damped = renderable_by_device_damping(damping, sample_time, loop.delay)
-    calm = _NO_CAP
-    if mass is not None:
-        ideal = displacement_response(sample_time, mass, 0.0, 0.0, 0.0, 0.0, timing)
-        calm = max(damped, renderable_by_hand_force(ideal, loop.delay, 1.0))
+    damped, calm = renderable_by_device_damping(damping, sample_time, loop.delay), calm_stiffness_of(loop)
     return GuardedSettings(
         sample_time=sample_time,
         credit=parameters.energy_allowance,
+        earned=parameters.earned_energy,
+        drag=parameters.drag,
+        outside={"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0),
         alpha=parameters.alpha,
         torque_limit=loop.torque_limit or inf,
         least_limit=0.0 if loop.torque_rate_limit or loop.power_limit else loop.torque_limit or inf,
@@ -110,20 +119,38 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
             mass, damping, sample_time, loop.delay, parameters.prediction_holds + late, loop.encoder_count
         ),
         longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
-        declared=Declared(
-            timing.longest,
-            loop.delay,
-            parameters.max_consecutive_losses,
-            by_hand_force,
-            response,
-            damping,
-            speed,
-            loop.encoder_count,
-            timing.late,
-            timing.late / timing.shortest,
-            timing.left,
-        ),
+        declared=declared_of(parameters, loop, response),
     )
+
+
+def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
+    """Returns what the certificates rest on."""
+    timing, by_hand_force = loop.timing, response is not NO_RESPONSE
+    damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
+    return Declared(
+        timing.longest,
+        loop.delay,
+        parameters.max_consecutive_losses,
+        by_hand_force,
+        response,
+        damping,
+        speed,
+        loop.encoder_count,
+        timing.late,
+        timing.late / timing.shortest,
+        timing.left,
+        friction,
+        by_hand_force and not (damping or friction or speed),
+    )
+
+
+def calm_stiffness_of(loop: LoopProperties) -> float:
+    """Returns the stiffness of the largest spring that the rate renders calmly [N/m or N*m/rad]."""
+    if loop.moving_mass is None:
+        return _NO_CAP
+    ideal = displacement_response(loop.sample_time, loop.moving_mass, 0.0, 0.0, 0.0, 0.0, loop.timing)
+    damped = renderable_by_device_damping(loop.device_damping or 0.0, loop.sample_time, loop.delay)
+    return max(damped, renderable_by_hand_force(ideal, loop.delay, 1.0))
 
 
 def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> DisplacementResponse:

@@ -1,12 +1,13 @@
 """The torque that `guarded` renders in the next free hold: what is asked, as far as account and certificates allow."""
 
 from math import copysign, inf, sqrt
+from typing import Final
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.certificates.certified_torque import largest_torques
 from canhaptic.control.certificates.torque_bound import TorqueBound, keep
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.guarded_account import GuardedState, Memory
+from canhaptic.control.passivity.guarded_account import GuardedState, Memory, fade
 from canhaptic.control.passivity.guarded_settings import GuardedSettings
 from canhaptic.control.passivity.in_flight import towards_zero
 from canhaptic.control.passivity.prediction import predicted
@@ -14,6 +15,8 @@ from canhaptic.control.recovery import modulated_damping
 
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
+_DRAG_SHARE: Final = 0.5
+"""Damping of the drag near rest, over the largest one that does not ripple."""
 
 
 def render(
@@ -100,13 +103,10 @@ def permitted_size(
         most = within_limits(settings, memory.axis.commands.torques[state.axis.oldest - 1], sign, moved)
         if size > most:
             size = most
-    force, damping, speed = largest_torques(settings.declared, state.bound, memory.bound, sign, energy)
-    largest = force if force > damping else damping
-    if speed > largest:
-        largest = speed
+    largest, for_all, by_force = largest_torques(settings.declared, state.bound, memory.bound, sign, energy)
     if size > largest:
         size = largest
-    return size, _BY_DAMPING if damping >= size else _BY_FORCE if force >= size else _BY_SPEED
+    return size, _BY_DAMPING if for_all >= size else _BY_FORCE if by_force >= size else _BY_SPEED
 
 
 def certain_energy(state: GuardedState, energy: float) -> float:
@@ -158,7 +158,7 @@ def efforts(
     if abs(damper) > room:
         damper = copysign(room, damper)
     permitted = 2.0 * settings.calm_stiffness * energy
-    if settings.damped_stiffness > 0.0 or settings.path > 0.0:
+    if not settings.declared.by_hand_force_alone:
         permitted = energy_permitted(settings, bound, spring + lead + damper, energy, ceiling)
     covered = permitted >= size * size
     if not covered:
@@ -189,12 +189,42 @@ def energy_permitted(
         energy: That may be taken out [J].
         ceiling: Energy stored at the true state [J].
     """
-    permitted = 2.0 * settings.calm_stiffness * energy
+    stiffness, enough = settings.calm_stiffness, settings.earned
     if settings.damped_stiffness > 0.0:
-        keep(bound, energy, ceiling + 0.5 * (whole * whole) / settings.damped_stiffness)
-        with_device = 2.0 * settings.damped_stiffness * (energy + bound.dissipated)
-        if with_device > permitted:
-            permitted = with_device
+        enough = max(enough, 0.5 * (whole * whole) / settings.damped_stiffness)
+        stiffness = max(stiffness, settings.damped_stiffness)
+    keep(bound, energy, ceiling + enough)
+    covered = 2.0 * stiffness * (energy + bound.dissipated)
+    held = settings.declared.friction + (sqrt(covered) if covered > 0.0 else 0.0)
     if settings.path > 0.0 and energy > 0.0:
-        permitted = max(permitted, (energy / settings.path) * (energy / settings.path))
-    return permitted
+        held = max(held, energy / settings.path)
+    return held * held
+
+
+def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: float) -> tuple[float, int]:
+    """Returns the torque out of contact and its certificate: a drag, until enough is earned [N or N*m].
+
+    Args:
+        settings: Of the run.
+        state: Of the axis; it goes on earning while what it has is below `earned_energy`.
+        memory: Of the axis.
+        moved: In a hold [m or rad].
+    """
+    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
+    if bound.dissipated > 0.0:
+        fade(settings, state)
+    if settings.drag == 0.0:
+        return 0.0, _UNBOUNDED
+    if settings.longest_window:
+        energy = certain_energy(state, energy)
+    if energy + bound.dissipated >= settings.earned:
+        return 0.0, _UNBOUNDED
+    step = state.axis.window.velocity * settings.sample_time if settings.longest_window else state.motion.step
+    torque = -_DRAG_SHARE * settings.cap * step / settings.sample_time
+    if torque == 0.0:
+        return 0.0, _UNBOUNDED
+    if settings.outside == 0.0 and bound.turning < 2:  # which way is out is not known here
+        bound.turning = 2
+    torque = min(max(torque, -settings.drag), settings.drag)
+    size, certificate = permitted_size(settings, state, memory, torque, energy, moved)
+    return towards_zero(copysign(size, torque), settings.quantum), certificate

@@ -1,0 +1,163 @@
+"""All certificates of one axis as one: what is declared of the hand bounds a displacement, the device pays for it.
+
+Counted is what came in and what the device dissipates for certain, S = E + sum((b/T) D_i^2 + f_c |D_i|); with neither b
+nor f_c declared that is E. A hold of torque f >= 0 along and displacement D along takes from S
+
+    g(f, D) = f D - (b/T) D^2 - f_c |D|,
+
+concave in D. Nothing is known of D but D <= R, the least of the reach of the hand force (`next_displacement`, which
+chains over the holds under way), v_max T of the hand speed, and infinity. With n = f - f_c the most that g can be is
+
+    R <= 0:                        f R, at most: energy comes in for certain
+    n <= 0 < R:                    0: dry friction pays for the whole torque, at any speed of any hand
+    n > 0, R < n T / 2b:           R (n - b R / T)
+    else:                          n^2 T / 4b                                                                     (1)
+
+(`taken`). The sum over the holds under way and over the next one is the most by which S can fall in them, for each D_i
+has a bound of its own. So S stays >= 0 where the sum is <= S before
+every hold: S after the hold is S - g(f, D) >= the sum over the holds that are left. A torque against adds what it may
+take in its own direction.
+
+**The largest torque.** (1) grows with f, by itself and through R = base + gain f, so that the torques with
+(1) <= S' (what the holds under way leave) form an interval. Its end is f_c + sqrt(4 b S' / T) for a hand of which
+nothing is known; else the larger of the ends for each reach, where that of the hand force solves a quadratic in f:
+
+    f^2 gain (1 - q) + f (base (1 - 2q) - f_c gain) <= S' + f_c base + (b/T) base^2,   q = (b/T) gain,
+
+if the displacement at its root is below n T / 2b, and is the end for any hand if not: the quadratic is (1) with a
+displacement that the hand would not choose, its root never the smaller one. For q >= 1/2 the device damping counts in
+the end for any hand alone.
+
+Each certificate alone is the same with the others left out, and none has a larger end. By friction alone no larger
+torque than f_c has a proof for every hand: with f > f_c and b = 0 one that moves by D > S' / (f - f_c) within the hold
+takes out more than there is. With b it is f_c + sqrt(4 b S' / T): energy that friction took on the way to the wall
+counts in S'.
+"""
+
+from math import inf, sqrt
+
+from canhaptic.control.certificates.scalar_bounds import hand_force_bound, next_displacement
+from canhaptic.control.certificates.torque_bound import (
+    BoundMemory,
+    Declared,
+    TorqueBound,
+    hand_along,
+    outward,
+)
+
+
+def taken(declared: Declared, torque: float, reach: float) -> float:
+    """Returns the most that a torque along takes in a hold, beyond what the device dissipates in it: (1) [J].
+
+    Args:
+        declared: Of axis and hand.
+        torque: >= 0 [N or N*m].
+        reach: Largest displacement along; infinite: not known [m or rad].
+    """
+    if reach <= 0.0:
+        return torque * reach
+    net = torque - declared.friction
+    if net <= 0.0:
+        return 0.0
+    if declared.damping == 0.0:
+        return reach * net
+    damped = declared.damping / declared.sample_time
+    if 2.0 * damped * reach >= net:
+        return net * net / (4.0 * damped)
+    return reach * (net - damped * reach)
+
+
+def taken_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> tuple[float, float, float]:
+    """Returns what the torques under way along `sign` take together, and at worst [J], and the base of the next one.
+
+    The base is the largest displacement in the next hold without a torque; infinite where the hand is not known.
+    """
+    response, torques, first = declared.response, memory.under_way, bound.first
+    hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
+    fastest = declared.hand_speed * declared.sample_time if declared.hand_speed > 0.0 else inf
+    displacement, before = inf, sign * bound.torque
+    if hand < inf:
+        if declared.encoder_count > 0.0:
+            displacement = outward(declared, bound, memory, sign)
+        else:
+            displacement = sign * bound.displacement + bound.blur
+    total = worst = 0.0
+    for place in range(first, first + declared.delay):
+        along = sign * torques[place]
+        if hand < inf:
+            displacement = next_displacement(displacement, before, along, response, hand)
+        if along > 0.0:
+            total += taken(declared, along, displacement if displacement < fastest else fastest)
+            if total > worst:
+                worst = total
+        before = along
+    if hand < inf:
+        displacement = next_displacement(displacement, before, 0.0, response, hand)
+    return total, worst, displacement
+
+
+def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
+    """Returns how much of `energy`, with what the device dissipated, the torques under way do not need [J]."""
+    free = energy + bound.dissipated
+    if declared.delay:
+        free -= taken_along(declared, bound, memory, 1.0)[1] + taken_along(declared, bound, memory, -1.0)[1]
+    return free if free > 0.0 else 0.0
+
+
+def largest_in_sum(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
+) -> tuple[float, float, float]:
+    """Returns the largest torque along `sign`: by all certificates, for every hand, without the hand speed [N or N*m].
+
+    Args:
+        declared: Of axis and hand.
+        bound: Of the axis.
+        memory: Of the bound.
+        sign: 1 or -1.
+        energy: That may be taken out, without what the device dissipated [J].
+    """
+    given, _, base = taken_along(declared, bound, memory, sign)
+    budget = energy + bound.dissipated - given
+    for place in range(bound.first, bound.first + declared.delay):
+        if sign * memory.under_way[place] < 0.0:
+            budget -= taken_along(declared, bound, memory, -sign)[1]
+            break
+    for_all = for_any_hand(declared, budget)
+    by_force = for_all
+    if base < inf:
+        by_force = max(for_all, by_reach(declared, budget, base, for_all))
+    largest = by_force
+    if declared.hand_speed > 0.0 and budget > 0.0:
+        largest = max(largest, by_fastest(declared, budget, declared.hand_speed * declared.sample_time, for_all))
+    return largest, for_all, by_force
+
+
+def for_any_hand(declared: Declared, budget: float) -> float:
+    """Returns the largest torque by what the device dissipates, for a hand of which nothing is known [N or N*m]."""
+    if budget <= 0.0:
+        return declared.friction
+    return declared.friction + sqrt(4.0 * declared.damping / declared.sample_time * budget)
+
+
+def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> float:
+    """Returns the largest torque by the reach of the hand force [N or N*m]; see `largest_in_sum`."""
+    friction, gain = declared.friction, declared.response.during
+    damped = declared.damping / declared.sample_time
+    if budget < 0.0 or (friction == 0.0 and damped == 0.0):
+        return hand_force_bound(budget, base, gain)
+    if 2.0 * damped * gain >= 1.0:
+        damped = 0.0
+    share = damped * gain
+    largest = hand_force_bound(
+        budget + (friction + damped * base) * base, base * (1.0 - 2.0 * share) - friction * gain, gain * (1.0 - share)
+    )
+    if 2.0 * damped * (base + gain * largest) > largest - friction:
+        return for_all
+    return largest
+
+
+def by_fastest(declared: Declared, budget: float, fastest: float, for_all: float) -> float:
+    """Returns the largest torque for a hand that moves no farther than `fastest` [m or rad] in a hold [N or N*m]."""
+    damped = declared.damping / declared.sample_time
+    largest = declared.friction + budget / fastest + damped * fastest
+    return for_all if 2.0 * damped * fastest > largest - declared.friction else largest

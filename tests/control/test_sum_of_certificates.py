@@ -1,0 +1,149 @@
+"""The sum of certificates against a search over displacements, and against hands that place the axis anywhere."""
+
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, next_displacement
+from canhaptic.control.certificates.sum_of_certificates import largest_in_sum, taken
+from canhaptic.control.certificates.torque_bound import BoundMemory, Declared, TorqueBound, bound_memory
+from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded import Guarded
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.kernels import list_of_zeros
+from tests.control.guarded_users import MASS, guarded, run
+
+T = 1e-3
+ROUNDING = 1e-12
+
+
+def declared(*, hand_force=None, damping=0.0, friction=0.0, speed=0.0, delay=1):
+    response = NO_RESPONSE if hand_force is None else displacement_response(T, MASS, hand_force, damping, damping)
+    return Declared(T, delay, 0, hand_force is not None, response, damping, speed, 0.0, friction=friction)
+
+
+@pytest.mark.parametrize("torque", [0.1, 0.5, 3.0])
+@pytest.mark.parametrize(("damping", "friction"), [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (20.0, 0.2)])
+@pytest.mark.parametrize("reach", [-1e-3, 0.0, 2e-4, 5e-3])
+def test_no_displacement_within_reach_takes_more(torque, damping, friction, reach):
+    known = declared(damping=damping, friction=friction)
+    ways = [reach - 1e-2 * step / 4000 for step in range(4001)]
+    most = max(torque * way - damping / T * way * way - friction * abs(way) for way in ways)
+    found = taken(known, torque, reach)
+    assert found >= most - ROUNDING
+    if reach > 0.0:
+        assert found == pytest.approx(most, abs=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_largest_torque_is_where_what_is_taken_meets_what_is_left(seed):
+    draw = random.Random(seed)
+    known = declared(
+        hand_force=draw.choice([None, 0.0, 5.0]),
+        damping=draw.choice([0.0, 0.5, 20.0]),
+        friction=draw.choice([0.0, 0.5]),
+        speed=draw.choice([0.0, 0.3]),
+    )
+    bound = TorqueBound(displacement=draw.uniform(-2e-4, 2e-4), torque=draw.uniform(0.0, 3.0), out=1.0)
+    bound.dissipated, energy = draw.uniform(0.0, 2e-3), draw.uniform(0.0, 2e-3)
+    under_way = [draw.uniform(0.0, 0.4), 0.0]
+    memory = bound_memory(known, under_way, list_of_zeros)
+    largest, for_all, by_force = largest_in_sum(known, bound, memory, 1.0, energy)
+    assert largest >= by_force >= for_all
+    for torque, is_left in ((0.999 * largest, True), (1.001 * largest + 1e-6, False)):
+        left = energy + bound.dissipated - needed(known, bound, memory, torque)
+        assert (left >= -ROUNDING) is is_left or (is_left and torque <= known.friction)
+
+
+def needed(known: Declared, bound: TorqueBound, memory: BoundMemory, torque: float) -> float:
+    """What the torque under way and one more take at most [J]."""
+    way, before, total = bound.displacement, bound.torque, 0.0
+    for acting in (memory.under_way[0], torque):
+        reach = math.inf
+        if known.by_hand_force:
+            reach = way = next_displacement(way, before, acting, known.response, known.response.hand)
+        if known.hand_speed:
+            reach = min(reach, known.hand_speed * T)
+        total += taken(known, acting, reach)
+        before = acting
+    return total
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("count", [0.0, 1e-5])
+@pytest.mark.parametrize(("damping", "friction"), [(0.0, 0.5), (0.5, 0.5), (3.0, 0.0)])
+def test_no_hand_at_any_speed_takes_more_than_came_in_and_the_device_dissipates(damping, friction, count, delay):
+    loop = LoopProperties(
+        sample_time=T, delay=delay, moving_mass=MASS, device_damping=damping or None, device_friction=friction or None,
+        device_friction_bound=friction, encoder_count=count,
+    )  # fmt: skip
+    for seed in range(12):
+        draw = random.Random(seed)
+        one = Guarded(
+            SpringDamperWall(stiffness=2500.0, damping=draw.choice([0.0, 5.0])),
+            GuardedParameters(hand_force=None, earned_energy=0.03, drag=draw.choice([0.0, 0.3])),
+            loop,
+        )
+        position, total, strongest, waiting, held = 0.01, 0.0, 0.0, [0.0] * delay, 0.0
+        speed = 0.0
+        for _ in range(1500):
+            seen = round(position / count) * count if count else position
+            waiting.append(one.step(seen, held).torque)
+            held = waiting.pop(0)
+            if draw.random() < 0.05:
+                speed = draw.choice([-0.1, 0.1, draw.uniform(-3.0, 3.0)])
+            if held > 1.0 and draw.random() < 0.3:
+                speed = (held - friction) / (2.0 * damping) if damping else 3.0  # what takes most
+            if abs(position) > 0.02:
+                speed = -math.copysign(0.2, position)
+            moved = speed * T
+            position += moved
+            total += damping / T * moved * moved + friction * abs(moved) - held * moved
+            strongest = max(strongest, abs(held))
+            assert total >= -ROUNDING
+        assert strongest > 0.4
+
+
+def test_energy_earned_by_device_and_drag_holds_a_wall_that_a_slow_hand_does_not_meet_without():
+    def depth(**more):
+        controller = guarded(10_000.0, 0.0, 1000, 1, hand_force=20.0, most=0.5, **more)
+        begin, speed = 0.7, 0.1
+
+        def hand(t, q, v, _f):
+            if t < begin:
+                return 300.0 * (0.07 - speed * t - q) - 10.0 * (v + speed)
+            return -5.0 * min(1.0, (t - begin) / 0.3)
+
+        truth = run(controller, hand, 1000, 4000, delay=1, damping=0.5, position=0.07)
+        free = [abs(f) for q, f in zip(truth.positions, truth.torques, strict=True) if q > 0.0]
+        assert truth.least >= -ROUNDING
+        return -truth.positions[-1], max(free)
+
+    deep, without = depth()
+    held, felt = depth(drag=0.1, earned_energy=5e-3, certain=0.25)
+    assert held == pytest.approx(5.0 / 10_000.0, rel=0.05)
+    assert deep > 2.0 * held
+    assert felt == pytest.approx(0.1)
+    assert without == 0.0
+
+
+def test_a_wall_that_is_left_keeps_no_more_than_is_declared():
+    controller = guarded(2000.0, 0.0, 1000, hand_force=0.0, earned_energy=1e-3)
+    state = [controller.step(0.01 - 1e-4 * k, 0.0) for k in range(150)][-1]
+    held = state.torque
+    for k in range(300):
+        state = controller.step(-0.005 + 1e-4 * k, held)
+        held = state.torque
+    assert 0.0 <= state.h_s <= 1e-3
+
+
+def test_a_declared_certificate_more_never_costs_torque():
+    bound = TorqueBound(displacement=-5e-5, torque=1.0, out=1.0)
+    whole = declared(hand_force=5.0, damping=0.5, friction=0.5, speed=0.2)
+    memory = bound_memory(whole, [0.8, 0.0], list_of_zeros)
+    most = largest_in_sum(whole, bound, memory, 1.0, 1e-3)[0]
+    for left_out in ({"by_hand_force": False}, {"friction": 0.0}, {"hand_speed": 0.0}, {"damping": 0.0}):
+        assert largest_in_sum(replace(whole, **left_out), bound, memory, 1.0, 1e-3)[0] <= most + ROUNDING
