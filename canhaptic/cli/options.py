@@ -30,7 +30,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
         type=length,
         help="largest error of the position, as in '1 um' or 1e-6 [m or rad]; by default a tenth of an encoder count",
     )
-    parser.add_argument("--axis", metavar="NAME", help="which axis; by default the first")
+    parser.add_argument("--axis", metavar="NAME", help="which axis or group; by default the first")
     parser.add_argument(
         "--duration",
         metavar="S",
@@ -343,7 +343,7 @@ def _sweep(parser: argparse.ArgumentParser) -> None:
 def _touch(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `touch`."""
     add_scene(parser)
-    parser.add_argument("--axis", metavar="NAME", help="which axis; by default the first")
+    parser.add_argument("--axis", metavar="NAME", help="which axis or group; by default the first")
     parser.add_argument("--port", type=port, default=5007, metavar="N", help="of the page; 0 for any that is free")
     parser.add_argument(
         "--pace",
