@@ -1,6 +1,8 @@
 """`canhaptic compare CONFIG`: every passivity algorithm on one scene, compared with the continuous environment."""
 
 import argparse
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 from canhaptic.cli.arguments import check_picture, scene_of
 from canhaptic.cli.output import note_file, write_json
@@ -11,6 +13,9 @@ from canhaptic.study.algorithms import chosen_algorithms, own_algorithms
 from canhaptic.study.comparison import compare
 from canhaptic.study.scenes import cycles_of
 from canhaptic.view.energy_table import make_console
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -58,14 +63,7 @@ def _compare_displays(scene: Scene, arguments: argparse.Namespace) -> int:
 
     if arguments.rate is not None or arguments.png is not None:
         raise InputError("--rate, --png: for impedance displays; for admittance displays use --set bus.rate=...")
-    total = cycles_of(scene, arguments.duration) * len(display_algorithms(arguments.algorithms))
-    with run_progress(total, scene.bus.sample_time, "free") as progress:
-        result = compare_displays(scene, arguments.algorithms, duration=arguments.duration, progress=progress)
-    if arguments.json:
-        write_json(result)
-    else:
-        make_console().print(display_comparison_report(result))
-    return 0
+    return _over_can(scene, arguments, display_algorithms, compare_displays, display_comparison_report)
 
 
 def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
@@ -80,11 +78,21 @@ def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
         raise InputError("--rate: changes the loop of one axis without a bus; for groups use --set bus.rate=...")
     if arguments.png is not None:
         raise InputError("--png: draws axes with their continuous run; draw a group with canhaptic run --png")
-    total = cycles_of(scene, arguments.duration) * len(group_algorithms(arguments.algorithms))
+    return _over_can(scene, arguments, group_algorithms, compare_groups, group_comparison_report)
+
+
+def _over_can(
+    scene: Scene,
+    arguments: argparse.Namespace,
+    names_of: Callable[[Sequence[str] | None], list[str]],
+    compared: Callable[..., dict[str, Any]],
+    report: Callable[[dict[str, Any]], "RenderableType"],
+) -> int:
+    total = cycles_of(scene, arguments.duration) * len(names_of(arguments.algorithms))
     with run_progress(total, scene.bus.sample_time, "free") as progress:
-        result = compare_groups(scene, arguments.algorithms, duration=arguments.duration, progress=progress)
+        result = compared(scene, arguments.algorithms, duration=arguments.duration, progress=progress)
     if arguments.json:
         write_json(result)
     else:
-        make_console().print(group_comparison_report(result))
+        make_console().print(report(result))
     return 0

@@ -8,13 +8,11 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
-from canhaptic.cycle import run
-from canhaptic.errors import CanHapticError, InputError, ParameterError
+from canhaptic.errors import ParameterError
 from canhaptic.registry import load
-from canhaptic.scene.build import build
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.study.accounts_over_can import accounts_over_can, heading_of, known_algorithms
 from canhaptic.study.scenes import cycles_of
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
@@ -32,14 +30,8 @@ _ROWS: Final[tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...]] = (
 
 
 def display_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Returns the names asked for, each known; all of them for None.
-
-    Raises:
-        ParameterError: One is unknown.
-    """
-    for name in algorithms or ():
-        load(DISPLAY_ALGORITHMS, name, "admittance algorithm")
-    return list(dict.fromkeys(algorithms or DISPLAY_ALGORITHMS))
+    """Returns the names asked for; see `known_algorithms`."""
+    return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms)
 
 
 def compare_displays(
@@ -61,27 +53,24 @@ def compare_displays(
         InputError: The drives are not simulated in this process.
         ParameterError: An unknown algorithm.
     """
-    if not scene.simulated:
-        raise InputError(f"{scene.source}: compare needs bus.interface: virtual and a `simulation`; add them")
     names, cycles = display_algorithms(algorithms), cycles_of(scene, duration)
-    axes: dict[str, dict[str, Any]] = {axis.parameters.name: {} for axis in scene.axes}
-    for number, name in enumerate(names):
-        report = None if progress is None else _after(progress, number * cycles)
-        for axis, found in _run(scene, name, cycles, report).items():
-            axes[axis][name] = found
+    runs = accounts_over_can(scene, names, cycles, _scene_under, progress)
+    axes = [axis.parameters.name for axis in scene.axes]
     return {
-        "scene": scene.source,
-        "config_hash": scene.config_hash(),
-        "path": "can",
-        "rate": 1.0 / scene.bus.sample_time,
-        "delay": scene.bus.delay,
-        "cycles": cycles,
-        "axes": axes,
+        **heading_of(scene, cycles),
+        "axes": {axis: {name: _of_axis(axis, found) for name, found in runs.items()} for axis in axes},
     }
 
 
-def _after(progress: Callable[[int], None], before: int) -> Callable[[int], None]:
-    return lambda cycles: progress(before + cycles)
+def _scene_under(scene: Scene, name: str) -> Scene:
+    return replace(scene, axes=tuple(_under(axis, name) for axis in scene.axes))
+
+
+def _of_axis(axis: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    if "ports" not in found:
+        return {"status": found["status"], "remark": found["remark"]}
+    status = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"]
+    return {"status": status, "account": found["ports"][axis], "truth": found["truth"][axis]}
 
 
 def _under(axis: AxisScene, name: str) -> AxisScene:
@@ -95,24 +84,6 @@ def _under(axis: AxisScene, name: str) -> AxisScene:
         raise ParameterError(
             f"{name}: needs parameters that the scene does not give; compare a scene with it"
         ) from error
-
-
-def _run(scene: Scene, name: str, cycles: int, progress: Callable[[int], None] | None) -> dict[str, dict[str, Any]]:
-    names = [axis.parameters.name for axis in scene.axes]
-    try:
-        experiment = build(replace(scene, axes=tuple(_under(axis, name) for axis in scene.axes)), "free")
-    except ParameterError as error:
-        return {axis: {"status": "refused", "remark": str(error)} for axis in names}
-    status = "completed"
-    with experiment:
-        try:
-            run(experiment.cycle, cycles, progress=progress)
-        except CanHapticError as error:
-            status = f"stopped: {error}"
-        account = experiment_account(experiment, status, 1.0)
-    return {
-        axis: {"status": status, "account": account["ports"][axis], "truth": account["truth"][axis]} for axis in names
-    }
 
 
 def display_comparison_report(result: Mapping[str, Any]) -> RenderableType:

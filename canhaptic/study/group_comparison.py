@@ -5,7 +5,6 @@ There is no continuous reference: what a group adds to its network is judged by 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, Final
 
 from rich.console import Group, RenderableType
@@ -14,12 +13,8 @@ from rich.text import Text
 from canhaptic.axis_units import damping_unit
 from canhaptic.control.balance import PASSIVE_TOLERANCE
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
-from canhaptic.cycle import run
-from canhaptic.errors import CanHapticError, InputError, ParameterError
-from canhaptic.registry import load
-from canhaptic.scene.build import build
-from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.models import Scene
+from canhaptic.study.accounts_over_can import accounts_over_can, heading_of, known_algorithms
 from canhaptic.study.algorithms import group_under
 from canhaptic.study.scenes import cycles_of
 from canhaptic.view.si import si
@@ -48,21 +43,10 @@ def compare_groups(
         InputError: The drives are not simulated in this process.
         ParameterError: An unknown algorithm.
     """
-    if not scene.simulated:
-        raise InputError(f"{scene.source}: compare needs bus.interface: virtual and a `simulation`; add them")
-    names = group_algorithms(algorithms)
-    cycles = cycles_of(scene, duration)
-    runs = {}
-    for number, name in enumerate(names):
-        runs[name] = _run(scene, name, cycles, None if progress is None else partial(_count, progress, number * cycles))
+    names, cycles = group_algorithms(algorithms), cycles_of(scene, duration)
+    runs = accounts_over_can(scene, names, cycles, _scene_under, progress)
     return {
-        "scene": scene.source,
-        "config_hash": scene.config_hash(),
-        "path": "can",
-        "rate": 1.0 / scene.bus.sample_time,
-        "delay": scene.bus.delay,
-        "cycles": cycles,
-        "duration": cycles * scene.bus.sample_time,
+        **heading_of(scene, cycles),
         "groups": {
             group.name: {
                 "axes": list(group.axes),
@@ -75,34 +59,13 @@ def compare_groups(
     }
 
 
-def _count(progress: Callable[[int], None], before: int, cycles: int) -> None:
-    progress(before + cycles)
-
-
 def group_algorithms(algorithms: Sequence[str] | None) -> list[str]:
-    """Returns the names asked for, each known; all of them for None.
-
-    Raises:
-        ParameterError: One is unknown.
-    """
-    for name in algorithms or ():
-        load(GROUP_ALGORITHMS, name, "group algorithm")
-    return list(dict.fromkeys(algorithms or GROUP_ALGORITHMS))
+    """Returns the names asked for; see `known_algorithms`."""
+    return known_algorithms(GROUP_ALGORITHMS, "group algorithm", algorithms)
 
 
-def _run(scene: Scene, name: str, cycles: int, progress: Callable[[int], None] | None) -> dict[str, Any]:
-    try:
-        chosen = replace(scene, groups=tuple(group_under(group, name) for group in scene.groups))
-        experiment = build(chosen, "free")
-    except ParameterError as error:
-        return {"status": "refused", "remark": str(error)}
-    status, remark = "completed", ""
-    with experiment:
-        try:
-            run(experiment.cycle, cycles, progress=progress)
-        except CanHapticError as error:
-            status, remark = "stopped", str(error)
-        return {**experiment_account(experiment, status, 0.0), "remark": remark}
+def _scene_under(scene: Scene, name: str) -> Scene:
+    return replace(scene, groups=tuple(group_under(group, name) for group in scene.groups))
 
 
 def _of_group(name: str, found: Mapping[str, Any]) -> dict[str, Any]:

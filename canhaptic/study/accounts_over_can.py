@@ -1,0 +1,87 @@
+"""One scene under several algorithms, each over its simulated drives: the account of every run."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from canhaptic.cycle import run
+from canhaptic.errors import CanHapticError, InputError, ParameterError
+from canhaptic.registry import load
+from canhaptic.scene.build import build
+from canhaptic.scene.experiment_account import experiment_account
+from canhaptic.scene.models import Scene
+
+Progress = Callable[[int], None]
+
+
+def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[str] | None) -> list[str]:
+    """Returns the names asked for, each known; all of them for None.
+
+    Args:
+        table: Name -> "module:Class".
+        kind: What they are, for the message.
+        algorithms: Asked for.
+
+    Raises:
+        ParameterError: One is unknown.
+    """
+    for name in algorithms or ():
+        load(table, name, kind)
+    return list(dict.fromkeys(algorithms or table))
+
+
+def accounts_over_can(
+    scene: Scene, names: Sequence[str], cycles: int, under: Callable[[Scene, str], Scene], progress: Progress | None
+) -> dict[str, dict[str, Any]]:
+    """Returns the account of a run under each algorithm, with its `status` and a `remark`; a refused one has no more.
+
+    Args:
+        scene: With all its drives simulated in this process.
+        names: Of the algorithms.
+        cycles: SYNCs of each run.
+        under: (scene, name) -> the scene under that algorithm; may refuse with a ParameterError.
+        progress: Called with the number of cycles done so far, of all runs together.
+
+    Raises:
+        InputError: The drives are not simulated in this process.
+    """
+    if not scene.simulated:
+        raise InputError(f"{scene.source}: compare needs bus.interface: virtual and a `simulation`; add them")
+    found = {}
+    for number, name in enumerate(names):
+        report = None if progress is None else partial(_count, progress, number * cycles)
+        found[name] = _account(scene, name, cycles, under, report)
+    return found
+
+
+def heading_of(scene: Scene, cycles: int) -> dict[str, Any]:
+    """Returns what every comparison over CAN begins with, as plain values."""
+    return {
+        "scene": scene.source,
+        "config_hash": scene.config_hash(),
+        "path": "can",
+        "rate": 1.0 / scene.bus.sample_time,
+        "delay": scene.bus.delay,
+        "cycles": cycles,
+        "duration": cycles * scene.bus.sample_time,
+    }
+
+
+def _count(progress: Progress, before: int, cycles: int) -> None:
+    progress(before + cycles)
+
+
+def _account(
+    scene: Scene, name: str, cycles: int, under: Callable[[Scene, str], Scene], progress: Progress | None
+) -> dict[str, Any]:
+    try:
+        experiment = build(under(scene, name), "free")
+    except ParameterError as error:
+        return {"status": "refused", "remark": str(error)}
+    status, remark = "completed", ""
+    with experiment:
+        try:
+            run(experiment.cycle, cycles, progress=progress)
+        except CanHapticError as error:
+            status, remark = "stopped", str(error)
+        return {**experiment_account(experiment, status, 0.0), "remark": remark}
