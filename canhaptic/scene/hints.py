@@ -254,7 +254,7 @@ def _energy_hint(axis: AxisScene, response: DisplacementResponse, lag: int, stif
     if energy in {0.0, math.inf}:
         return []
     what = f"energy for slower contacts with {stiffness:.4g} {_LINEAR_ROTARY['stiffness'][unit == 'rad']}"
-    text = f"earned before them, by {DRAG:g} {effort_unit(unit)} of drag over {energy / DRAG:.2g} {unit}; or allowed"
+    text = f"{DRAG:g} {effort_unit(unit)} of drag earn it over {energy / DRAG:.2g} {unit} of faster motion; or allowed"
     return [Hint(axis.parameters.name, what, energy, None, "J", text)]
 
 

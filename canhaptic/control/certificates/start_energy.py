@@ -7,7 +7,8 @@ in F^2 / 2k. What is lacking is largest at some force on the way in,
 
 with D_i of the holds under way and the next one (`scalar_bounds`). Undamped the sum is h F (F + F_h), h = T^2 / m at
 delay 0 and 3 T^2 / m at delay 1, so that E = (h F_h)^2 / 4 a with a = 1 / 2k - h. A faster contact needs less: its own
-inward motion brings energy in. A drag f in front of the wall earns f times the way.
+inward motion brings energy in. A drag f earns f times the way, in
+motion above the speed of `start_speed`: slower, the hand may turn within the holds under way and pull the drag along.
 """
 
 import math
