@@ -75,6 +75,7 @@ def test_a_number_that_is_not_finite_ends_the_loop() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", ["xy_box", "two_handles"])
 def test_compiled_it_has_the_same_bits(name: str) -> None:
     pytest.importorskip("numba")
@@ -85,6 +86,7 @@ def test_compiled_it_has_the_same_bits(name: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_sweep_of_groups_says_what_computed_it(tmp_path) -> None:
     pytest.importorskip("numba")
     found = []
