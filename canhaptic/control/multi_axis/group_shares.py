@@ -16,7 +16,14 @@ from canhaptic.control.multi_axis.group_certificates import (
     response_to_late,
     taken_by_mover,
 )
-from canhaptic.control.multi_axis.late_group import LateShare, copy_range, older_needs, older_size, share_of_late
+from canhaptic.control.multi_axis.late_group import (
+    LateShare,
+    copy_range,
+    given_in_debt,
+    older_needs,
+    older_size,
+    share_of_late,
+)
 from canhaptic.control.multi_axis.per_axis_certificates import (
     needed_by_hand,
     share_by_hand,
@@ -181,12 +188,25 @@ def by_hand_force(
             start, more = size * base + late.linear, size * size * gain + late.square
             found = hand_force_bound(energy - late.constant, start, max(0.0, more))
             share = max(share, size * min(1.0, found))
+        elif attempt == 0:
+            return share_in_debt(axes, memory, under_way, torques, base, gain)
         if share >= 1.0 or attempt == 1:
             return share
         size = min(1.0, older_size(axes, memory, torques))
         if size == 0.0:
             return share
     return share
+
+
+def share_in_debt(
+    axes: AxisLimits, memory: AccountMemory, under_way: UnderWay, torques: Buffer, base: float, gain: float
+) -> float:
+    """Returns the share of torques that takes energy in for certain, where older ones may give out more than there is.
+
+    `memory.now` is the range at the SYNC of the torques; the other arguments are those of `by_hand_force`.
+    """
+    own = given_in_debt(axes, memory, under_way.torques, under_way.first, under_way.holds, torques)
+    return min(1.0, hand_force_bound(0.0, base + own.linear, max(0.0, gain + own.square)))
 
 
 def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:

@@ -22,9 +22,11 @@ at all, then has what the larger one leaves running.
 
 **The share l.** What older torques exceed l W by is convex in l and lies below its chord between l = 0 and l = 1, and
 N <= N_0 + l N_1 as in `per_axis_certificates`, so that all together stay below a parabola a + b l + c l^2, c >= 0, for
-every l up to 1; l is the largest for which it stays in the budget. Where even a is not in it, no torque is sent: what
-runs on was certified before. The chord of a smaller W is nearer, so that one of the size of the older torques is asked
-as well.
+every l up to 1; l is the largest for which it stays in the budget. Where even a is not in it, what runs on was
+certified before, and l W adds to that its own energy, l W . D - l sum of integral(p_i W_i v_i) with its tail, and what
+older torques give out over the motion that it adds. As long as that is below zero for certain, it is sent: without it
+no debt would end (`given_in_debt`). The chord of a smaller W is nearer, so that one of the size of the older torques
+is asked as well.
 
 **The hold that ended.** Of that D_i is known, and the way back inside it is no longer than `swing` times
 s (D_i + step_i / 2) (`hold_timing`): `doubt_of_late_group`. By device damping and hand speed it is as of one axis.
@@ -177,6 +179,28 @@ def share_of_late(
     return new(LateShare, (
         constant, none + early.linear + after.linear, whole - none + early.square + after.square
     ))  # fmt: skip
+
+
+def given_in_debt(
+    axes: AxisLimits, memory: AccountMemory, under_way: Matrix, first: int, holds: int, torques: Buffer
+) -> LateShare:
+    """Returns what l W makes all torques give out more than without it, beyond l W . D of `base_of` and its gain."""
+    norms, full, cross = norms_of(axes, memory, under_way, first, holds, torques, 1.0), 0.0, 0.0
+    highest, lowest = memory.now.highest, memory.now.lowest
+    none = response_to_late(axes, torques, highest, lowest, memory.nothing, axes.during)
+    whole = response_to_late(axes, torques, highest, lowest, torques, axes.during)
+    for i in range(len(torques)):
+        full += axes.timing.roots[i] * axes.timing.roots[i] * torques[i] * torques[i]
+    full = sqrt(full)
+    for i in range(len(torques)):
+        share, older = axes.timing.share[i], max(highest[i], -lowest[i])
+        cross += older * share * (share + axes.timing.left[i] * (1.0 + share)) * axes.timing.roots[i] * full
+        highest[i] = lowest[i] = 0.0
+    norms = new(Norms, (norms.least, full))
+    early = given_early(axes, memory, torques, 0.0, 1.0, holds + 1, norms)
+    after = given_after(axes, memory, torques, 1.0, holds + 1, norms)
+    linear = none + cross + early.linear + after.linear
+    return new(LateShare, (0.0, linear, whole - none + early.square + after.square))
 
 
 def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> float:

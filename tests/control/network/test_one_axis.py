@@ -191,3 +191,23 @@ def test_a_group_is_certified_for_late_torques_and_books_them_at_their_worst(del
     assert Certificate.HAND_FORCE.value in named
     assert Certificate.NONE.value not in named
     assert climb(lambda: make(0.0), random.Random(1), 1e-3, delay, **how)[1] > 1e-5
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_group_pressed_into_a_wall_with_late_torques_holds_it(delay):
+    """Doubt puts the account into debt at the entry; a torque that takes energy in for certain is sent all the same."""
+    loop = LoopProperties(
+        sample_time=1e-3, delay=delay, moving_mass=0.25, device_damping_bound=1.0, sync_jitter=0.02, current_lag=1e-4
+    )  # fmt: skip
+    plane, own = Plane(normal=(1.0, 1.0), stiffness=2e4, damping=20.0), GuardedGroupParameters(hand_force=1.0)
+    group = build_group_controller(plane, Identity(axes=2), "guarded", own, [loop, loop])
+    q, v, pending = 0.01, -0.3, [0.0] * delay
+    held = 0.0
+    for _ in range(700):
+        pending.append(group.step([q, q], [held, held]).torques[0])
+        held = pending.pop(0)
+        for _ in range(4):
+            v += (held - 10.0 - 2.0 * v) / 0.25 * 0.25e-3
+            q += v * 0.25e-3
+    assert held == pytest.approx(10.0, rel=0.01)
+    assert q == pytest.approx(-10.0 / 2e4, rel=0.3)
