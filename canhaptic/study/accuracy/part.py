@@ -20,7 +20,7 @@ from canhaptic.study.scenes import parts_of
 Stop = Callable[[], bool]
 
 
-class Part(Protocol):
+class StudiedPart(Protocol):
     """What renders by itself."""
 
     is_group: ClassVar[bool]
@@ -98,7 +98,7 @@ class _GroupPart:
         return group_variants(self.scene)
 
 
-def chosen_part(scene: Scene, name: str | None) -> Part:
+def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
     """Returns an axis or a group by name; the first axis by default, and the group of an axis that has one.
 
     Raises:

@@ -35,7 +35,7 @@ class Motors(NamedTuple):
     evaluations: Callable[[], int]  # of the equations of motion since the start
 
 
-class GroupHold(NamedTuple):
+class GroupSync(NamedTuple):
     """One SYNC of a group; positions and torques of every motor."""
 
     seen: Sequence[float]  # positions as the controller saw them [m or rad]
@@ -46,7 +46,7 @@ class GroupHold(NamedTuple):
 
 
 def run_group_loop(
-    scene: Scene, cycles: int, take: Callable[[GroupHold], None], controller: GroupController | None = None
+    scene: Scene, cycles: int, take: Callable[[GroupSync], None], controller: GroupController | None = None
 ) -> None:
     """Runs the one group of a scene.
 
@@ -75,7 +75,7 @@ def run_group_loop(
         seen = [measured(loop, at) for loop, at in zip(loops, motors.encoders(), strict=True)]
         balance = controller.step(seen, held)
         supplied += balance.supplied
-        take(GroupHold(seen, true, held, balance, supplied - motors.work()))
+        take(GroupSync(seen, true, held, balance, supplied - motors.work()))
         sent = tuple([commanded(loop, torque) for loop, torque in zip(loops, balance.torques, strict=True)])
         held, waiting = (waiting, sent) if scene.bus.delay else (sent, nothing)
 
@@ -148,7 +148,7 @@ class GroupRecorder(Recorder):
         self._axes, self._furthest, self._tick = axes, furthest, tick
         self._seen, self._true, self._held = array("d"), array("d"), array("d")
 
-    def take_group(self, hold: GroupHold) -> None:
+    def take_group(self, hold: GroupSync) -> None:
         """Takes one SYNC.
 
         Raises:
