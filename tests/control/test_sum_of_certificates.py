@@ -13,6 +13,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
 from tests.control.guarded_users import MASS, guarded, run
 
@@ -128,6 +129,11 @@ def test_energy_earned_by_device_and_drag_holds_a_wall_that_a_slow_hand_does_not
     assert deep > 2.0 * held
     assert felt == pytest.approx(0.1)
     assert without == 0.0
+
+
+def test_a_drag_that_earns_nothing_is_refused():
+    with pytest.raises(ParameterError, match=r"guarded: got drag 0\.1 with earned_energy 0, expected"):
+        guarded(1000.0, 0.0, 1000, drag=0.1)
 
 
 def test_a_wall_that_is_left_keeps_no_more_than_is_declared():

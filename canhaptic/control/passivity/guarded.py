@@ -66,11 +66,8 @@ def step(
     if not same and zone:
         turn(settings.declared, state.bound, way_out(environment, true))
     ceiling = environment.stored_energy(true) if zone else 0.0
-    h_i = interaction_energy(torque_applied, displacement) - unsure
-    h_pas = modulated * displacement
-    h_r, deficit, leak, paid = book(
-        settings, state, memory, h_i, h_pas, damper * displacement, ceiling + settings.earned
-    )
+    h_i, h_pas = interaction_energy(torque_applied, displacement) - unsure, modulated * displacement
+    h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
     torque = damper = modulated = rendered = 0.0
     certificate = _UNBOUNDED
     if zone:

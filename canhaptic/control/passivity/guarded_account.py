@@ -114,11 +114,12 @@ def book(
         h_i: Interaction energy of the hold [J].
         h_pas: Part of it taken by the modulated damper [J].
         damped: Damper effort inside the applied torque times the displacement [J].
-        ceiling: What the environment stores at its true state [J]; more is not kept.
+        ceiling: What the environment stores at its true state [J]; no more is kept than `earned_energy` beyond it.
     """
     axis = state.axis
     h_s, surplus = state.h_s + h_i - h_pas, axis.h_dis - h_pas
     slack = 0.0
+    ceiling += settings.earned
     if damped > 0.0 or h_s > ceiling:
         slack = free_energy(settings.declared, state.bound, memory.bound, h_s - surplus + settings.credit)
         if slack > h_s:

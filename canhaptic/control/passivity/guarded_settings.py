@@ -83,7 +83,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     """Returns what is fixed for a run.
 
     Raises:
-        ParameterError: Nothing is known that a torque could be certified by, or not enough.
+        ParameterError: Nothing is known that a torque could be certified by, or not enough; a drag that earns nothing.
     """
     sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
     timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
@@ -124,7 +124,16 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
 
 
 def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
-    """Returns what the certificates rest on."""
+    """Returns what the certificates rest on.
+
+    Raises:
+        ParameterError: A drag that earns nothing.
+    """
+    if parameters.drag > 0.0 and parameters.earned_energy == 0.0:
+        raise ParameterError(
+            f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy that it is to earn; "
+            "it acts while less is there: declare earned_energy, 5 mJ for instance, or leave out the drag"
+        )
     timing, by_hand_force = loop.timing, response is not NO_RESPONSE
     damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
     return Declared(
