@@ -195,6 +195,8 @@ def energy_permitted(
         stiffness = max(stiffness, settings.damped_stiffness)
     keep(bound, energy, ceiling + enough)
     covered = 2.0 * stiffness * (energy + bound.dissipated)
+    if bound.dissipated < 0.0:  # what late torques left open counts against the device's damping alone
+        covered = 2.0 * max(settings.calm_stiffness * energy, settings.damped_stiffness * (energy + bound.dissipated))
     held = settings.declared.friction + (sqrt(covered) if covered > 0.0 else 0.0)
     if settings.path > 0.0 and energy > 0.0:
         held = max(held, energy / settings.path)
