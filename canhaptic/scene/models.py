@@ -380,8 +380,10 @@ def _drop_later(axis: dict[str, Any]) -> None:
     for key in LATER_LOOP_KEYS:
         if not axis["loop"][key]:
             del axis["loop"][key]
-    if axis["passivity"].get("hand_push", 0.0) is None:
-        del axis["passivity"]["hand_push"]
+    passivity = axis["passivity"]
+    for key, default in (("hand_push", None), ("earned_energy", 0.0), ("drag", 0.0)):
+        if key in passivity and passivity[key] == default:
+            del passivity[key]
 
 
 def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
