@@ -122,7 +122,7 @@ def _figures(outcomes: list[Outcome]) -> list[Row]:
     counted = [outcome for outcome in outcomes if outcome.counts]
     wrong, went_on = sum(map(is_false, outcomes)), sum(o.went_on and o.declared for o in outcomes)
     promised = [o for o in counted if o.declared and "algorithm:guarded" in o.tags and o.least >= -ROUNDING]
-    said = [o for o in promised if o.verdict == "yes" and o.certificates]
+    said = [o for o in promised if "yes" in (o.verdict, o.at_handle) and o.certificates]  # the sum that is promised
     ratios = [o.resolution / o.error for o in counted if o.error > 1e-9]
     share = len(said) / len(promised) if promised else 0.0
     ratio = median(ratios) if ratios else 0.0
@@ -131,7 +131,7 @@ def _figures(outcomes: list[Outcome]) -> list[Row]:
         Row("false claims", wrong, "1", target="0", met=wrong == 0),
         Row("runs that lost more than declared and went on", went_on, "1", target="0", met=went_on == 0),
         Row("passive runs of algorithms that promise", len(promised), "1"),
-        Row("of these, passive yes with a certificate", share, "1", target=">= 0.8", met=share >= 0.8),
+        Row("of these, yes at motor or handle with a certificate", share, "1", target=">= 0.8", met=share >= 0.8),
         Row("stated resolution over the error seen, median", ratio, "1", target="<= 20", met=ratio <= 20.0),
         Row("runs that ended before their time", sum(o.status == "stopped" for o in outcomes), "1"),
         Row("scenes refused", sum(o.status == "refused" for o in outcomes), "1"),
