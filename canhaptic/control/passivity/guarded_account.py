@@ -17,7 +17,7 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.guarded_settings import GuardedSettings
 from canhaptic.control.passivity.hold_account import Axis, AxisMemory, axis_memory
 from canhaptic.control.passivity.in_flight import as_far_as_limit, efforts_inside, repeat
-from canhaptic.control.passivity.prediction import Motion, observe, observe_mean
+from canhaptic.control.passivity.prediction import PredictedMotion, observe, observe_mean
 from canhaptic.control.passivity.settlement import settle
 from canhaptic.control.velocity import restart, update
 from canhaptic.kernels import MakeBuffer
@@ -36,7 +36,7 @@ class GuardedState:
     kept_back: float = 0.0  # dissipated or leaked, and not paid [J]
     axis: Axis = field(default_factory=Axis)
     bound: TorqueBound = field(default_factory=TorqueBound)
-    motion: Motion = field(default_factory=Motion)
+    motion: PredictedMotion = field(default_factory=PredictedMotion)
 
 
 class Memory(NamedTuple):

@@ -39,7 +39,7 @@ class PredictionSettings:
 
 
 @dataclass(slots=True)
-class Motion:
+class PredictedMotion:
     """Motion at the last SYNC."""
 
     step: float = 0.0  # velocity [m or rad per hold]
@@ -66,7 +66,7 @@ def prediction_settings(
     return PredictionSettings(sample_time * sample_time / mass, lost, delay, beyond, _COUNTS * count)
 
 
-def observe(settings: PredictionSettings, motion: Motion, displacement: float, torque: float) -> None:
+def observe(settings: PredictionSettings, motion: PredictedMotion, displacement: float, torque: float) -> None:
     """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
     push = settings.gain * torque + motion.push - settings.lost * motion.step
     error = displacement - motion.step - 0.5 * push
@@ -76,13 +76,13 @@ def observe(settings: PredictionSettings, motion: Motion, displacement: float, t
     motion.step += push + (_QUIET * error if abs(error) < settings.noise else error)
 
 
-def observe_mean(motion: Motion, displacement: float) -> None:
+def observe_mean(motion: PredictedMotion, displacement: float) -> None:
     """Takes the mean displacement per hold [m or rad] of several holds, of which no more is known."""
     motion.step = displacement
 
 
 def predicted(
-    settings: PredictionSettings, motion: Motion, torques: Buffer, first: int, travel: float
+    settings: PredictionSettings, motion: PredictedMotion, torques: Buffer, first: int, travel: float
 ) -> tuple[float, float]:
     """Returns how far the axis will have moved where the next torque acts, and its motion in a hold there [m or rad].
 
