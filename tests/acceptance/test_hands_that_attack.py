@@ -23,7 +23,7 @@ def least(attack: Attack, hands: int) -> float:
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("hole", HOLES, ids=lambda hole: f"{hole.name}: {hole.what}")
 def test_every_known_way_out_is_found_where_its_mend_is_not_declared(hole):
-    assert least(attack_on(hole, mended=False), 30) < -1e-5
+    assert least(attack_on(hole, mended=False), 30) < -1e-6  # a thousand times the rounding of a closed one
 
 
 @pytest.mark.slow
