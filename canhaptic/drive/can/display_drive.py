@@ -80,11 +80,7 @@ class DisplayDrive(ServoDrive):
                 self._count_surplus()
                 return
             self._stage[2] = int.from_bytes(data[begin:end], node.order, signed=node.signed)
-            if not self._lacks_more_than(bit):
-                self._pending = 0
-                self.is_complete = True
-                self.statusword = self._values[0]
-                self.window.pending -= 1
+            self._take_part(bit)
 
         return take
 

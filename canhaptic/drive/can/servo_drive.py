@@ -184,25 +184,28 @@ class ServoDrive(TorqueAxis):
                 return
             if is_whole:
                 self._values = unpack(data)
-            else:
-                for slot, value in zip(slots, unpack(data), strict=True):
-                    self._stage[slot] = value
-                if self._lacks_more_than(bit):
-                    return
-            self._pending = 0
-            self.is_complete = True
-            self.statusword = self._values[0]
-            self.window.pending -= 1
+                self._complete()
+                return
+            for slot, value in zip(slots, unpack(data), strict=True):
+                self._stage[slot] = value
+            self._take_part(bit)
 
         return take
 
-    def _lacks_more_than(self, bit: int) -> bool:
-        """Notes the frame of a bit; returns whether others are still to come. Without, the values are whole."""
+    def _take_part(self, bit: int) -> None:
+        """Notes the frame of a bit, whose values are staged; the last of a sample makes it whole."""
         if self._pending != bit:
             self._pending ^= bit
-            return True
+            return
         self._values = list(self._stage)
-        return False
+        self._complete()
+
+    def _complete(self) -> None:
+        """Notes that every frame of a sample has come."""
+        self._pending = 0
+        self.is_complete = True
+        self.statusword = self._values[0]
+        self.window.pending -= 1
 
     def _count_surplus(self) -> None:
         if self.window.is_open:
