@@ -74,6 +74,19 @@ class TrialVerdict:
         """Returns that of the last wall alone."""
         return TrialVerdict(*(getattr(self, field.name)[-1:] for field in fields(self)))
 
+    def account(self, damping: float) -> dict[str, float | None]:
+        """Returns what the first wall rendered and gave out, as in the result of a design.
+
+        Args:
+            damping: Of the wall; 0: its share is None.
+        """
+        return {
+            "stiffness_rendered": float(self.stiffness_share[0]),
+            "damping_rendered": float(self.damping_share[0]) if damping else None,
+            "least_interaction": float(self.least_interaction[0]),
+            "least_judged": float(self.least_judged[0]),
+        }
+
 
 class Trial:
     """The rig on which walls are tried.
