@@ -44,9 +44,14 @@ def draw_borders(found: Found, path: str | Path) -> None:
             row[0].set_ylabel("stiffest wall [N/m]")
         for panel in panels[-1]:
             panel.set_xlabel("damping of the wall [N*s/m]")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside right upper", fontsize=8.0)
-        save_picture(figure, path)
+        _save_with_legend(figure, panels[0, 0], path)
+
+
+def _save_with_legend(figure: Any, panel: Any, path: str | Path) -> None:
+    """Saves a picture with the lines of one panel explained on its right."""
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right upper", fontsize=8.0)
+    save_picture(figure, path)
 
 
 def _draw_border(panel: Any, found: Found, delay: int, key: str) -> None:
@@ -94,9 +99,7 @@ def draw_impedance(found: Found, path: str | Path) -> None:
             panels[1, column].set_xlabel("frequency [Hz]")
         panels[0, 0].set_ylabel("impedance over the one asked")
         panels[1, 0].set_ylabel("angle to the one asked [rad]")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside right upper", fontsize=8.0)
-        save_picture(figure, path)
+        _save_with_legend(figure, panels[0, 0], path)
 
 
 def _draw_ratio(panel: Any, found: Found, delay: int, key: str) -> None:
