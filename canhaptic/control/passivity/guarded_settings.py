@@ -87,13 +87,8 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     """
     sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
     timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
-    by_hand_force, friction = response is not NO_RESPONSE, loop.device_friction or 0.0
-    if not (by_hand_force or damping or friction or speed):
-        raise ParameterError(
-            "guarded: got neither moving_mass with hand_force, nor device_damping, nor device_friction, nor "
-            "hand_speed, expected one of them; without any no torque can be certified: declare what is known or choose "
-            "another algorithm"
-        )
+    by_hand_force = response is not NO_RESPONSE
+    _require_certifiable(parameters, loop, by_hand_force=by_hand_force)
     cap, late = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time)), timing.late / sample_time
     damped, calm = renderable_by_device_damping(damping, sample_time, loop.delay), calm_stiffness_of(loop)
     return GuardedSettings(
@@ -123,17 +118,22 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     )
 
 
-def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
-    """Returns what the certificates rest on.
-
-    Raises:
-        ParameterError: A drag that earns nothing.
-    """
+def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *, by_hand_force: bool) -> None:
+    if not (by_hand_force or loop.device_damping or loop.device_friction or parameters.hand_speed):
+        raise ParameterError(
+            "guarded: got neither moving_mass with hand_force, nor device_damping, nor device_friction, nor "
+            "hand_speed, expected one of them; without any no torque can be certified: declare what is known or choose "
+            "another algorithm"
+        )
     if parameters.drag > 0.0 and parameters.earned_energy == 0.0:
         raise ParameterError(
             f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy that it is to earn; "
             "it acts while less is there: declare earned_energy, 5 mJ for instance, or leave out the drag"
         )
+
+
+def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
+    """Returns what the certificates rest on."""
     timing, by_hand_force = loop.timing, response is not NO_RESPONSE
     damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
     return Declared(
