@@ -52,7 +52,8 @@ def test_the_hand_follows_the_pointer_and_freezes_where_it_stops() -> None:
         still = rows["hand.x"][-100:]
         assert still == pytest.approx(-0.02, abs=1e-6)  # the pointer sends no more: the hand stays
         assert rows["time"] == pytest.approx(rows["time"][0] + 1e-3 * np.arange(len(rows["time"])))
-        assert abs(rows["1.torque.x"][-1]) == pytest.approx(300.0 * 0.02, rel=0.05)  # the hand's spring on the wall
+        held = abs(rows["1.torque.x"][-200:].mean())  # one sample is a few encoder counts of a stiff wall away from it
+        assert held == pytest.approx(300.0 * 0.02, rel=0.05)  # the hand's spring on the wall
         hand.move((5.0,))
         rows, _ = news_of(hand, 300)
         assert rows["hand.x"].max() <= hand.touched.shown[0][1]
