@@ -1,4 +1,4 @@
-"""The textbook plant by scipy's adaptive solvers, every change of mode located; needs the extra `study`.
+"""Equations with modes by scipy's adaptive solvers, every change of mode located; needs the extra `study`.
 
 DOP853 at 1e-12 is the reference of the accuracy study, LSODA at 1e-9 its witness.
 """
@@ -7,14 +7,14 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.sim.textbook.reference_elements import Floats, Transition
-from canhaptic.sim.textbook.reference_model import Model, Modes
+from canhaptic.sim.textbook.reference_model import Modes
 from canhaptic.sim.textbook.reference_motion import Motion, motion_of
 
 _MISSING: Final = f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
@@ -28,8 +28,30 @@ _CHAIN: Final = 16
 """Changes of mode without time between them."""
 
 
+class SwitchedModel(Protocol):
+    """Ordinary differential equations with modes; a torque is a number, or one for each motor.
+
+    Attributes:
+        start: State at time 0.
+        first: Modes at time 0.
+        breaks: Times at which the equations change by the clock [s].
+        switches: Whether anything may leave its mode.
+    """
+
+    start: Floats
+    first: Modes
+    breaks: list[float]
+    switches: bool
+
+    def rates(self, time: float, state: Any, torque: Any, modes: Modes) -> Floats:
+        """Returns the rate of every state."""
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes; valid until it is asked for others."""
+
+
 def reference(
-    model: Model, torques: Sequence[float], sample_time_ns: int, stop: Callable[[], bool] | None = None
+    model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, stop: Callable[[], bool] | None = None
 ) -> Motion:
     """Returns the motion under the torques by DOP853 with relative tolerance 1e-12.
 
@@ -46,7 +68,7 @@ def reference(
 
 
 def located(
-    model: Model,
+    model: SwitchedModel,
     torques: Sequence[float],
     sample_time_ns: int,
     method: str,
@@ -54,13 +76,13 @@ def located(
     atol: float,
     stop: Callable[[], bool] | None = None,
 ) -> Motion:
-    """Returns the motion under the torques; arguments and errors as for `_located_states`."""
-    return motion_of(_located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
+    """Returns the motion under the torques; arguments and errors as for `located_states`."""
+    return motion_of(located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
 
 
-def _located_states(
-    model: Model,
-    torques: Sequence[float],
+def located_states(
+    model: SwitchedModel,
+    torques: Sequence[Any],
     sample_time_ns: int,
     method: str,
     rtol: float,
@@ -71,7 +93,7 @@ def _located_states(
 
     Args:
         model: The plant.
-        torques: Of each hold [N or N*m].
+        torques: Of each hold [N or N*m]; where the plant has several motors, one for each.
         sample_time_ns: Of a hold [ns].
         method: Name of the solver.
         rtol: Relative tolerance.
@@ -101,7 +123,7 @@ def _located_states(
 
 
 def states_at(
-    model: Model,
+    model: SwitchedModel,
     times: Sequence[float],
     rtol: float,
     stop: Callable[[], bool] | None = None,
@@ -145,7 +167,7 @@ def states_at(
 
 
 def _hold(
-    model: Model,
+    model: SwitchedModel,
     solve: Callable[..., Any],
     state: list[float],
     modes: Modes,
@@ -168,25 +190,35 @@ def _hold(
         if result.status == 0:
             return state, modes
         fired = next(way for way, times in zip(ways, result.t_events, strict=True) if len(times))
-        state, modes = model.through(fired, state, modes)
+        state, modes = through(fired, state, modes)
     raise InputError(f"the reference changed its mode {_MOST_CHANGES} times in one hold at {now:g} s; damp the contact")
 
 
-def settled(model: Model, time: float, state: list[float], torque: float, modes: Modes) -> tuple[list[float], Modes]:
+def settled(
+    model: SwitchedModel, time: float, state: list[float], torque: Any, modes: Modes
+) -> tuple[list[float], Modes]:
     """Returns state and modes after every way was taken whose value is below zero here."""
     for _ in range(_CHAIN):
         ways = model.ways(modes)
         broken = next((way for way in ways if way.value(time, state, torque) < -way.rounding), None)
         if broken is None:
             break
-        state, modes = model.through(broken, state, modes)
+        state, modes = through(broken, state, modes)
     return state, modes
+
+
+def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
+    """Returns state and modes after a way was taken."""
+    after = [float(value) for value in state]
+    if way.reset is not None:
+        way.reset(after)
+    return after, (*modes[: way.element], way.mode, *modes[way.element + 1 :])
 
 
 def _event(way: Transition) -> Any:
     """Returns what falls through zero a hair beyond the guard: a guard that stays at zero is no event."""
 
-    def event(time: float, state: Any, torque: float, _modes: Modes) -> float:
+    def event(time: float, state: Any, torque: Any, _modes: Modes) -> float:
         return way.value(time, state, torque) + way.rounding
 
     event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]

@@ -4,12 +4,12 @@ So each is of its own order while nothing switches, and of order 1 where somethi
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.sim.textbook.event_location import settled
+from canhaptic.sim.textbook.event_location import SwitchedModel, settled
 from canhaptic.sim.textbook.reference_elements import Floats
 from canhaptic.sim.textbook.reference_model import Model, Modes
 from canhaptic.sim.textbook.reference_motion import Motion, motion_of
@@ -21,11 +21,18 @@ _MOST_CORRECTIONS: Final = 8
 
 
 def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step: _Step, substeps: int) -> Motion:
-    """Returns the motion under the torques; not finite from where it diverges.
+    """Returns the motion under the torques; arguments as for `fixed_step_states`."""
+    return motion_of(fixed_step_states(model, torques, sample_time_ns, step, substeps))
+
+
+def fixed_step_states(
+    model: SwitchedModel, torques: Sequence[Any], sample_time_ns: int, step: Callable[..., Floats], substeps: int
+) -> list[Floats]:
+    """Returns every state at the end of each hold; not finite from where it diverges.
 
     Args:
         model: The plant.
-        torques: Of each hold [N or N*m].
+        torques: Of each hold [N or N*m]; where the plant has several motors, one for each.
         sample_time_ns: Of a hold [ns].
         step: One of `METHODS`.
         substeps: Steps in a hold.
@@ -44,11 +51,11 @@ def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step
                 state = [float("inf")] * len(state)
             if not abs(state[0]) < _LARGEST:
                 states += [[float("inf")] * len(state)] * (len(torques) - k)
-                return motion_of(states)
+                return states
         if model.switches:
             state, modes = settled(model, (k + 1) * period, state, torque, modes)
         states.append(list(state))
-    return motion_of(states)
+    return states
 
 
 def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
@@ -60,7 +67,7 @@ def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float,
     return after
 
 
-def _runge_kutta_4(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
+def runge_kutta_4(model: SwitchedModel, now: float, state: Floats, torque: Any, modes: Modes, step: float) -> Floats:
     """Returns the state after a step of the classical method of order 4."""
     half = 0.5 * step
     a = model.rates(now, state, torque, modes)
@@ -115,6 +122,6 @@ class _ImplicitMidpoint:
 METHODS: Final[Mapping[str, tuple[int, Callable[[], _Step]]]] = {
     "semi-implicit Euler": (1, lambda: _semi_implicit_euler),
     "implicit midpoint": (2, _ImplicitMidpoint),
-    "RK4": (4, lambda: _runge_kutta_4),
+    "RK4": (4, lambda: runge_kutta_4),
 }
 """Name -> (order while nothing switches, maker of its step)."""

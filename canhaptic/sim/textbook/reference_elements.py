@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
 Floats = list[float]
-_Value = Callable[[float, Any, float], float]
+_Value = Callable[[float, Any, Any], float]
 
 POSITION, VELOCITY = 0, 1
 _NEGLIGIBLE: Final = 1e-12  # of a guard's scale: less than that below zero is rounding
@@ -222,7 +222,7 @@ class ReferenceContact:
 
 
 class ReferenceStickSlip:
-    """Dry friction on the motor: held up to `static`, then `kinetic` and, with Stribeck, an excess that falls off.
+    """Dry friction on a body: held up to `static`, then `kinetic`; with Stribeck an excess that falls off.
 
     Args:
         kinetic: While sliding.
@@ -230,32 +230,35 @@ class ReferenceStickSlip:
         excess: Of the Stribeck characteristic at rest; 0 without it.
         stribeck_velocity: Over which it falls.
         velocity: At the start.
-        others: (time, state, torque) -> sum of the other forces on the motor.
+        others: (time, state, torque) -> sum of the other forces on the body.
+        body: Index of the body, and of its velocity in the state; the motor by default.
     """
 
     def __init__(
-        self, kinetic: float, static: float, excess: float, stribeck_velocity: float, velocity: float, others: _Value
-    ) -> None:
+        self, kinetic: float, static: float, excess: float, stribeck_velocity: float, velocity: float, others: _Value,
+        body: tuple[int, int] = (0, VELOCITY),
+    ) -> None:  # fmt: skip
         self._kinetic, self._static, self._excess = kinetic, static, excess
         self._stribeck_velocity, self._others = stribeck_velocity, others
+        self._body, self._velocity = body
         first = "stuck" if velocity == 0.0 else "forward" if velocity > 0.0 else "backward"
         self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
 
     def apply(self, time: float, state: Any, mode: str, forces: Floats, rates: Floats) -> None:
         """Adds the friction while sliding; stuck, it takes up every other force."""
         if mode == "stuck":
-            forces[0] = 0.0
+            forces[self._body] = 0.0
             return
-        ratio = state[VELOCITY] / self._stribeck_velocity if self._excess else 0.0
+        ratio = state[self._velocity] / self._stribeck_velocity if self._excess else 0.0
         size = self._kinetic + self._excess * math.exp(-ratio * ratio)
-        forces[0] -= size if mode == "forward" else -size
+        forces[self._body] -= size if mode == "forward" else -size
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
         """Returns breakaway when stuck, rest when sliding."""
         static, others, rounding = self._static, self._others, _NEGLIGIBLE * self._static
 
         def stop(state: Floats) -> None:
-            state[VELOCITY] = 0.0
+            state[self._velocity] = 0.0
 
         if mode == "stuck":
             return (
@@ -263,4 +266,4 @@ class ReferenceStickSlip:
                 Transition(index, "backward", lambda t, y, u: static + others(t, y, u), rounding),
             )
         sign = 1.0 if mode == "forward" else -1.0
-        return (Transition(index, "stuck", lambda t, y, u: sign * float(y[VELOCITY]), _NEGLIGIBLE, stop),)
+        return (Transition(index, "stuck", lambda t, y, u: sign * float(y[self._velocity]), _NEGLIGIBLE, stop),)

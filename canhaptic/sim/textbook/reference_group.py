@@ -6,7 +6,8 @@ accelerations and for any solver, where the simulated one takes steps of a discr
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from functools import partial
+from typing import Any, Protocol
 
 from canhaptic.errors import InputError
 from canhaptic.sim.plant.mechanism import MechanismParameters
@@ -15,20 +16,15 @@ from canhaptic.sim.plant.mechanism.hand_force import HandForce
 from canhaptic.sim.plant.mechanism.linkage import Inertia
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
-from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats
-from canhaptic.sim.textbook.reference_model import MOTOR_WORK, USER_WORK, Model
+from canhaptic.sim.textbook.event_location import SwitchedModel
+from canhaptic.sim.textbook.reference_elements import POSITION, VELOCITY, Floats, ReferenceStickSlip, Transition
+from canhaptic.sim.textbook.reference_model import MOTOR_WORK, USER_WORK, Model, Modes
 
 State = Sequence[float]
 
 
-class GroupModel(Protocol):
-    """Motors and what they move, without a change of mode.
-
-    Attributes:
-        start: State at time 0.
-    """
-
-    start: Floats
+class GroupModel(SwitchedModel, Protocol):
+    """Motors and what they move; the torque of `rates` is one for each motor."""
 
     @property
     def evaluations(self) -> int:
@@ -46,24 +42,20 @@ class GroupModel(Protocol):
     def inertia(self, positions: State) -> list[Floats]:
         """Returns the inertia that the motors feel [kg or kg*m^2]."""
 
-    def rates(self, time: float, state: State, torques: State) -> Floats:
-        """Returns the rate of every state."""
-
 
 class AxesModel:
-    """Motors that each move a plant of their own.
-
-    Raises:
-        InputError: One of the plants changes its mode: a stop, dry friction, backlash.
-    """
+    """Motors that each move a plant of their own; its modes are theirs, one after the other."""
 
     def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
-        if any(model.switches for model in models):
-            raise InputError("a plant of the group has stops, dry friction or backlash")
         self._models, self._masses = models, masses
         ends = [sum(len(model.start) for model in models[: i + 1]) for i in range(len(models))]
         self._parts = [slice(end - len(model.start), end) for model, end in zip(models, ends, strict=True)]
+        ends = [sum(len(model.first) for model in models[: i + 1]) for i in range(len(models))]
+        self._modes = [slice(end - len(model.first), end) for model, end in zip(models, ends, strict=True)]
         self.start = [value for model in models for value in model.start]
+        self.first: Modes = tuple(mode for model in models for mode in model.first)
+        self.breaks = [time for model in models for time in model.breaks]
+        self.switches = any(model.switches for model in models)
 
     @property
     def evaluations(self) -> int:
@@ -87,21 +79,59 @@ class AxesModel:
         """Returns the moving masses; see `GroupModel`."""
         return _diagonal(self._masses)
 
-    def rates(self, time: float, state: State, torques: State) -> Floats:
-        """Returns the rate of every state; see `GroupModel`."""
+    def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
+        """Returns the rate of every state; see `SwitchedModel`."""
         found: Floats = []
-        for model, part, torque in zip(self._models, self._parts, torques, strict=True):
-            found += model.rates(time, state[part], torque, model.first)
+        for model, part, own, held in zip(self._models, self._parts, self._modes, torque, strict=True):
+            found += model.rates(time, state[part], held, modes[own])
         return found
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes; see `SwitchedModel`."""
+        parts = enumerate(zip(self._models, self._parts, self._modes, strict=True))
+        return [
+            _of_motor(way, motor, part, own.start)
+            for motor, (model, part, own) in parts
+            for way in model.ways(modes[own])
+        ]
+
+
+def _of_motor(way: Transition, motor: int, part: slice, first: int) -> Transition:
+    """Returns the way out of a mode of one plant as one of the group's.
+
+    Args:
+        way: Of the plant.
+        motor: Its place.
+        part: Of the state that is the plant's.
+        first: Place of its first mode.
+    """
+
+    def value(time: float, state: Any, torques: Any) -> float:
+        return way.value(time, state[part], torques[motor])
+
+    def reset(state: Floats) -> None:
+        own = state[part]
+        change(own)
+        state[part] = own
+
+    change = way.reset or (lambda _state: None)
+    return Transition(first + way.element, way.mode, value, way.rounding, reset)
 
 
 class _TwoMotors:
     """Two motors and a handle in the plane; state: two positions, two velocities, works of motors and user."""
 
+    first: Modes = ()
+    switches = False
+
     def __init__(self, hand: TaskHand | None, positions: Sequence[float]) -> None:
         self._hand, self._swing = hand, None if hand is None else HandForce(hand)
-        self.start = [*positions, 0.0, 0.0, 0.0, 0.0]
+        self.start, self.breaks = [*positions, 0.0, 0.0, 0.0, 0.0], list[float]()
         self.evaluations = 0
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes; see `SwitchedModel`."""
+        return []
 
     def positions(self, state: State) -> Floats:
         """Returns the positions of the motors; see `GroupModel`."""
@@ -129,30 +159,47 @@ class _TwoMotors:
 
 
 class StageModel(_TwoMotors):
-    """An X-Y stage.
-
-    Raises:
-        InputError: It has dry friction.
-    """
+    """An X-Y stage; its modes are those of the dry friction of its guides."""
 
     def __init__(self, stage: XYStage, hand: TaskHand | None) -> None:
-        if stage.friction_x is not None or stage.friction_y is not None:
-            raise InputError("the guides of the stage have dry friction")
         super().__init__(hand, stage.initial_position)
         self._masses, self._damping = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
+        self._guides = [
+            ReferenceStickSlip(
+                dry.kinetic, dry.static, 0.0, 1.0, 0.0, partial(self._other_force, guide), (guide, 2 + guide)
+            )
+            for guide, dry in enumerate((stage.friction_x, stage.friction_y))
+            if dry is not None
+        ]
+        self.first = tuple(guide.modes[0] for guide in self._guides)
+        self.switches = bool(self._guides)
 
     def inertia(self, positions: State) -> list[Floats]:
         """Returns the moving masses; see `GroupModel`."""
         return _diagonal(self._masses)
 
-    def rates(self, time: float, state: State, torques: State) -> Floats:
-        """Returns the rate of every state; see `GroupModel`."""
+    def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
+        """Returns the rate of every state; see `SwitchedModel`."""
         self.evaluations += 1
+        speed, (forces, hand) = state[2:4], self._forces(time, state, torque)
+        for guide, mode in zip(self._guides, modes, strict=True):
+            guide.apply(time, state, mode, forces, [])
+        accelerations = [force / mass for force, mass in zip(forces, self._masses, strict=True)]
+        return [*speed, *accelerations, _dot(torque, speed), _dot(hand, speed)]
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes; see `SwitchedModel`."""
+        return [way for i, guide in enumerate(self._guides) for way in guide.ways(i, modes[i])]
+
+    def _forces(self, time: float, state: State, torques: State) -> tuple[Floats, tuple[float, float]]:
+        """Returns the forces on the masses without dry friction, and of them that of the hand [N]."""
         place, speed = state[:2], state[2:4]
         hand = self._hand_force(time, place, speed)
-        pairs = zip(torques, hand, self._damping, speed, self._masses, strict=True)
-        accelerations = [(torque + force - b * v) / mass for torque, force, b, v, mass in pairs]
-        return [*speed, *accelerations, _dot(torques, speed), _dot(hand, speed)]
+        pairs = zip(torques, hand, self._damping, speed, strict=True)
+        return [torque + force - b * v for torque, force, b, v in pairs], hand
+
+    def _other_force(self, guide: int, time: float, state: State, torques: State) -> float:
+        return self._forces(time, state, torques)[0][guide]
 
 
 class FiveBarModel(_TwoMotors):
@@ -167,8 +214,8 @@ class FiveBarModel(_TwoMotors):
         found = self._linkage.inertia(self._linkage.pose(float(positions[0]), float(positions[1])))
         return [[found.a, found.b], [found.b, found.c]]
 
-    def rates(self, time: float, state: State, torques: State) -> Floats:
-        """Returns the rate of every state; see `GroupModel`."""
+    def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
+        """Returns the rate of every state; see `SwitchedModel`."""
         self.evaluations += 1
         left, right, v_left, v_right = (float(value) for value in state[:4])
         pose = self._linkage.pose(left, right)
@@ -181,7 +228,7 @@ class FiveBarModel(_TwoMotors):
         pull = self._stop_pull(pose.span)
         spans = self._linkage.span_rates(pose)
         total = [
-            torques[i] + hand[i] - self._damping * v - pull * spans[i] + centrifugal[i] - turned
+            torque[i] + hand[i] - self._damping * v - pull * spans[i] + centrifugal[i] - turned
             for i, v, turned in (
                 (0, v_left, turning.a * v_left + turning.b * v_right),
                 (1, v_right, turning.b * v_left + turning.c * v_right),
@@ -189,7 +236,7 @@ class FiveBarModel(_TwoMotors):
         ]
         accelerations = self._linkage.inertia(pose).solve(*total)
         return [
-            v_left, v_right, *accelerations, torques[0] * v_left + torques[1] * v_right,
+            v_left, v_right, *accelerations, torque[0] * v_left + torque[1] * v_right,
             hand[0] * v_left + hand[1] * v_right,
         ]  # fmt: skip
 
@@ -204,7 +251,7 @@ def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> S
     """Returns the equations of a mechanism.
 
     Raises:
-        InputError: There are none, or it has dry friction.
+        InputError: There are none.
     """
     if isinstance(parameters, XYStage):
         return StageModel(parameters, hand)

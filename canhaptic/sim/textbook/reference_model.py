@@ -231,13 +231,6 @@ class Model:
         self._asked = modes
         return [way for i, element in enumerate(self._elements) for way in element.ways(i, modes[i])]
 
-    def through(self, way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
-        """Returns state and modes after a way was taken."""
-        after = [float(value) for value in state]
-        if way.reset is not None:
-            way.reset(after)
-        return after, (*modes[: way.element], way.mode, *modes[way.element + 1 :])
-
     def kinematics(self) -> dict[int, tuple[tuple[int, float], ...]]:
         """Returns the states that are integrals of velocities: place -> (place of the velocity, factor)."""
         return self._kinematics

@@ -13,11 +13,12 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from canhaptic.errors import InputError
-from canhaptic.extras import install_hint
 from canhaptic.scene.accuracy_choice import ladder, simulation_of
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.textbook.event_location import located_states
+from canhaptic.sim.textbook.fixed_step import fixed_step_states, runge_kutta_4
 from canhaptic.sim.textbook.reference_group import GroupModel
 from canhaptic.sim.textbook.reference_motion import Motion
 from canhaptic.study.accuracy.candidates import LSODA, OURS, Candidate
@@ -147,11 +148,13 @@ class _Mechanism:
     evaluations: int = 0
     travel: float = 0.0
     energy: float = 0.0
+    _switches: bool = False
     _exact: Any = None  # Motion
     _inertia: Any = None  # in every pose of it, shape (holds, axes, axes)
 
     def __post_init__(self) -> None:
         model = group_model(self.scene)
+        self._switches = model.switches
         self._exact = exact = self._solved(model, "DOP853", _REFERENCE)
         self._inertia = np.array([model.inertia(row) for row in exact.position])
         self.evaluations, self.travel = model.evaluations, max(float(np.ptp(exact.position, axis=0).max()), 1e-9)
@@ -180,7 +183,7 @@ class _Mechanism:
 
     def orders(self) -> list[Row]:
         """Returns the order of every method with a step, declared and as fitted to this very scene."""
-        declared: Mapping[str, int | None] = {OURS: self._order, "RK4": 4}
+        declared: Mapping[str, int | None] = {OURS: self._order, "RK4": 1 if self._switches else 4}
         return orders_of(self.candidates, self.rows, self.travel, lambda method: declared.get(method))
 
     def _judged(self, motion: Motion) -> Row:
@@ -225,56 +228,23 @@ class _Mechanism:
     def _adaptive(self, tolerance: float) -> Candidate:
         def run() -> tuple[Any, int, int]:
             model = group_model(self.scene)
-            motion = self._solved(model, "LSODA", tolerance)
-            return motion, model.evaluations, 0
+            return self._solved(model, "LSODA", tolerance), model.evaluations, 0
 
         return Candidate(LSODA, f"tolerance {tolerance:.0e}", None, None, None, run, run)
 
     def _runge_kutta(self, substeps: int) -> Candidate:
         def run() -> tuple[Any, int, int]:
-            model, period = group_model(self.scene), self.scene.bus.sample_time
-            state, step, states = np.array(model.start), period / substeps, []
-            for k, torques in enumerate(self.torques.tolist()):
-                for i in range(substeps):
-                    state = _step_of_order_4(model, k * period + i * step, state, torques, step)
-                states.append(state)
+            model, period = group_model(self.scene), self.scene.bus.sample_time_ns
+            states = fixed_step_states(model, self.torques.tolist(), period, runge_kutta_4, substeps)
             return _motion_of(model, states), model.evaluations, 0
 
         return Candidate("RK4", f"{substeps} step{'s' if substeps > 1 else ''}", 1.0 / substeps, 4, None, run, run)
 
     def _solved(self, model: GroupModel, method: str, rtol: float) -> Motion:
-        """Returns the motion by one of scipy's solvers, hold by hold.
-
-        Raises:
-            InputError: scipy is missing, the solver fails, or it was stopped.
-        """
-        try:
-            from scipy.integrate import solve_ivp
-        except ImportError as error:
-            raise InputError(
-                f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
-            ) from error
-        state, period, states = model.start, self.scene.bus.sample_time, []
-        for k, torques in enumerate(self.torques.tolist()):
-            if self.stop():
-                raise InputError("stopped before the reference was there; nothing can be compared without it")
-            result: Any = solve_ivp(
-                model.rates, (k * period, (k + 1) * period), state, method, rtol=rtol, atol=1e-3 * rtol, args=(torques,)
-            )
-            if result.status < 0:
-                raise InputError(f"the reference failed at {k * period:g} s ({result.message}); shorten the study")
-            state = result.y[:, -1].tolist()
-            states.append(state)
+        """Returns the motion by one of scipy's solvers, hold by hold; errors as for `located_states`."""
+        period = self.scene.bus.sample_time_ns
+        states = located_states(model, self.torques.tolist(), period, method, rtol, 1e-3 * rtol, self.stop)
         return _motion_of(model, states)
-
-
-def _step_of_order_4(model: GroupModel, now: float, state: Array, torques: Sequence[float], step: float) -> Array:
-    """Returns the state after a step of the classical Runge-Kutta method."""
-    a = np.array(model.rates(now, state.tolist(), torques))
-    b = np.array(model.rates(now + 0.5 * step, (state + 0.5 * step * a).tolist(), torques))
-    c = np.array(model.rates(now + 0.5 * step, (state + 0.5 * step * b).tolist(), torques))
-    d = np.array(model.rates(now + step, (state + step * c).tolist(), torques))
-    return np.asarray(state + step / 6.0 * (a + 2.0 * b + 2.0 * c + d))
 
 
 def _motion_of(model: GroupModel, states: Sequence[Any]) -> Motion:

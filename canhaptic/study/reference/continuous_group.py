@@ -10,7 +10,8 @@ says how far that can be trusted.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple, cast
+from functools import partial
+from typing import Final, NamedTuple, cast
 
 import numpy as np
 
@@ -20,21 +21,21 @@ from canhaptic.control.multi_axis.group_motion import World, world_of
 from canhaptic.control.port_hamiltonian.discrete_gradient import extension, gradient
 from canhaptic.control.port_hamiltonian.shapes.geometry import moved_by
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.extras import install_hint
 from canhaptic.kernels import Buffer, list_of_zeros, zeros
 from canhaptic.scene.accuracy_choice import simulation_of, textbook_model
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.textbook.event_location import states_at
+from canhaptic.sim.textbook.reference_elements import Transition
 from canhaptic.sim.textbook.reference_group import AxesModel, GroupModel, State, mechanism_model
+from canhaptic.sim.textbook.reference_model import Modes
 from canhaptic.study.scenes import mechanism_of_group
 
 _TOLERANCES: Final = (1e-9, 1e-7)
 """Relative, of the run and of the one that it is compared with."""
-_ABSOLUTE: Final = 1e-3
-"""Absolute tolerance over relative."""
-_STRETCH: Final = 0.02
-"""[s] that are solved at once, so that a request to stop is heard."""
+_BETWEEN_GUARDS: Final = (2.5e-4, 5e-4)
+"""Longest step where modes may change, of the run and of the one that it is compared with [s]."""
 
 
 class ContinuousGroup(NamedTuple):
@@ -82,10 +83,14 @@ def continuous_group(
         InputError: There are no equations, scipy is missing, the solver fails, the mechanism leaves its workspace, or
             it was stopped.
     """
-    times = [k * step_ns * 1e-9 for k in range(steps + 1)]
-    fine, coarse = (_readings(_Coupled(scene), times, tolerance, stop) for tolerance in _TOLERANCES)
-    apart = float(np.abs(fine[0] - coarse[0]).max())
-    return ContinuousGroup(step_ns, *fine, apart)
+    times, coupled = [k * step_ns * 1e-9 for k in range(steps + 1)], _Coupled(scene)
+    fine, coarse = (
+        states_at(coupled, times, tolerance, stop, step)
+        for tolerance, step in zip(_TOLERANCES, _BETWEEN_GUARDS, strict=True)
+    )
+    position, rough = (np.array([coupled.model.positions(row) for row in rows]) for rows in (fine, coarse))
+    table, apart = np.array(fine), float(np.abs(position - rough).max())
+    return ContinuousGroup(step_ns, position, table[:, -1 - coupled.axes : -1], table[:, -1], apart)
 
 
 class _Coupled:
@@ -103,19 +108,32 @@ class _Coupled:
         self._values, self._rows = list_of_zeros(ports), zeros(ports, dimensions)
         self._at_motors = zeros(ports, self.axes)
         self._states, self._efforts = len(tables.stiffness), list_of_zeros(len(tables.stiffness))
+        self.first, self.breaks, self.switches = self.model.first, self.model.breaks, self.model.switches
         coordinates, _ = self._ports(0.0, self.model.start)
         begun = [_dot(row, coordinates) for row in tables.origin]
         self.start = [*self.model.start, *begun, *(0.0,) * self.axes, 0.0]
 
-    def rates(self, time: float, state: State) -> list[float]:
-        """Returns the rate of every state."""
+    def rates(self, time: float, state: State, torque: float, modes: Modes) -> list[float]:
+        """Returns the rate of every state; see `SwitchedModel`, whose torque is that of the network here."""
+        torques, moved, taken = self._felt(time, state)
+        motors = state[: len(self.model.start)]
+        return [*self.model.rates(time, motors, torques, modes), *moved, *torques, taken]
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Returns every way out of these modes, which are those of the motors; see `SwitchedModel`."""
+        return [way._replace(value=partial(self._guard, way)) for way in self.model.ways(modes)]
+
+    def _guard(self, way: Transition, time: float, state: State, _torque: float) -> float:
+        return way.value(time, state[: len(self.model.start)], self._felt(time, state)[0])
+
+    def _felt(self, time: float, state: State) -> tuple[Buffer, Buffer, float]:
+        """Returns the torques of the network, the rates of its states and the power that it takes [W]."""
         own = len(self.model.start)
         motors, x = state[:own], [float(value) for value in state[own : own + self._states]]
         _, flows = self._ports(time, motors)
         moved, efforts = self._network(x, flows)
         torques = [-_dot([row[i] for row in self._at_motors], efforts) for i in range(self.axes)]
-        taken = _dot(efforts, flows)
-        return [*self.model.rates(time, motors, torques), *moved, *torques, taken]
+        return torques, moved, _dot(efforts, flows)
 
     def _ports(self, time: float, motors: State) -> tuple[Buffer, Buffer]:
         """Returns the coordinates of the ports [m or rad] and their velocities [m/s or rad/s]."""
@@ -158,35 +176,6 @@ def _loss(viscous: float, squared: float, coulomb: float, corner: float, flow: f
     """Returns phi(f) of a dissipator."""
     dry = coulomb * flow / math.hypot(flow, corner) if coulomb else 0.0
     return flow * (viscous + squared * abs(flow)) + dry
-
-
-def _readings(
-    coupled: _Coupled, times: Sequence[float], rtol: float, stop: Callable[[], bool]
-) -> tuple[Array, Array, Array]:
-    """Returns positions, impulses and the energy taken at ascending times from 0 [s]."""
-    try:
-        from scipy.integrate import solve_ivp
-    except ImportError as error:
-        raise InputError(
-            f"the continuous run of a group needs scipy; install it with: {install_hint('study')}"
-        ) from error
-    found, state, now, axes = [coupled.start], coupled.start, 0.0, coupled.axes
-    pending = np.array(times[1:])
-    while len(pending):
-        if stop():
-            raise InputError("stopped before the reference was there; nothing can be compared without it")
-        part = pending[pending <= now + _STRETCH]
-        part = pending[:1] if not len(part) else part
-        result: Any = solve_ivp(
-            coupled.rates, (now, float(part[-1])), state, "DOP853", t_eval=part, rtol=rtol, atol=_ABSOLUTE * rtol
-        )
-        if result.status < 0:
-            raise InputError(f"the continuous run failed at {now:g} s ({result.message})")
-        found += result.y.T.tolist()
-        state, now, pending = found[-1], float(part[-1]), pending[len(part) :]
-    table = np.array(found)
-    positions = np.array([coupled.model.positions(row) for row in found])
-    return positions, table[:, -1 - axes : -1], table[:, -1]
 
 
 def _dot(one: Sequence[float], other: Sequence[float]) -> float:

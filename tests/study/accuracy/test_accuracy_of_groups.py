@@ -1,6 +1,6 @@
 """The references of groups: equations of mechanisms, and a network in continuous time, each against another way."""
 
-from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -16,16 +16,16 @@ from canhaptic.control.multi_axis.group_motion import (
     world_of,
     write_efforts,
 )
-from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.dry_friction import DryFriction
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
+from canhaptic.sim.textbook.event_location import located_states
 from canhaptic.sim.textbook.reference_group import mechanism_model
 from canhaptic.study.accuracy.study import AccuracyStudy
 from canhaptic.study.batch.group_loop import GroupRecorder, motors_of, render_group
-from canhaptic.study.reference.continuous_group import continuous_group
+from canhaptic.study.reference.continuous_group import continuous_group, group_model
 from canhaptic.study.scenes import at_rate
 from tests.plant.mechanism.mechanism_scenes import HAND, LINKS, STAGE, OpenChains, integrated, stage, wavy
 from tests.study.sweep.conftest_sweep import REPOSITORY
@@ -39,7 +39,7 @@ def scene_of(name: str, *overrides: str) -> Scene:
 
 def test_the_five_bar_in_accelerations_is_two_open_chains_held_together() -> None:
     model, chains = mechanism_model(FiveBarLinkage(**LINKS), HAND), OpenChains()
-    found = integrated(model.rates, model.start, wavy(100), 1e-3)
+    found = integrated(partial(model.rates, modes=model.first), model.start, wavy(100), 1e-3)
     expected = integrated(chains.rates, chains.start(), wavy(100), 1e-3)  # type: ignore[arg-type]
     assert np.ptp(expected[:, 0]) > 0.02
     assert np.abs(found[:, :2] - expected[:, :2]).max() < 1e-10
@@ -48,7 +48,7 @@ def test_the_five_bar_in_accelerations_is_two_open_chains_held_together() -> Non
 
 def test_the_stage_by_a_solver_is_the_exact_one() -> None:
     model, exact = mechanism_model(XYStage(**STAGE), HAND), stage()
-    found = integrated(model.rates, model.start, wavy(100), 1e-3)
+    found = integrated(partial(model.rates, modes=model.first), model.start, wavy(100), 1e-3)
     exact.begin(0)
     for k, pair in enumerate(wavy(100)):
         exact.advance_to((k + 1) * MS, pair)
@@ -95,6 +95,40 @@ def test_the_continuous_group_is_what_ever_finer_holds_come_to(name: str, start:
     assert apart[1] < 0.62 * apart[0] < 1e-3  # of order 1 in the hold
 
 
+def rough(name: str) -> Scene:
+    """A scene of a group whose guides have dry friction."""
+    if name == "two_handles":
+        friction = "[{type: coulomb_friction, kinetic: 2 N, static: 3 N}]"
+        return scene_of(name, f"simulation.effects={friction}")
+    mechanism = "simulation.mechanisms.0"
+    x, y = "{kinetic: 0.5 N, static: 0.8 N}", "{kinetic: 0.2 N, static: 0.2 N}"
+    quick = f"{mechanism}.hand.motion.x.frequency=4 Hz"
+    return scene_of(name, f"{mechanism}.friction_x={x}", f"{mechanism}.friction_y={y}", quick)
+
+
+@pytest.mark.parametrize("name", ["xy_box", "two_handles"])
+def test_the_continuous_group_with_dry_friction_is_what_ever_finer_holds_come_to(name: str) -> None:
+    scene = rough(name)
+    exact = continuous_group(scene, 1_000_000, 150)
+    apart = []
+    for factor in (4, 8):
+        finer = at_rate(scene, 1000.0 * factor)
+        apart.append(np.abs(held_finely(finer, 150 * factor + 1)[::factor] - exact.position).max())
+    assert group_model(scene).switches
+    assert (np.diff(exact.position, axis=0) == 0.0).any()  # stuck
+    assert np.abs(np.diff(exact.position, axis=0)).max() > 1e-6  # sliding
+    assert exact.apart < 1e-6
+    assert apart[1] < 0.65 * apart[0] < 1e-3
+
+
+def test_a_group_with_dry_friction_is_studied() -> None:
+    result = AccuracyStudy(rough("xy_box"), budget=0.0, duration=0.05).run()
+    assert result["plant"][0]["position_error"] < 1e-9
+    orders = {row["method"]: row["declared"] for row in result["orders"]}
+    assert orders["RK4"] == 1
+    assert all(row["position_error"] > 0.0 for row in result["loop"])
+
+
 def test_the_loop_of_a_box_comes_nearer_with_the_rate() -> None:
     result = AccuracyStudy(scene_of("xy_box"), budget=0.0, duration=0.2).run()
     rates = {row["rate"]: row for row in result["loop"] if row["group"] in ("as it is", "sample rate")}
@@ -112,12 +146,24 @@ def test_a_group_that_diverges_is_said_so() -> None:
     assert run.position.shape == (len(run.interaction), 2)
 
 
-def test_dry_friction_of_guides_has_no_equations() -> None:
-    scene = scene_of("xy_box")
-    rough = scene.mechanisms[0].mechanism.parameters.model_copy(
-        update={"friction_x": DryFriction(static=1.0, kinetic=1.0)}
-    )
-    (of,) = scene.mechanisms
-    changed = replace(scene, mechanisms=(replace(of, mechanism=of.mechanism._replace(parameters=rough)),))
-    with pytest.raises(InputError, match="guides of the stage have dry friction"):
-        AccuracyStudy(changed, budget=0.0, duration=0.02).run()
+ROUGH: dict[str, Any] = {
+    "friction_x": DryFriction(static=4.0, kinetic=2.0), "friction_y": DryFriction(static=1.5, kinetic=1.5),
+    "initial_position": (0.0, 0.25),
+}  # fmt: skip
+
+
+def test_a_stage_that_sticks_and_slides_is_the_exact_one() -> None:
+    model, exact = mechanism_model(XYStage(**{**STAGE, **ROUGH}), HAND), stage(**ROUGH)
+    torques = [(1.5 * np.sin(0.06 * k), 0.6 * np.cos(0.09 * k)) for k in range(400)]
+    states = np.array(located_states(model, torques, MS, "DOP853", 1e-12, 1e-15))
+    exact.begin(0)
+    found = []
+    for k, pair in enumerate(torques):
+        exact.advance_to((k + 1) * MS, pair)
+        found.append([*exact.positions, *exact.velocities])
+    still = (np.abs(np.array(found)[:, 2:]) < 1e-9).sum(axis=0)
+    assert exact.events >= 6  # changes between sticking and sliding
+    assert (still >= 5).all()  # both guides were stuck for some holds
+    assert np.abs(states[:, :4] - found).max() < 1e-9
+    works = [sum(getattr(exact.energy(axis), of) for axis in (0, 1)) for of in ("motor", "user")]
+    assert model.works(states[-1]) == pytest.approx(works, abs=1e-9)

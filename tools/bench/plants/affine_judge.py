@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.sim.textbook.event_location import through
 from canhaptic.sim.textbook.reference_elements import Transition
 from canhaptic.sim.textbook.reference_model import Model, Modes
 from tools.bench.plants.random_scenes import RandomScene
@@ -87,7 +88,7 @@ class AffineJudge:
 
     def _through(self, way: Transition, state: Array, modes: Modes) -> tuple[Array, Modes]:
         self._events += 1
-        after, modes = self._model.through(way, [*state[: self._size], 0.0, 0.0], modes)
+        after, modes = through(way, [*state[: self._size], 0.0, 0.0], modes)
         return np.concatenate([after[: self._size], state[self._size :]]), modes
 
     def _settled(self, state: Array, modes: Modes) -> tuple[Array, Modes]:
