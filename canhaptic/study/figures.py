@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.control.balance import WEAKEST_LAST
 from canhaptic.control.environments.environment import Environment
 from canhaptic.study.loop import Array, LoopRun
 from canhaptic.study.reference.continuous_reference import REST, ContinuousReference
@@ -48,8 +49,8 @@ METRICS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "stiffness_rendered.share": ("mean force in contact over the mean effort asked for there", ("force", "asked")),
     "travel": ("largest less least true position [m or rad]", ("highest", "lowest")),
-    "certificate": ("weakest promise of any hold: 0 exact, 1 device damping, 2 hand force, 3 hand speed, 4 none",
-                    ("certificate",)),
+    "certificate": ("weakest promise of any hold: 0 exact, 1 device damping, 7 device friction, 2 hand force, "
+                    "3 hand speed, 4 none", ("certificate",)),
     "branches.free": ("holds without contact", ("free",)),
     "branches.start": ("holds that began a contact", ("start",)),
     "branches.exact": ("holds with the balance solved", ("exact",)),
@@ -79,6 +80,8 @@ CONTINUOUS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
 }  # fmt: skip
 """The same, of what needs a continuous run of the same user; a batch has one for walls with spring and damper on one or
 two sides, dampers and free space, and plants with nothing but viscous friction and tremor added."""
+
+_WEAKEST_LAST: Final[Array] = np.array(WEAKEST_LAST, dtype=float)
 
 ALL: Final = {**METRICS, **CONTINUOUS}
 """Every metric."""
@@ -236,9 +239,9 @@ def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
         return np.where((sums["diverged"] == 0.0) & (second > _LEAST_EFFORT), first / second, np.nan)
     if metric.endswith("_error.rms"):
         return np.sqrt(first / second)
-    if metric == "travel":
-        return first - second
-    return np.array(first) if len(names) == 1 else np.where(second != 0.0, first / second, np.nan)
+    if len(names) == 1:
+        return _WEAKEST_LAST[first.astype(int)] if metric == "certificate" else np.array(first)
+    return first - second if metric == "travel" else np.where(second != 0.0, first / second, np.nan)
 
 
 def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:

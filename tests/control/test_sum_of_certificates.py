@@ -4,17 +4,22 @@ import math
 import random
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from canhaptic.control.balance import AT_REST, Certificate
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, next_displacement
 from canhaptic.control.certificates.sum_of_certificates import largest_in_sum, taken
 from canhaptic.control.certificates.torque_bound import BoundMemory, Declared, TorqueBound, bound_memory
+from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
+from canhaptic.study.batch.meter import Meter, MeterSettings, take
+from canhaptic.study.figures import metrics_of
 from tests.control.guarded_users import MASS, guarded, run
 
 T = 1e-3
@@ -106,6 +111,40 @@ def test_no_hand_at_any_speed_takes_more_than_came_in_and_the_device_dissipates(
             strongest = max(strongest, abs(held))
             assert total >= -ROUNDING
         assert strongest > 0.4
+
+
+@pytest.mark.parametrize(
+    ("damping", "friction", "used"),
+    [
+        (None, 0.5, {Certificate.DEVICE_FRICTION}),
+        (3.0, 0.5, {Certificate.DEVICE_DAMPING}),
+        (3.0, None, {Certificate.DEVICE_DAMPING}),
+    ],
+)
+def test_a_torque_that_dry_friction_holds_is_named_after_it(damping, friction, used):
+    loop = LoopProperties(sample_time=T, moving_mass=MASS, device_damping=damping, device_friction=friction)
+    one = Guarded(SpringDamperWall(stiffness=20_000.0, damping=0.0), GuardedParameters(hand_force=None), loop)
+    torque, named = 0.0, set()
+    for k in range(60):
+        balance = one.step(2e-3 * math.cos(0.1 * k), torque)
+        if torque := balance.torque:
+            named.add(Certificate(balance.certificate))
+            if balance.certificate != Certificate.EXACT:
+                is_small = friction is not None and abs(torque) <= friction
+                assert (balance.certificate == Certificate.DEVICE_FRICTION) is is_small
+    assert named - {Certificate.EXACT} == used
+
+
+def test_the_weakest_certificate_of_a_run_goes_by_what_it_promises_and_not_by_its_number():
+    found = []
+    for certificates in ((7, 1, 7), (7, 2), (0, 1), (2, 4, 7)):
+        meter = Meter()
+        for number in certificates:
+            take(FreeSpace(), MeterSettings(), meter, 0.0, 0.0, 0.0, 0.0, AT_REST._replace(certificate=number))
+        found.append(int(metrics_of(["certificate"], {"certificate": np.array([meter.certificate])})["certificate"][0]))
+    assert found == [
+        Certificate.DEVICE_FRICTION, Certificate.HAND_FORCE, Certificate.DEVICE_DAMPING, Certificate.NONE,
+    ]  # fmt: skip
 
 
 def test_energy_earned_by_device_and_drag_holds_a_wall_that_a_slow_hand_does_not_meet_without():

@@ -17,8 +17,8 @@ from typing import Any, Final
 
 from canhaptic.cycle import run
 from canhaptic.errors import CanHapticError, SceneError
+from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.experiment_account import experiment_account
 from canhaptic.scene.load import scene_from_mapping
 from tools.truth.faults import FaultWatch
 from tools.truth.hand_watch import HandWatch
@@ -116,7 +116,10 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
             run(experiment.cycle, max(1, round(scene.duration / loaded.bus.sample_time)), progress=each)
         except CanHapticError as error:
             status, text = "stopped", str(error)
-        account = experiment_account(experiment, status, 1.0)
+        axes = [(axis.parameters.name, axis.parameters.unit) for axis in loaded.axes]
+        account = run_result(
+            experiment.cycle, axes, status=status, config_hash="", sample_time=loaded.bus.sample_time, method=""
+        )
         reaction, to_zero = "", 0
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
@@ -188,8 +191,14 @@ def _outcome(
 
 
 def _lost(port: Mapping[str, Any], truth: Mapping[str, float], section: Mapping[str, Any]) -> float:
-    least = truth["least_at_handle"] if section.get("device_damping") else truth["least_interaction"]
+    least = truth[_promised(section)]
     return float(-least - section.get("energy_allowance", 0.0) - _resolution(port))
+
+
+def _promised(section: Mapping[str, Any]) -> str:
+    """Returns the sum of which certificates promise that it does not fall below zero."""
+    is_braked = section.get("device_damping") or section.get("device_friction")
+    return "least_at_handle" if is_braked else "least_interaction"
 
 
 def _resolution(port: Mapping[str, Any]) -> float:
@@ -218,8 +227,8 @@ def _false_claims(
         claims.append(f"{name}: passive at the handle yes, true least {truth['least_at_handle']:.3g} J")
     if port.get("passive_at_handle") == "no" and truth["least_at_handle"] >= -ROUNDING:
         claims.append(f"{name}: passive at the handle no, true least {truth['least_at_handle']:.3g} J")
-    # with a declared damping the promise is that of the handle, whichever certificate is the weakest of a run
-    below = truth["least_at_handle"] if section.get("device_damping") else least
+    # with declared damping or friction the promise is that of the handle, whichever certificate is the weakest of a run
+    below = truth[_promised(section)]
     for certificate in certificates(port):
         if certificate != "exact" and section.get(certificate) is None:
             claims.append(f"{name}: certificate {certificate}, which is not declared")

@@ -14,7 +14,8 @@ from canhaptic.control.passivity.prediction import predicted
 from canhaptic.control.recovery import modulated_damping
 
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
-_BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
+_BY_DAMPING, _BY_FRICTION = Certificate.DEVICE_DAMPING.value, Certificate.DEVICE_FRICTION.value
+_BY_SPEED = Certificate.HAND_SPEED.value
 _DRAG_SHARE: Final = 0.5
 """Damping of the drag near rest, over the largest one that does not ripple."""
 
@@ -106,6 +107,8 @@ def permitted_size(
     largest, for_all, by_force = largest_torques(settings.declared, state.bound, memory.bound, sign, energy)
     if size > largest:
         size = largest
+    if size <= settings.declared.friction:
+        return size, _BY_FRICTION
     return size, _BY_DAMPING if for_all >= size else _BY_FORCE if by_force >= size else _BY_SPEED
 
 

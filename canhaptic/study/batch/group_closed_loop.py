@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from math import isfinite, sqrt
 from typing import Any, Final, NamedTuple
 
-from canhaptic.control.balance import Branch
+from canhaptic.control.balance import RANKS, Branch
 from canhaptic.control.multi_axis.group_kernel import GroupHold
 from canhaptic.control.multi_axis.group_motion import (
     GroupMotion,
@@ -165,7 +165,7 @@ def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, hold: GroupHol
     figures.torque_peak = max(figures.torque_peak, largest)
     figures.variation += abs(norm - figures.torque)
     figures.torque = norm
-    figures.certificate = max(figures.certificate, float(account.certificate))
+    figures.certificate = max(figures.certificate, float(RANKS[account.certificate]))
     count_branch(figures, account.branch)
     if account.branch != _FREE and account.branch != _EXIT:  # noqa: PLR1714 - `in` would search
         rendered = account.damping_rendered

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final
 
-from canhaptic.control.balance import Branch, EnergyBalance
+from canhaptic.control.balance import RANKS, Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 
 _FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT = (branch.value for branch in list(Branch)[:7])
@@ -53,7 +53,7 @@ class Meter:
     torque: float = 0.0
     torque_peak: float = 0.0
     variation: float = 0.0
-    certificate: float = 0.0
+    certificate: float = 0.0  # the largest of `RANKS`
     contacts: float = 0.0
     damping: float = 0.0
     damping_least: float = inf
@@ -115,7 +115,7 @@ def take(
     branch = balance.branch
     if branch != _FREE and branch != _EXIT:  # noqa: PLR1714 - `in` would search
         take_contact(environment, meter, position, torque, balance.damping_rendered)
-    meter.certificate = max(meter.certificate, float(balance.certificate))
+    meter.certificate = max(meter.certificate, float(RANKS[balance.certificate]))
     count_branch(meter, branch)
     if meter.cycles > settings.last_from:
         take_last_part(environment, meter, true_position, torque)

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.balance import PASSIVE_TOLERANCE, Certificate
+from canhaptic.control.balance import PASSIVE_TOLERANCE, RANKS, WEAKEST_LAST, Certificate
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene, task_unit
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion
@@ -45,7 +45,7 @@ class _Tried(NamedTuple):
     least: float  # [J]
     covered: float
     passed: bool  # whether it ran to its end, in contact
-    certificate: int
+    certificate: int  # its place in `WEAKEST_LAST`
 
 
 class GroupTrial:
@@ -136,7 +136,7 @@ class GroupTrial:
             "stiffness": stiffness,
             "damping": damping,
             **verdict.account(damping),
-            "certificate": Certificate(worst).name.lower(),
+            "certificate": WEAKEST_LAST[worst].name.lower(),
             "certified": {},
             "engine": self.engine,
             "told": self.remark,
@@ -163,7 +163,7 @@ def _tried(job: tuple[Scene, float, ChosenEngine]) -> _Tried:
     try:
         meter = group_meter(group_case(scene, explains=True), round(time / scene.bus.sample_time), engine)
     except CanHapticError:
-        return _Tried(np.nan, np.nan, 0.0, 0.0, False, Certificate.NONE.value)
+        return _Tried(np.nan, np.nan, 0.0, 0.0, False, RANKS[Certificate.NONE])
     figures = meter.figures
     passed = figures.diverged == 0.0 and figures.contacts > 0.0
     return _Tried(
