@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import ValidationError
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -11,8 +12,11 @@ from rich.table import Table
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.output import write_json
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
+from canhaptic.drive.display_survey import display_of
+from canhaptic.drive.profile.display_parameters import Mode
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, survey, unconfigured_axis
+from canhaptic.errors import InputError
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.view.energy_table import make_console
 from canhaptic.view.table_style import plain_table
@@ -28,7 +32,7 @@ _UNFIT: Final = 1
 
 def execute(arguments: argparse.Namespace) -> int:
     """Prints the verdict with its reasons; returns 1 when the drive cannot serve."""
-    found, profile = survey_of(arguments.file)
+    found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     if arguments.json:
         write_json({**_as_json(found), "profile": profile})
     else:
@@ -36,19 +40,31 @@ def execute(arguments: argparse.Namespace) -> int:
     return _UNFIT if found.suitability is Suitability.UNFIT else 0
 
 
-def survey_of(path: Path) -> tuple[Survey, str | None]:
+def survey_of(path: Path, mode: Mode | None = None, force_object: str | None = None) -> tuple[Survey, str | None]:
     """Returns what a dictionary says of its drive, and the name of the profile of its make, which it was judged with.
+
+    Args:
+        path: Of the dictionary.
+        mode: Of an admittance display; None: cyclic torque.
+        force_object: Object that shows the force of a display; None: a known analog input, else a node of its own.
 
     Raises:
         DictionaryError: It cannot be read.
+        InputError: `force_object` is no place of an object, or is given for cyclic torque.
     """
     axis = unconfigured_axis(path)
     dictionary = read_dictionary(path, axis.node_id)
-    found = survey(dictionary, axis)
+    if force_object is not None and mode is None:
+        raise InputError("--force-object: is of an admittance display; add --display velocity or position")
+    try:
+        values = {} if mode is None else {"admittance": display_of(dictionary, mode, force_object)}
+    except ValidationError as error:
+        raise InputError(f"--force-object: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from error
+    found = survey(dictionary, unconfigured_axis(path, **values))
     name = profile_of_vendor(found.vendor_id)
     if name is None or found.suitability is Suitability.UNFIT:
         return found, None
-    return survey(dictionary, unconfigured_axis(path, **profile_values(name))), name
+    return survey(dictionary, unconfigured_axis(path, **profile_values(name), **values)), name
 
 
 def _as_json(found: Survey) -> dict[str, Any]:

@@ -15,14 +15,14 @@ def execute(arguments: argparse.Namespace) -> int:
 
     Raises:
         DictionaryError: The drive cannot serve.
-        InputError: The file already exists, or cannot be written.
+        InputError: The file already exists, or cannot be written; or `--force-object` is no place of an object.
     """
     out = arguments.out
     if out is not None:
         check_folder(out)
         if out.exists():
             raise InputError(f"{out} already exists; choose another name, or move it away first")
-    found, profile = survey_of(arguments.file)
+    found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     text = starter_scene(found, simulate=arguments.simulate, drive=profile, out=out)
     if out is None:
         sys.stdout.write(text)

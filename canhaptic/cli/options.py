@@ -82,7 +82,20 @@ def _check(parser: argparse.ArgumentParser) -> None:
 def _check_eds(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `check-eds`."""
     parser.add_argument("file", metavar="FILE", type=Path, help="object dictionary of the drive (EDS or DCF)")
+    _add_display(parser)
     add_json(parser)
+
+
+def _add_display(parser: argparse.ArgumentParser) -> None:
+    """Declares for which kind of display a dictionary is judged."""
+    parser.add_argument(
+        "--display", choices=("velocity", "position"),
+        help="judge it for an admittance display (force in, velocity out) in mode 9 or 8; by default for cyclic torque",
+    )  # fmt: skip
+    parser.add_argument(
+        "--force-object", metavar="0xINDEX.SUB",
+        help="object that shows the force of an admittance display; by default a known analog input of the make",
+    )  # fmt: skip
 
 
 def _commission(parser: argparse.ArgumentParser) -> None:
@@ -241,6 +254,7 @@ def _new(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulate", action="store_true", help="with a simulated drive, motor and hand, so that it runs at once"
     )
+    _add_display(parser)
 
 
 def _preflight(parser: argparse.ArgumentParser) -> None:

@@ -18,6 +18,7 @@ from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.dictionary_check import check_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
+from canhaptic.drive.display_survey import DISPLAY_KEYS, force_finding, limit_findings
 from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.drive.profile.object_use import ObjectUse, objection
 from canhaptic.drive.profile.quirks import quirks_of
@@ -38,12 +39,8 @@ _INTEGER_NAMES: Final = {
     datatypes.UNSIGNED16: "UNSIGNED16",
     datatypes.UNSIGNED32: "UNSIGNED32",
 }
-_SAVED_IS_RIGHT: Final[dict[int, Callable[[int], bool]]] = {
-    od.DEVICE_TYPE: lambda value: value & 0xFFFF == od.CIA402_PROFILE,
-    od.SUPPORTED_DRIVE_MODES: lambda value: bool(value & od.CYCLIC_SYNC_TORQUE_BIT),
-}
 
-Group = Literal["identity", "torque", "read-back", "limits", "resolution", "watchdog", "PDO"]
+Group = Literal["identity", "torque", "motion", "read-back", "force", "limits", "resolution", "watchdog", "PDO"]
 
 
 class Suitability(Enum):
@@ -85,7 +82,7 @@ class Survey(NamedTuple):
     """All that one dictionary says."""
 
     dictionary: ObjectDictionary
-    path: Path
+    axis: AxisParameters  # for which it was judged
     vendor: str
     product: str
     vendor_id: int | None
@@ -96,6 +93,11 @@ class Survey(NamedTuple):
     axis_map: AxisMap | None
     bitrate: int  # of the loads [bit/s]
     loads: tuple[LoadRow, ...]
+
+    @property
+    def path(self) -> Path:
+        """Where the dictionary lies."""
+        return self.axis.eds
 
     @property
     def reasons(self) -> list[SurveyRow]:
@@ -132,8 +134,8 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
     bitrate = max((rate for rate in bitrates if rate <= 1_000_000), default=1_000_000)
     rows = (
         *_identity(dictionary, findings),
-        *_torque(dictionary, findings),
-        _read_back(dictionary, axis_map),
+        *_command(dictionary, axis, findings),
+        *_measured(dictionary, axis, axis_map),
         *_limits(dictionary, axis, findings),
         *_resolution(dictionary),
         *_watchdog(dictionary, findings),
@@ -142,7 +144,7 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
     )
     return Survey(
         dictionary,
-        axis.eds,
+        axis,
         device.vendor_name or "",
         device.product_name or "",
         stated_value(dictionary, od.IDENTITY, 1) or device.vendor_number,
@@ -206,16 +208,23 @@ def _row(
     return SurveyRow(group, f"{place} {name}", _describe(dictionary, index, subindex), verdict, text)
 
 
-def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
+def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding, mode: int = 0) -> SurveyRow:
     """Returns the row of a finding of `fitness`; the value saved in a DCF counts where there is no default."""
     index = int(finding.item[:6], 16)
     verdict, text = finding.verdict, finding.text
     saved = stated_value(dictionary, index)
     if verdict is Verdict.UNKNOWN and saved is not None:
-        is_right = _SAVED_IS_RIGHT[index](saved) if index in _SAVED_IS_RIGHT else True
+        is_right = _is_right(index, saved, mode)
         verdict = Verdict.FIT if is_right else Verdict.UNKNOWN
         text = f"{saved:#x} when this file was saved, {'as needed' if is_right else 'not fit'}; the drive is asked"
     return SurveyRow(group, finding.item, _describe(dictionary, index), verdict, text)
+
+
+def _is_right(index: int, saved: int, mode: int) -> bool:
+    """Whether a value that a DCF saved is as needed; `mode` is that of the axis."""
+    if index == od.SUPPORTED_DRIVE_MODES:
+        return bool(saved >> mode - 1 & 1)
+    return index != od.DEVICE_TYPE or saved & 0xFFFF == od.CIA402_PROFILE
 
 
 def _as_found(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
@@ -236,9 +245,21 @@ def _identity(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> lis
     ]
 
 
-def _torque(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
-    places = ("0x6040", "0x6041", "0x6071", "0x6064", "0x6502", "0x6060", "0x6061")
-    return [_judged(dictionary, "torque", findings[place]) for place in places]
+def _command(dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[str, Finding]) -> list[SurveyRow]:
+    group: Group = "torque" if axis.admittance is None else "motion"
+    places = ("0x6040", "0x6041", f"{axis.target:#06x}", "0x6064", "0x6502", "0x6060", "0x6061")
+    return [_judged(dictionary, group, findings[place], axis.mode_code) for place in places]
+
+
+def _measured(dictionary: ObjectDictionary, axis: AxisParameters, axis_map: AxisMap | None) -> list[SurveyRow]:
+    """Returns the torque read back, or the force and the limits of an admittance display."""
+    display = axis.admittance
+    if display is None:
+        return [_read_back(dictionary, axis_map)]
+    force, place = force_finding(dictionary, display), display.force.place
+    stated = "a node of its own" if place is None else _describe(dictionary, *place)
+    limits = [_as_found(dictionary, "limits", finding) for finding in limit_findings(dictionary)]
+    return [SurveyRow("force", force.item, stated, force.verdict, force.text), *limits]
 
 
 def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> SurveyRow:
@@ -263,6 +284,7 @@ def _limits(dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[s
     if limit is None or not limit.writable or not quirks.writes_max_torque:
         state = "not listed" if limit is None else "read-only" if not limit.writable else "not written (quirks)"
         text = f"{state}; torque_limit is kept by the master alone: set a limit in the drive with the vendor's tool"
+        text += "" if axis.admittance is None else "; an admittance display on a real interface is refused without"
         rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.UNKNOWN, text)]
     elif (refusal := findings["0x6072"]).verdict is Verdict.REFUSED:
         rows = [_as_found(dictionary, "limits", refusal)]
@@ -358,8 +380,13 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
             "the drive has no 0x1016; accept it knowingly or choose another drive",
             lambda: not is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1),
         ),
-        ("demand_reported", "before or after: whether the TPDO shows the hold that ended", lambda: True),
+        (
+            "demand_reported",
+            "before or after: whether the TPDO shows the hold that ended",
+            lambda: axis.admittance is None,
+        ),
     )
+    keys += [] if axis.admittance is None else [ManualKey(*row) for row in DISPLAY_KEYS]
     return (*keys, *(ManualKey(key, reason) for key, reason, needed in needs if needed()))
 
 

@@ -50,8 +50,9 @@ def _absent(found: Survey) -> dict[_Place, int]:
         needed[od.IDENTITY, 1] = found.vendor_id
     needed |= _cob_ids(found.dictionary)
     missing = {place: value for place, value in needed.items() if stated_value(found.dictionary, *place) is None}
-    if not (stated_value(found.dictionary, od.SUPPORTED_DRIVE_MODES) or 0) & od.CYCLIC_SYNC_TORQUE_BIT:
-        missing[od.SUPPORTED_DRIVE_MODES, 0] = od.CYCLIC_SYNC_TORQUE_BIT
+    mode_bit = 1 << found.axis.mode_code - 1
+    if not (stated_value(found.dictionary, od.SUPPORTED_DRIVE_MODES) or 0) & mode_bit:
+        missing[od.SUPPORTED_DRIVE_MODES, 0] = mode_bit
     return missing
 
 

@@ -19,6 +19,7 @@ from canhaptic.drive.profile.object_use import listed
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError
+from canhaptic.scene.display_starter import display_axis, display_rendered, display_simulation
 from canhaptic.scene.eds_path import path_for_scene
 from canhaptic.scene.guesses import TO_SET
 from canhaptic.scene.missing_values import missing_values
@@ -52,7 +53,7 @@ bus:
 $bus
   bitrate: $bitrate bit/s$bitrate_note
   rate: $rate Hz$rate_note
-  rpdo: synchronous         # the torque acts at the next SYNC: exact energy, one sample late
+  rpdo: synchronous         # a command acts at the next SYNC: exact energy, one sample late
 
 axes:
   - name: axis1
@@ -63,6 +64,9 @@ $identity    unit: rad               # m for a linear axis; the units below then
     direction: 1            # -1 if the positive direction of the drive is not that of the axis
 $rated$transmission    torque_limit: $limit N*m # $to_set: the largest torque that may ever reach the hand$limit_note
 $read_back$watchdog
+$rendered$simulation""")
+
+_RENDERED: Final = Template("""\
 # A spring and a damper, solid below `position`. Soft, for the first contact.
 environment:
   type: spring_damper_wall
@@ -78,7 +82,7 @@ passivity:
   device_friction_bound: $most_friction N*m # $to_set: the same of dry friction
 $timing  hand_force: 0 N*m         # largest torque with which the hand pulls out of the contact
   hand_push: $push N*m       # $to_set: largest torque with which it pushes in
-$simulation""")
+""")
 
 _TIMING: Final = f"""\
   sync_jitter: 5 %         # {TO_SET}: every hold lasts 1 / rate, give or take this (canhaptic commission)
@@ -115,7 +119,8 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
     """
     if found.suitability is Suitability.UNFIT:
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
-        raise DictionaryError(f"{found.path} is not fit for cyclic torque: {reasons}")
+        kind = "cyclic torque" if found.axis.admittance is None else "an admittance display"
+        raise DictionaryError(f"{found.path} is not fit for {kind}: {reasons}")
     rated = _stated_torque(found.dictionary, drive) or _GUESSED_RATED_TORQUE
     limit = _torque_limit(found.dictionary, rated)
     text = _TEXT.substitute(
@@ -126,13 +131,19 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         scene=_plain(str(out or "rig.yaml")),
         hint="      needs no hardware: drive, motor and hand are simulated" if simulate else "",
         **_bus_values(found, simulate),
-        **_axis_values(found, drive),
+        **_axis_values(found, drive, limit),
         limit=f"{limit:g}",
-        **_scaled(limit),
+        rendered=_rendered(found, limit, simulate=simulate),
         simulation=_simulation(found, rated, limit) if simulate else "",
-        timing="" if simulate else _TIMING,
     )
     return _aligned(text).replace(_EDS_TOKEN, json.dumps(path_for_scene(found.path, out), ensure_ascii=False))
+
+
+def _rendered(found: Survey, limit: float, *, simulate: bool) -> str:
+    """Returns environment and passivity."""
+    if found.axis.admittance is not None:
+        return display_rendered(found.axis.admittance, limit, 1.0 / _rate(found), simulate=simulate)
+    return _RENDERED.substitute(to_set=TO_SET, **_scaled(limit), timing="" if simulate else _TIMING)
 
 
 def _bus_values(found: Survey, simulate: bool) -> dict[str, str]:
@@ -146,8 +157,8 @@ def _bus_values(found: Survey, simulate: bool) -> dict[str, str]:
     }
 
 
-def _axis_values(found: Survey, drive: str | None) -> dict[str, str]:
-    dictionary = found.dictionary
+def _axis_values(found: Survey, drive: str | None, limit: float) -> dict[str, str]:
+    dictionary, display = found.dictionary, found.axis.admittance
     transmission = "    transmission: 1         # gear ratio, where 0x6076 is the torque of the motor\n"
     return {
         "identity": _identity(found, drive),
@@ -156,7 +167,7 @@ def _axis_values(found: Survey, drive: str | None) -> dict[str, str]:
         "rated": _rated_lines(dictionary, _stated_torque(dictionary, drive)),
         "transmission": transmission if od.RATED_TORQUE in dictionary else "",
         "limit_note": _limit_note(dictionary),
-        "read_back": _read_back_lines(found),
+        "read_back": _read_back_lines(found) if display is None else display_axis(display, _counts(dictionary), limit),
         "watchdog": _watchdog_lines(dictionary),
     }
 
@@ -299,9 +310,12 @@ def _simulation(found: Survey, rated: float, limit: float) -> str:
         f"      {key}: {value}          # the dictionary gives none, or that of another rig\n"
         for key, value in objects.items()
     )
+    given, display = f"    objects:\n{lines}" if objects else "", found.axis.admittance
+    if display is not None:
+        return display_simulation(display, given, rated, limit)
     return _SIMULATION.substitute(
         rated=f"{rated:g}",
-        objects=f"    objects:\n{lines}" if objects else "",
+        objects=given,
         mass=f"{0.0125 * limit:.3g}",
         damping=f"{0.005 * limit:.3g}",
         stiffness=f"{3.0 * limit:.3g}",

@@ -296,3 +296,56 @@ def test_a_drive_that_cannot_serve_gets_no_configuration(capsys: Captured) -> No
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "is not fit for cyclic torque: 0x6502 supported drive modes: got" in captured.err
+
+
+def displayed(path: Path, capsys: Captured, *options: str) -> tuple[int, dict[str, Any]]:
+    status = main(["check-eds", str(path), "--display", *options, "--json"])
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return status, answer
+
+
+@pytest.mark.parametrize(
+    ("name", "analog"),
+    [
+        ("elmo_gold.dcf", "0x2205:01/16"),
+        ("maxon_epos4.dcf", "0x3160:01/16"),
+        ("maxon_epos2.eds", "0x207c:01/16"),
+        ("zeroerr_erob.eds", "0x2205:00/16"),
+    ],
+)
+def test_the_analog_input_of_a_make_shows_the_force_of_an_admittance_display(
+    name: str, analog: str, vendor_eds: Path, capsys: Captured
+) -> None:
+    for mode, target in (("velocity", "0x60ff:00/32"), ("position", "0x607a:00/32")):
+        status, answer = displayed(vendor_eds / name, capsys, mode)
+        assert (status, answer["verdict"]) == (0, "fit with conditions")
+        assert answer["map"]["rpdo"]["entries"] == ["0x6040:00/16", target]
+        assert answer["map"]["tpdos"][0]["entries"] == ["0x6041:00/16", "0x6064:00/32", analog]
+        assert "admittance.force.frozen_after" in answer["configure"]
+        has_limit = not any(text.startswith("0x6072") for text in answer["conditions"])
+        assert has_limit == (name == "elmo_gold.dcf")
+
+
+def test_a_drive_without_the_mode_or_with_another_force_cannot_be_a_display(vendor_eds: Path, capsys: Captured) -> None:
+    status, answer = displayed(vendor_eds / "elmo_simpliq.dcf", capsys, "velocity")
+    assert (status, answer["reasons"][0][:70]) == (
+        1,
+        "0x6502 supported drive modes: got 0x006d, expected bit 8 (cyclic synch",
+    )
+    status, answer = displayed(vendor_eds / "elmo_gold.dcf", capsys, "velocity", "--force-object", "0x6041")
+    assert status == 1
+    assert "UNSIGNED16" in answer["reasons"][0]
+    status, answer = displayed(vendor_eds / "kollmorgen_rgm.eds", capsys, "velocity")
+    assert any(text.startswith("force sensor: no analog input is known") for text in answer["conditions"])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--force-object", "0x2205.1"], "add --display"),
+        (["--display", "velocity", "--force-object", "2205"], "expected an object such as"),
+    ],
+)
+def test_a_force_object_that_cannot_be_is_refused_in_one_line(options: list[str], words: str, capsys: Captured) -> None:
+    assert main(["check-eds", str(OURS), *options]) == 2
+    assert words in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """`canhaptic new --simulate`: the scene of every dictionary that it takes runs, also where values are missing."""
 
+import json
 import re
 from pathlib import Path
 
@@ -95,6 +96,23 @@ def test_a_scene_runs_for_our_trait_dictionaries(name: str, tmp_path: Path) -> N
 @pytest.mark.parametrize("name", VENDOR_FILES)
 def test_a_scene_runs_for_every_vendor_that_can_serve(name: str, vendor_eds: Path, tmp_path: Path) -> None:
     runs(vendor_eds / name, tmp_path)
+
+
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+@pytest.mark.parametrize("name", [*VENDOR_FILES, "maxon_epos2.eds"])
+def test_a_scene_of_an_admittance_display_runs_for_every_vendor_that_can_serve(
+    name: str, mode: str, vendor_eds: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "rig.yaml"
+    assert main(["new", str(vendor_eds / name), "--simulate", "--display", mode, "--out", str(scene)]) == 0
+    assert main(["check", str(scene), "--json"]) == 0
+    capsys.readouterr()
+    assert main(["run", str(scene), "--duration", "0.5", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    account, truth = found["ports"]["axis1"], found["truth"]["axis1"]
+    assert truth["interaction"] > 100.0 * account["energy_allowance"]  # the hand moved the mass
+    assert truth["least_interaction"] >= -account["energy_allowance"]
+    assert account["certificate"] in ("velocity_loop", "exact")
 
 
 def test_the_remedy_of_a_torque_limit_that_is_too_low_does_not_say_lower(

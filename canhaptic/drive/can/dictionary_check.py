@@ -43,7 +43,8 @@ def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusPara
     refused = [finding for finding in check_dictionary(dictionary, axis, bus) if finding.verdict is Verdict.REFUSED]
     if refused:
         lines = "; ".join(f"{finding.item}: {finding.text}" for finding in refused)
-        raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for cyclic torque: {lines}")
+        kind = "cyclic torque" if axis.admittance is None else "an admittance display"
+        raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for {kind}: {lines}")
 
 
 def _heartbeat(dictionary: ObjectDictionary, bus: BusParameters | None) -> Finding:
@@ -95,6 +96,8 @@ def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters 
         f"[{', '.join(str(entry) for entry in pdo.entries)}]"
         for pdo in (chosen.rpdo, *chosen.tpdos)
     ]
+    if axis.admittance is not None:
+        return Finding("PDO map", Verdict.FIT, "; ".join(parts))
     note = {"demand": "", "actual": "; energy from the measured torque 0x6077", "none": "; energy is believed"}
     return Finding("PDO map", Verdict.FIT, "; ".join(parts) + note[chosen.read_back])
 

@@ -113,7 +113,7 @@ def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
     """Returns the finding of an object that every start and cycle uses."""
     item = f"{use.index:#06x} {name}"
     if (text := objection(dictionary, use)) is not None:
-        hint = "this drive takes no cyclic torque" if text == "missing" else _CORRECT
+        hint = "this drive cannot serve without" if text == "missing" else _CORRECT
         return Finding(item, Verdict.REFUSED, f"{text}; {hint}")
     return Finding(item, Verdict.FIT, "listed")
 

@@ -1,0 +1,140 @@
+"""What the configuration to start from says of an admittance display: limits, sensor, mass, certificate, simulation.
+
+All values scale with the torque limit, so that they fit together: a mass that the torque accelerates at 200 rad/s^2, a
+velocity loop of 50 Hz, and a virtual mass that is passive without a guard.
+"""
+
+from math import pi
+from string import Template
+from typing import Final
+
+from canhaptic.drive.profile.display_parameters import DisplayParameters
+from canhaptic.scene.guesses import TO_SET
+
+_INERTIA: Final = 0.005  # per torque limit [s^2]
+_BANDWIDTH: Final = 50.0  # of the velocity loop [Hz]
+_OVER: Final = 1.1  # every over-estimate
+_START_SPEED: Final = 0.05  # from which a hand moves it [rad/s]
+_HELD: Final = 2.0  # times M + c tau: passive without a guard
+_COUNTS: Final = 16384  # of the sensor up to its range
+
+_AXIS: Final = Template(f"""\
+    speed_limit: 2 rad/s    # {TO_SET}: a handle that is faster stops the rig
+    admittance:             # force in, velocity out
+      mode: $mode        # $mode_note
+$velocity_counts      acceleration_limit: 50 rad/s^2
+      handle_acceleration: 80 rad/s^2 # {TO_SET}: by drive and hand together, an over-estimate
+      position_low: -0.5 rad # {TO_SET}: beyond them no command leads further out
+      position_high: 0.5 rad # {TO_SET}
+      force:
+$source        per_count: $per_count N*m # {TO_SET}: negative where the sensor counts the other way
+        range: $range N*m # {TO_SET}: a force beyond it stops the rig
+        error: $error N*m # {TO_SET}: offset, drift, noise, quantisation (canhaptic commission)
+        slew: $slew N*m/s # {TO_SET}: largest change of the force per second, an over-estimate
+        frozen_after: 50    # SYNCs with one count beyond `error`, then the rig stops
+""")
+
+_RENDERED: Final = Template(f"""\
+# A free mass; the rig alone has about half of it. `lower_wall` and `upper_wall` limit its way.
+environment:
+  type: virtual_mass
+  mass: $mass kg*m^2
+  damping: $damping N*m*s/rad
+
+# Every command is certified by the drive's own velocity loop, for every hand.
+passivity:
+  algorithm: guarded
+  drive_mass: $drive_mass kg*m^2 # {TO_SET}: all that the drive moves up to the sensor, an over-estimate
+  loop_gain: $gain N*m*s/rad # {TO_SET}: 2 pi bandwidth mass, an over-estimate (canhaptic commission)
+$integral$timing  energy_allowance: $allowance J # given out at most; motion starts with it
+""")
+
+_SIMULATION: Final = Template("""
+# The machine behind the simulated drive. Remove this section and name the real interface under `bus`.
+simulation:
+  drive:
+    rated_torque: $rated N*m
+$objects  plant:
+    mass: $mass kg*m^2
+    damping: $bearings N*m*s/rad
+  admittance:
+    loop: {gain: $gain N*m*s/rad, integral_gain: $integral N*m/rad}
+    grip: {mass: $grip kg*m^2, stiffness: $grip_stiffness N*m/rad, damping: $grip_damping N*m*s/rad}
+    sensor: {noise: $noise N*m}
+  user:                     # a hand that moves to and fro
+    stiffness: $stiffness N*m/rad
+    damping: $hand_damping N*m*s/rad
+    motion: {type: sinusoid, amplitude: 0.15 rad, frequency: 0.5 Hz}
+""")
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def display_axis(display: DisplayParameters, counts: float, limit: float) -> str:
+    """Returns the keys of an axis that make it an admittance display.
+
+    Args:
+        display: As the dictionary was judged.
+        counts: Of the position [count/rad].
+        limit: Of the torque [N*m].
+    """
+    named = display.force.object
+    node = f"        node: {{node_id: 9}}  # {TO_SET}: the drive has no analog input that is known\n"
+    is_velocity = display.mode == "velocity"
+    scale = f"      velocity_counts: {counts:.10g} # {TO_SET}: counts of 0x60FF for 1 rad/s of the axis\n"
+    return _AXIS.substitute(
+        mode=display.mode,
+        mode_note="mode 9, 0x60FF" if is_velocity else "mode 8, 0x607A, which the drive interpolates",
+        velocity_counts=scale if is_velocity else "",
+        source=node
+        if named is None
+        else f"        object: {named}    # {TO_SET}: the input to which the sensor is wired\n",
+        per_count=_number(2.0 * limit / _COUNTS),
+        range=_number(2.0 * limit),
+        error=_number(4e-4 * limit),
+        slew=_number(25.0 * limit),
+    )
+
+
+def display_rendered(display: DisplayParameters, limit: float, sample_time: float, *, simulate: bool) -> str:
+    """Returns environment and passivity for a torque limit [N*m] and a sample time [s]."""
+    jitter = (
+        f"  sync_jitter: 5 %        # {TO_SET}: every hold lasts 1 / rate, give or take this (canhaptic commission)\n"
+    )
+    mass, gain = _INERTIA * limit, _gain(limit)
+    is_position = display.mode == "position"
+    line = f"  integral_gain: {_number(_OVER * 10.0 * gain)} N*m/rad # {TO_SET}: position gain times loop_gain\n"
+    return _RENDERED.substitute(
+        mass=_number(_HELD * (mass + 1.5 * sample_time * gain)),
+        damping=_number(mass),
+        drive_mass=_number(_OVER * mass),
+        gain=_number(_OVER * gain),
+        integral=line if is_position else "",
+        timing="" if simulate else jitter,
+        allowance=_number(0.5 * _OVER * gain * sample_time * _START_SPEED**2),
+    )
+
+
+def display_simulation(display: DisplayParameters, objects: str, rated: float, limit: float) -> str:
+    """Returns the simulated rig; `objects` are lines of `simulation.drive`."""
+    mass, gain = _INERTIA * limit, _gain(limit)
+    return _SIMULATION.substitute(
+        rated=f"{rated:g}",
+        objects=objects,
+        mass=_number(mass),
+        bearings=_number(mass),
+        gain=_number(gain),
+        integral=_number(10.0 * gain if display.mode == "position" else 0.0),
+        grip=_number(0.15 * mass),
+        grip_stiffness=_number(1e4 * mass),
+        grip_damping=_number(10.0 * mass),
+        noise=_number(5e-5 * limit),
+        stiffness=_number(3.0 * limit),
+        hand_damping=_number(0.25 * limit),
+    )
+
+
+def _gain(limit: float) -> float:
+    return 2.0 * pi * _BANDWIDTH * _INERTIA * limit
