@@ -24,6 +24,7 @@ from canhaptic.study.batch.group_case import group_case
 from canhaptic.study.batch.group_closed_loop import shares
 from canhaptic.study.batch.group_loop import GroupRecorder, render_group
 from canhaptic.study.batch.group_scalar import group_meter
+from canhaptic.study.design.network_scale import network_scale
 from canhaptic.study.design.trial import STIFFEST, TrialVerdict, verdict_of
 from canhaptic.study.loop import Array
 
@@ -52,7 +53,7 @@ class GroupTrial:
     """The rig on which networks are tried.
 
     Args:
-        scene: With one group, simulated; its network has one stiffness and one damping.
+        scene: With one group, simulated; its network has a spring at its ports (`network_scale`).
         tolerance: How far a rendering may be from what is asked, as a part of it.
         engine: Of the trials.
         executor: Runs the loops that are not compiled; None: this thread.
@@ -65,7 +66,8 @@ class GroupTrial:
         walls: How many were tried.
 
     Raises:
-        InputError: Several groups, other axes, a network without a stiffness, or motors that are not simulated.
+        InputError: Several groups, other axes, a network without a spring at its ports, or motors that are not
+            simulated.
     """
 
     def __init__(
@@ -74,14 +76,9 @@ class GroupTrial:
         if len(scene.groups) != 1 or any(not axis.group for axis in scene.axes):
             raise InputError(f"{scene.source}: has more than one group; one is designed for, make a scene of each")
         (group,) = scene.groups
-        network = group.network.parameters
-        if not isinstance(getattr(network, "stiffness", None), float) or not hasattr(network, "damping"):
-            raise InputError(
-                f"{scene.source}: network {group.network.name!r} has no one stiffness and damping to design; expected "
-                "a surface, a path, coupled handles or a virtual mass"
-            )
+        self._scale = network_scale(group.network.parameters, group.network.name)
         self.scene, self._tolerance, self._executor = scene, tolerance, executor
-        self.softest = min(float(getattr(network, "stiffness", 0.0)), STIFFEST) / _SPAN
+        self.softest = min(self._scale.stiffness, STIFFEST) / _SPAN
         self._stroke = _stroke_time(scene)
         self._leaning = self._with_hands_at_rest()
         self._chosen: ChosenEngine = chosen_engine(engine, pays=True)
@@ -100,7 +97,7 @@ class GroupTrial:
         pairs = list(zip(stiffness.tolist(), damping.tolist(), strict=True))
         scenes = [(scene, time) for scene, time in self._hands() for _ in pairs]
         jobs = [
-            (_with_network(scene, *pair), time, self._chosen)
+            (self._with_network(scene, *pair), time, self._chosen)
             for (scene, time), pair in zip(scenes, 2 * pairs, strict=True)
         ]
         run: Callable[..., Any] = map if self._executor is None or self.is_quick else self._executor.map
@@ -117,12 +114,9 @@ class GroupTrial:
         (group,) = self.scene.groups
         axes = [self.scene.axis(name) for name in group.axes]
         worst = max(
-            _tried((_with_network(scene, stiffness, damping), time, "python"))[5] for scene, time in self._hands()
+            _tried((self._with_network(scene, stiffness, damping), time, "python"))[5] for scene, time in self._hands()
         )
-        network = group.network.parameters.model_dump(exclude_defaults=True) | {
-            "stiffness": stiffness,
-            "damping": damping,
-        }
+        network = self._scale.with_values(stiffness, damping).model_dump(mode="json", exclude_unset=True)
         given = group.passivity.parameters
         losses = getattr(given, "max_consecutive_losses", 0)
         hand = {"hand_force": getattr(given, "hand_force", 0.0)} | (
@@ -147,6 +141,11 @@ class GroupTrial:
     def _hands(self) -> Sequence[tuple[Scene, float]]:
         return (self._leaning, _LEAN), (self.scene, self._stroke)
 
+    def _with_network(self, scene: Scene, stiffness: float, damping: float) -> Scene:
+        (group,) = scene.groups
+        network = group.network._replace(parameters=self._scale.with_values(stiffness, damping))
+        return replace(scene, groups=(replace(group, network=network),))
+
     def _with_hands_at_rest(self) -> Scene:
         """Returns the scene with its hands where the torques were largest while they moved."""
         period = self.scene.bus.sample_time
@@ -169,12 +168,6 @@ def _tried(job: tuple[Scene, float, ChosenEngine]) -> _Tried:
     return _Tried(
         *shares(meter), figures.least_interaction, figures.least_covered, passed, round(figures.certificate)
     )  # fmt: skip
-
-
-def _with_network(scene: Scene, stiffness: float, damping: float) -> Scene:
-    (group,) = scene.groups
-    network = group.network.parameters.model_copy(update={"stiffness": stiffness, "damping": damping})
-    return replace(scene, groups=(replace(group, network=group.network._replace(parameters=network)),))
 
 
 def _motions(scene: Scene) -> list[SinusoidMotion]:
