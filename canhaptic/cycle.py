@@ -15,7 +15,7 @@ from canhaptic.control.energy_loss import EnergyLossMeter
 from canhaptic.control.multi_axis.axis_group import AxisGroup, GroupedControllers
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.profile.link_policy import StopReason, reason_of
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogWriteError, RigError
 from canhaptic.histogram import DurationHistogram
@@ -329,7 +329,7 @@ def run(
         rig.stop()
         raise
     except Exception as error:
-        rig.stop(ramp=False)
+        rig.stop(ramp=False, reason=reason_of(error))
         cycle.note_fault(error)
         if isinstance(error, RigError):
             error.records = error.records or tuple(rig.records)

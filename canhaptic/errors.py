@@ -34,6 +34,7 @@
        |- SyncsSkippedError                  3   this computer was late for more SYNCs than it sent
        `- ControlError                       3   the controller raised or produced a non-finite torque
           |- EnergyLostError                 3   a port gave out more energy than was declared
+          |- ForceContradictedError          3   encoder and commands prove more energy than the force sensor shows
           |- TorqueNotFiniteError            3   the controller's torque is no number
           `- CycleFailedError                3   anything else was raised in the cycle; it is the cause
 
@@ -253,6 +254,10 @@ class SyncsSkippedError(RigError):
 
 class EnergyLostError(ControlError):
     """A port gave out more energy than was declared."""
+
+
+class ForceContradictedError(ControlError):
+    """Encoder and commands of an admittance display prove more energy than its force sensor can have seen."""
 
 
 class TorqueNotFiniteError(ControlError):

@@ -250,11 +250,12 @@ class Rig:
 
     # --- stop ---------------------------------------------------------------------------------------------------------
 
-    def stop(self, *, ramp: bool = True) -> None:
+    def stop(self, *, ramp: bool = True, reason: StopReason = StopReason.EXCEPTION) -> None:
         """Ends the run: torque to zero (along a ramp, or at once), drives disabled and pre-operational, confirmed.
 
         Args:
             ramp: True for an operator's stop; False when something is wrong.
+            reason: What is wrong.
 
         Raises:
             RigError: A drive did not confirm that it is disabled.
@@ -262,7 +263,7 @@ class Rig:
         if not self._is_running:
             return
         self._is_running = False
-        self.stop_reason = StopReason.OPERATOR if ramp else StopReason.EXCEPTION
+        self.stop_reason = StopReason.OPERATOR if ramp else reason
         trust = Trust.SOME
         try:
             if ramp:

@@ -12,7 +12,15 @@ from canhaptic.cli.main import main
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
-from canhaptic.errors import ControlError, ForceFrozenError, ForceRangeError, LinkError, SceneError, StartError
+from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.errors import (
+    ForceContradictedError,
+    ForceFrozenError,
+    ForceRangeError,
+    LinkError,
+    SceneError,
+    StartError,
+)
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.experiment_account import experiment_account
@@ -117,8 +125,10 @@ def test_a_frozen_sensor_stops_the_rig() -> None:
     ],
 )
 def test_a_sensor_or_drive_that_contradicts_the_encoder_stops_the_rig(fault: str) -> None:
-    with pytest.raises(ControlError, match="by encoder and commands at least"):
-        _run(fault, cycles=2500)
+    with build(load_scene(SCENE, [fault])) as experiment:
+        with pytest.raises(ForceContradictedError, match=r"by encoder and commands at least .*\[FORCE_CONTRADICTED\]"):
+            run(experiment.cycle, 2500)
+        assert experiment.rig.stop_reason is StopReason.FORCE_CONTRADICTED
 
 
 _NODE = SCENE.with_name("force_node.yaml")

@@ -9,6 +9,7 @@ from canhaptic.errors import (
     DriveStateFaultError,
     EmergencyError,
     EnergyLostError,
+    ForceContradictedError,
     ForceFrozenError,
     ForceRangeError,
     HeartbeatLostError,
@@ -44,6 +45,7 @@ REASONS = {  # the numbers are in logs that exist
     "CONTROLLER": 30,
     "EXCEPTION": 31,
     "ENERGY_LOST": 32,
+    "FORCE_CONTRADICTED": 33,
 }
 RAISED = {
     "TPDO_LOST": TpdoLostError,
@@ -64,6 +66,7 @@ RAISED = {
     "CONTROLLER": TorqueNotFiniteError,
     "EXCEPTION": CycleFailedError,
     "ENERGY_LOST": EnergyLostError,
+    "FORCE_CONTRADICTED": ForceContradictedError,
 }
 CASES = (
     # hold, stop, what happens at 0, 1, 2, ... missed, and what is left of the torque
@@ -79,6 +82,9 @@ def judge(module: ModuleType) -> None:
     """Raises when the module is not what its table says."""
     assert {reason.name: int(reason) for reason in module.StopReason} == REASONS
     assert {reason.name: rule.error for reason, rule in module.STOP_TABLE.items()} == RAISED
+    for name, error in RAISED.items():
+        assert module.reason_of(error("")).name == name
+    assert module.reason_of(ValueError("")).name == "EXCEPTION"
     assert {action.name for action in module.Action} == {"RUN", "HOLD", "RAMP", "STOP"}
     for hold, stop, actions, shares in CASES:
         policy = module.LinkPolicy(hold, stop)

@@ -63,7 +63,7 @@ from canhaptic.control.admittance.velocity_loop import (
 )
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.passivity.settlement import settle
-from canhaptic.errors import ControlError
+from canhaptic.errors import ForceContradictedError
 from canhaptic.kernels import Buffer, Kernel, MakeBuffer, new
 from canhaptic.units import Parameters
 
@@ -334,16 +334,18 @@ class GuardedDisplay(DisplayController):
         """Accounts for the hold that ended; see `Controller.step`.
 
         Raises:
-            ControlError: What came is not finite, or the force sensor contradicts the encoder.
+            ControlError: What came is not finite.
+            ForceContradictedError: The force sensor contradicts the encoder.
         """
         balance = super().step(position, torque_applied)
         state = self._state
         late = state.by_encoder - state.by_force
         if late > 0.0 and not state.unsure and is_contradicted(state, self._memory):
-            error = ControlError(
+            error = ForceContradictedError(
                 f"force sensor: by its forces at most {state.by_force:.3g} J came in, by encoder and commands at least "
                 f"{state.by_encoder:.3g} J: its sign, scale or offset is wrong, it is frozen, commands do not reach "
-                "the drive, or drive_mass or loop_gain is wrong; the velocity is zero, check sensor, bus and drive"
+                "the drive, or drive_mass or loop_gain is wrong; the velocity is zero, check sensor, bus and drive "
+                "[FORCE_CONTRADICTED]"
             )
             self.reset()
             raise error

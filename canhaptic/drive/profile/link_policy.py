@@ -19,6 +19,7 @@ from canhaptic.errors import (
     DriveStateFaultError,
     EmergencyError,
     EnergyLostError,
+    ForceContradictedError,
     ForceFrozenError,
     ForceRangeError,
     HeartbeatLostError,
@@ -58,6 +59,7 @@ class StopReason(IntEnum):
     CONTROLLER = 30
     EXCEPTION = 31
     ENERGY_LOST = 32
+    FORCE_CONTRADICTED = 33
 
 
 class Action(Enum):
@@ -157,7 +159,19 @@ STOP_TABLE: Final[dict[StopReason, _StopRule]] = {
         "look for SYNCs skipped, frames lost, and a moving_mass or hand_force that is not so; raise energy_loss_limit "
         "of the axis only where a person may be given that energy",
     ),
+    StopReason.FORCE_CONTRADICTED: _StopRule(
+        "encoder and commands contradict the force sensor",
+        ForceContradictedError,
+        "check sign, scale and offset of the sensor, whether commands reach the drive, and drive_mass and loop_gain",
+    ),
 }
+_REASONS: Final[dict[type[Exception], StopReason]] = {rule.error: reason for reason, rule in STOP_TABLE.items()}
+
+
+def reason_of(error: Exception) -> StopReason:
+    """Returns the reason of a stop that an error, raised in the cycle, is."""
+    return _REASONS.get(type(error), StopReason.EXCEPTION)
+
 
 READ_BACK_TABLE: Final[dict[str, tuple[str, str, str]]] = {
     # read_back of the axis -> an old torque is held (COMMAND_LOST), bit 12 goes out (NOT_FOLLOWING), bit 11 comes on
