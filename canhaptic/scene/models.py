@@ -381,7 +381,7 @@ def _drop_later(axis: dict[str, Any]) -> None:
         if not axis["loop"][key]:
             del axis["loop"][key]
     passivity = axis["passivity"]
-    for key, default in (("hand_push", None), ("earned_energy", 0.0), ("drag", 0.0)):
+    for key, default in (("hand_push", None), ("earned_energy", None), ("drag", 0.0)):
         if key in passivity and passivity[key] == default:
             del passivity[key]
 

@@ -172,7 +172,7 @@ def test_energy_earned_by_device_and_drag_holds_a_wall_that_a_slow_hand_does_not
 
 def test_a_drag_that_earns_nothing_is_refused():
     with pytest.raises(ParameterError, match=r"guarded: got drag 0\.1 with earned_energy 0, expected"):
-        guarded(1000.0, 0.0, 1000, drag=0.1)
+        guarded(1000.0, 0.0, 1000, drag=0.1, earned_energy=0.0)
 
 
 def test_a_wall_that_is_left_keeps_no_more_than_is_declared():
@@ -192,3 +192,18 @@ def test_a_declared_certificate_more_never_costs_torque():
     most = largest_in_sum(whole, bound, memory, 1.0, 1e-3)[0]
     for left_out in ({"by_hand_force": False}, {"friction": 0.0}, {"hand_speed": 0.0}, {"damping": 0.0}):
         assert largest_in_sum(replace(whole, **left_out), bound, memory, 1.0, 1e-3)[0] <= most + ROUNDING
+
+
+@pytest.mark.parametrize(("kept", "is_held"), [(0.0, False), (None, True)])
+def test_what_a_bounce_brought_in_holds_the_contact_after_it(kept, is_held):
+    """The second contact is slower than any that starts from no energy."""
+    controller = guarded(10_000.0, 20.0, 1000, 1, hand_force=20.0, earned_energy=kept)
+
+    def hand(t, q, v, _f):
+        turn = 2.0 * math.pi * t
+        return 300.0 * (0.03 * math.cos(turn) - q) - 3.0 * (v + 0.06 * math.pi * math.sin(turn))
+
+    truth = run(controller, hand, 1000, 500, delay=1, position=0.03)
+    assert truth.least >= -ROUNDING
+    deepest = -min(truth.positions[300:])
+    assert (deepest < 1.3e-3) is is_held

@@ -11,6 +11,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     renderable_by_device_damping,
     renderable_by_hand_force,
 )
+from canhaptic.control.certificates.start_energy import start_energy
 from canhaptic.control.certificates.torque_bound import Declared
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
@@ -23,6 +24,8 @@ _LONGEST_WINDOW: Final = 0.02
 """Longest window of the velocity from a coarse encoder [s]."""
 _NO_CAP: Final = 1e12
 """Cap of the damping when the moving mass is unknown [N*s/m, N*m*s/rad]: finite, so that at rest it gives no force."""
+
+_LARGEST: Final = 1e9  # [N or N*m]
 
 
 class GuardedParameters(Parameters):
@@ -38,9 +41,10 @@ class GuardedParameters(Parameters):
     """Largest speed of the hand. None: the certificate is not used. Alone it begins only with an energy allowance."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
-    earned_energy: Annotated[float, quantity("J", ge=0.0)] = 0.0
+    earned_energy: Annotated[float, quantity("J", ge=0.0)] | None = None
     """Energy that came in beyond what is stored, or that the device dissipated, kept for contacts to come: a contact
-    under a hand force starts at any speed. It came in before: sum(h_i) stays >= 0."""
+    under a hand force starts at any speed. It came in before: sum(h_i) stays >= 0. None: as much as the environment
+    needs for that, by the hand's force or speed; 0: none."""
     drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
     """Largest drag felt in free motion, while less than `earned_energy` is there; 0: none. There too the hand pulls
     away from the environment with no more than `hand_force`."""
@@ -89,12 +93,13 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
     by_hand_force = response is not NO_RESPONSE
     _require_certifiable(parameters, loop, by_hand_force=by_hand_force)
+    earned = kept_for_contacts(environment, parameters, loop, response)
     cap, late = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time)), timing.late / sample_time
     damped, calm = renderable_by_device_damping(damping, sample_time, loop.delay), calm_stiffness_of(loop)
     return GuardedSettings(
         sample_time=sample_time,
         credit=parameters.energy_allowance,
-        earned=parameters.earned_energy,
+        earned=earned,
         drag=parameters.drag,
         outside={"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0),
         alpha=parameters.alpha,
@@ -118,17 +123,36 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     )
 
 
+def kept_for_contacts(
+    environment: Environment, parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse
+) -> float:
+    """Returns the energy that is kept for contacts to come [J]; see `start_energy`.
+
+    Of an environment that is stiffer than half of what the certificate holds at the largest force, or is no spring, it
+    is that of this half: it holds any contact up to a push of half of the hand's pull.
+
+    Raises:
+        ParameterError: A drag that earns nothing.
+    """
+    kept, stiffness = parameters.earned_energy, environment.linear_stiffness
+    if kept is None and response is not NO_RESPONSE and response.hand > 0.0 and stiffness != 0.0:
+        holds = loop.delay + parameters.max_consecutive_losses
+        half = 0.5 * renderable_by_hand_force(response, holds, _LARGEST)
+        kept = start_energy(response, holds, half if stiffness is None else min(stiffness, half))
+    if parameters.drag > 0.0 and not kept:
+        raise ParameterError(
+            f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy that it is to earn; "
+            "it acts while less is there: declare earned_energy, 5 mJ for instance, or leave out the drag"
+        )
+    return kept or 0.0
+
+
 def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *, by_hand_force: bool) -> None:
     if not (by_hand_force or loop.device_damping or loop.device_friction or parameters.hand_speed):
         raise ParameterError(
             "guarded: got neither moving_mass with hand_force, nor device_damping, nor device_friction, nor "
             "hand_speed, expected one of them; without any no torque can be certified: declare what is known or choose "
             "another algorithm"
-        )
-    if parameters.drag > 0.0 and parameters.earned_energy == 0.0:
-        raise ParameterError(
-            f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy that it is to earn; "
-            "it acts while less is there: declare earned_energy, 5 mJ for instance, or leave out the drag"
         )
 
 
