@@ -37,6 +37,7 @@ def execute(arguments: argparse.Namespace) -> int:
             tolerance=arguments.tolerance,
             duration=arguments.duration,
             budget=arguments.budget,
+            engine=arguments.engine,
             progress=progress,
             stop=stop.requested,
         )

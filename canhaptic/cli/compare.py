@@ -42,6 +42,7 @@ def execute(arguments: argparse.Namespace) -> int:
             duration=arguments.duration,
             rate=arguments.rate,
             over_can=arguments.can,
+            engine=arguments.engine,
             progress=progress,
         )
     if arguments.json:

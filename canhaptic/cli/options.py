@@ -40,6 +40,9 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--budget", metavar="S", type=budget, default=BUDGET, help="time to spend on timing [s]; 0: none"
     )
+    parser.add_argument(
+        "--engine", choices=("auto", "numba", "python"), default="auto", help="of the loops of an axis; numba compiles"
+    )
     parser.add_argument("--tables", action="store_true", help="show every row, not the answer only")
     parser.add_argument(
         "--beyond-bus", action="store_true", help="study a rate that the bus cannot carry; no run could keep it"
@@ -130,6 +133,10 @@ def _compare(parser: argparse.ArgumentParser) -> None:
         "--rate", metavar="HZ", type=rate, help="another rate than the scene's, also beyond what a bus could carry"
     )
     parser.add_argument("--can", action="store_true", help="over the whole CAN path instead of without a bus")
+    parser.add_argument(
+        "--engine", choices=("auto", "numba", "python"), default="python",
+        help="of runs without a bus; python (default) has the bits of the CAN path, numba differs by rounding",
+    )  # fmt: skip
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the comparison (.png, .svg, .pdf)")
     add_json(parser)
 

@@ -33,11 +33,17 @@ def comparison_report(result: _Account) -> RenderableType:
 
 
 def _heading(result: _Account) -> Text:
-    path = "over the CAN path" if result["path"] == "can" else "without a bus"
+    path = "over the CAN path" if result["path"] == "can" else f"without a bus, by {' and '.join(_engines(result))}"
     text = Text(" ")
     text.append(str(result["scene"]), style="bold")
     text.append(f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, {path}")
     return text
+
+
+def _engines(result: _Account) -> list[str]:
+    """Returns what computed the runs: python, numba."""
+    every = (account["engine"] for axis in result["axes"].values() for account in axis["algorithms"].values())
+    return sorted({engine.partition(":")[0] for engine in every if engine}) or ["python"]
 
 
 def _table(axis: _Account, algorithms: list[str]) -> Table:

@@ -3,7 +3,7 @@
     user + plant -> continuous environment        the reference: no sampling, no encoder, no limit of the torque
     user + plant -> encoder -> algorithm -> delay -> torque quantum and limit -> plant        once per algorithm
 
-Without a bus by default (`DirectRig`: the same floats, a tenth of the time), or over the whole CAN path.
+Without a bus by default (`DirectRig`: the same floats, a tenth of the time), compiled, or over the whole CAN path.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,9 +13,11 @@ from typing import Any, Final
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.study.algorithms import able_under, chosen_algorithms, own_algorithms
+from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
+from canhaptic.study.batch.rendering import render_by, work_of
 from canhaptic.study.cost import microseconds_per_step
 from canhaptic.study.figures import figures
-from canhaptic.study.loop import LoopCase, LoopRun, Recorder, render
+from canhaptic.study.loop import LoopCase, LoopRun, Recorder
 from canhaptic.study.over_can import render_over_can
 from canhaptic.study.reference.continuous_reference import ContinuousReference, continuous_reference
 from canhaptic.study.scenes import at_rate, cycles_of, environment_of, loop_case, plant_parts, require_single_axes
@@ -49,6 +51,7 @@ def compare(
     duration: float | None = None,
     rate: float | None = None,
     over_can: bool = False,
+    engine: Engine = "python",
     repeats: int = 5,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:
@@ -60,6 +63,8 @@ def compare(
         duration: [s]; by default the scene's.
         rate: SYNCs per second instead of the scene's, also beyond what its bus could carry; not over CAN.
         over_can: Over the whole CAN path instead of `DirectRig`.
+        engine: Of runs without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
+            saves time on stiff plants and long runs, "auto" takes it where it pays.
         repeats: Interleaved timings of a step, of which the least counts; 0 for none.
         progress: Called with the number of cycles done so far, of all runs together.
 
@@ -78,7 +83,7 @@ def compare(
     if over_can:
         runs, remarks = _over_can(scene, names, cycles, counter)
     else:
-        runs, remarks = _direct(scene, names, cycles, references, counter)
+        runs, remarks = _direct(scene, names, cycles, references, counter, engine)
     cost = _cost(scene, runs, repeats)
     axes = tuple(
         AxisComparison(axis.parameters.name, axis.parameters.unit, reference, run)
@@ -123,7 +128,7 @@ def _reference(axis: AxisScene, sample_time_ns: int, cycles: int) -> _Reference:
 
 
 def _direct(
-    scene: Scene, names: Sequence[str], cycles: int, references: Sequence[_Reference], counter: _Counter
+    scene: Scene, names: Sequence[str], cycles: int, references: Sequence[_Reference], counter: _Counter, engine: Engine
 ) -> tuple[list[dict[str, LoopRun]], list[dict[str, str]]]:
     runs: list[dict[str, LoopRun]] = []
     remarks: list[dict[str, str]] = []
@@ -138,7 +143,9 @@ def _direct(
                 continue
             remarks[-1][name] = chosen.remark
             recorder = None if reference is None else Recorder.around(reference.position)
-            runs[-1][name] = render(loop_case(chosen.axis, scene), cycles, recorder, counter)
+            case = loop_case(chosen.axis, scene)
+            computes = chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING)
+            runs[-1][name] = render_by(computes, case, cycles, recorder, counter)
     return runs, remarks
 
 
@@ -191,6 +198,7 @@ def _account(
         accounts[name] = {
             "status": "refused" if run is None else run.ended or "completed",
             "remark": "; ".join(text for text in (remarks.get(name, ""), "" if run is None else run.reason) if text),
+            "engine": None if run is None else run.engine,
             **found,
             "microseconds_per_step": cost.get(name),
         }

@@ -13,6 +13,7 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.errors import ControlError
+from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.units import Parameters
@@ -59,6 +60,7 @@ class LoopCase:
     device_damping: float = 0.0  # that the device has for certain [N*s/m or N*m*s/rad]
     own: type[Any] | None = None  # algorithm of the user's own, in place of `algorithm`
     device_friction: float = 0.0  # Coulomb friction in motion that the device has for certain [N or N*m]
+    simulation: AxisSimulation | None = None  # what `make_plant` makes; None where a compiled loop cannot move it
 
     def controller(self) -> Controller:
         """Returns the algorithm, at rest."""
@@ -82,6 +84,7 @@ class LoopRun(NamedTuple):
     residual: float  # largest residual of the identity over the largest term of its hold (A1)
     ended: str  # "" when it ran to its end, else "diverged" or "stopped"
     reason: str = ""  # why it was stopped, in words
+    engine: str = "python"  # what computed it: python or numba
 
     @property
     def least_interaction(self) -> float:

@@ -133,6 +133,7 @@ def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
         parameters=axis.passivity.parameters,
         loop=axis.loop,
         make_plant=lambda: build_plant(simulation, sample_time_ns),
+        simulation=simulation,
         sample_time_ns=sample_time_ns,
         delay=scene.bus.delay,
         counts_per_unit=axis.parameters.counts_per_unit,

@@ -139,8 +139,8 @@ def test_the_weakest_certificate_of_a_run_goes_by_what_it_promises_and_not_by_it
     found = []
     for certificates in ((7, 1, 7), (7, 2), (0, 1), (2, 4, 7)):
         meter = Meter()
-        for number in certificates:
-            take(FreeSpace(), MeterSettings(), meter, 0.0, 0.0, 0.0, 0.0, AT_REST._replace(certificate=number))
+        for cycle, number in enumerate(certificates):
+            take(FreeSpace(), MeterSettings(), meter, cycle, 0.0, 0.0, 0.0, 0.0, AT_REST._replace(certificate=number))
         found.append(int(metrics_of(["certificate"], {"certificate": np.array([meter.certificate])})["certificate"][0]))
     assert found == [
         Certificate.DEVICE_FRICTION, Certificate.HAND_FORCE, Certificate.DEVICE_DAMPING, Certificate.NONE,

@@ -87,6 +87,9 @@ def heading(result: Row) -> list[str]:
     if result["log_us"] is not None:
         cost = f"{result['log_us']:.1f} us" if result["log_us"] >= _CLOCK else f"less than {_CLOCK} us"
         lines.append(f"the energy log costs the control thread {cost} a cycle")
+    engines = {row["engine"].partition(":")[0] for row in result["loop"]}
+    if engines:
+        lines.append(f"the loops ran in {' and '.join(sorted(engines))}")
     return [*lines, *result["remarks"]]
 
 

@@ -17,6 +17,7 @@ from canhaptic.scene.timing import with_timing
 from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.study.accuracy.loop_sensitivity import RATES, Variant, fineness, hertz
 from canhaptic.study.algorithms import group_under
+from canhaptic.study.batch.engine import ChosenEngine
 from canhaptic.study.batch.group_loop import GroupRecorder, render_group
 from canhaptic.study.loop import Array, Case, LoopRun
 from canhaptic.study.scenes import at_rate
@@ -50,7 +51,7 @@ class _GroupVariant(Variant):
 
     case: _GroupCase
 
-    def render(self, cycles: int, motion: Array, tick: Callable[[], None]) -> LoopRun:
+    def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
         """Returns what it did; see `Variant`."""
         furthest = _TRAVELS * float(np.abs(motion).max()) + float(np.ptp(motion, axis=0).max())
         return render_group(self.case.scene, cycles, GroupRecorder(motion.shape[1], furthest, tick))

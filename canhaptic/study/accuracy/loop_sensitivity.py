@@ -4,6 +4,7 @@ Every variant is rendered without a bus and held against the continuous environm
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol
@@ -23,7 +24,9 @@ from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.timing import with_timing
 from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.study.algorithms import able_under
-from canhaptic.study.loop import Array, Case, LoopCase, LoopRun, Recorder, render
+from canhaptic.study.batch.engine import WORTH_COMPILING, ChosenEngine, Engine, chosen_engine
+from canhaptic.study.batch.rendering import render_by, work_of
+from canhaptic.study.loop import Array, Case, LoopCase, LoopRun, Recorder
 from canhaptic.study.scenes import axis_at, loop_case
 
 FINEST: Final = 4
@@ -68,15 +71,20 @@ class Variant:
     remark: str = ""
     fineness: float | None = None  # times that of the scene, infinite for ideal; None where nothing is finer
 
-    def render(self, cycles: int, motion: Array, tick: Callable[[], None]) -> LoopRun:
+    def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
         """Returns what it did.
 
         Args:
             cycles: SYNCs.
             motion: Of the continuous run, which says what counts as divergence [m or rad].
             tick: Called at every SYNC; may raise to give up.
+            engine: Of the loop of an axis; that of a group is run by Python.
         """
         raise NotImplementedError
+
+    def work(self, cycles: int) -> tuple[str, float]:
+        """Returns what has to be compiled for it, and its cost in cycles of a light plant; 0: nothing is compiled."""
+        return "", 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,9 +94,13 @@ class _AxisVariant(Variant):
     axis: AxisScene
     case: LoopCase
 
-    def render(self, cycles: int, motion: Array, tick: Callable[[], None]) -> LoopRun:
+    def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
         """Returns what it did; see `Variant`."""
-        return render(self.case, cycles, Recorder.around(motion), tick)
+        return render_by(engine, self.case, cycles, Recorder.around(motion), tick)
+
+    def work(self, cycles: int) -> tuple[str, float]:
+        """Returns the algorithm, and the cost of a run; see `Variant`."""
+        return self.case.algorithm, work_of(self.case, cycles)
 
 
 def _variant(
@@ -226,7 +238,9 @@ def _without_encoder_effects(base: _AxisVariant, scene: Scene) -> list[_AxisVari
     return found
 
 
-def loop_row(variant: Variant, exact: Continuous, duration_ns: int, tick: Callable[[], None]) -> LoopRow:
+def loop_row(
+    variant: Variant, exact: Continuous, duration_ns: int, tick: Callable[[], None], engine: ChosenEngine = "python"
+) -> LoopRow:
     """Returns one variant run and judged.
 
     Args:
@@ -234,11 +248,12 @@ def loop_row(variant: Variant, exact: Continuous, duration_ns: int, tick: Callab
         exact: The continuous axis or group, read at least as often as the variant samples.
         duration_ns: Length of the run [ns].
         tick: Called once a cycle; may raise to give up.
+        engine: Of the loop of an axis.
     """
     period = variant.case.sample_time_ns
     clock = WallClock()
     begin = clock.now()
-    run = variant.render(duration_ns // period + 1, exact.position, tick)
+    run = variant.render(duration_ns // period + 1, exact.position, tick, engine)
     seconds = (clock.now() - begin) * 1e-9
     stride = period // exact.step_ns
     shown = min(len(run.position), (len(exact.position) - 1) // stride + 1)
@@ -260,6 +275,15 @@ def loop_row(variant: Variant, exact: Continuous, duration_ns: int, tick: Callab
 
 def _most(values: Any) -> float:
     return float(np.abs(values).max(initial=0.0))
+
+
+def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) -> list[ChosenEngine]:
+    """Returns what computes each variant; "auto" compiles where all of one algorithm take longer than compiling it."""
+    works = [variant.work(duration_ns // variant.case.sample_time_ns + 1) for variant in variants]
+    whole: Counter[str] = Counter()
+    for name, work in works:
+        whole[name] += round(work)
+    return [chosen_engine(engine, whole[name] >= WORTH_COMPILING) for name, _ in works]
 
 
 def bus_figures(variant: Variant, scene: Scene) -> dict[str, Any]:

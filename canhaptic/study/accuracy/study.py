@@ -18,10 +18,11 @@ from canhaptic.study.accuracy.candidates import LSODA
 from canhaptic.study.accuracy.control_thread import exchange_time, log_time
 from canhaptic.study.accuracy.cycle_timing import WORKLOAD, WallTime, interleaved, workload
 from canhaptic.study.accuracy.group_plant_side import Plants
-from canhaptic.study.accuracy.loop_sensitivity import FINEST, LoopRow, bus_figures, loop_row
+from canhaptic.study.accuracy.loop_sensitivity import FINEST, LoopRow, bus_figures, engines_of, loop_row
 from canhaptic.study.accuracy.operations import executed_bytecodes
 from canhaptic.study.accuracy.part import chosen_part
 from canhaptic.study.accuracy.plant_solvers import Row
+from canhaptic.study.batch.engine import Engine
 from canhaptic.study.cost import microseconds_per_step
 
 DEFAULT_BUDGET: Final = 12.0
@@ -54,6 +55,7 @@ class AccuracyStudy:
             else a tenth of an encoder count.
         duration: Of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
         budget: Time for timings [s]; 0 for none.
+        engine: Of the loops of an axis; "auto" compiles them where that pays.
         progress: Called with the number of units done, of `UNITS`.
         stop: Asked often whether to stop.
     """
@@ -66,6 +68,7 @@ class AccuracyStudy:
         tolerance: float | None = None,
         duration: float | None = None,
         budget: float = DEFAULT_BUDGET,
+        engine: Engine = "auto",
         progress: Callable[[int], None] | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
@@ -73,7 +76,7 @@ class AccuracyStudy:
         counts = max(abs(given.counts_per_unit) for given in self.part.parameters)
         self.tolerance = tolerance or scene.accuracy_tolerance or _TENTH / counts
         self.holds = holds_of(scene, duration)
-        self._budget, self._progress, self._stop = budget, progress, stop or (lambda: False)
+        self._budget, self._engine, self._progress, self._stop = budget, engine, progress, stop or (lambda: False)
         self._done = 0
         self._plant: Plants | None = None
         self._loops: list[LoopRow] = []
@@ -104,8 +107,9 @@ class AccuracyStudy:
         self._each(plant.measure(), len(plant.candidates), "ladder")
         self._each(plant.measure_effects(self._accuracy(plant)))
         every = self.part.variants()
-        for number, variant in enumerate(every):
-            self._loops.append(loop_row(variant, exact, self.holds * period, self._check))
+        engines = engines_of(every, self.holds * period, self._engine)
+        for number, (variant, engine) in enumerate(zip(every, engines, strict=True)):
+            self._loops.append(loop_row(variant, exact, self.holds * period, self._check, engine))
             self._loop_rows.append(self._loop_row(self._loops[-1]))
             self._advance("loops", (number + 1) / len(every))
         if self._budget > 0.0:
@@ -168,6 +172,7 @@ class AccuracyStudy:
             "setting": variant.setting,
             "is_scene": variant.is_scene,
             "remark": variant.remark or row.run.reason,
+            "engine": row.run.engine,
             "fineness": None if variant.fineness is None else min(variant.fineness, _IDEAL),
             "largest_torque": float(np.abs(row.run.torque).max(initial=0.0)),
             "status": "ok" if stable else "unstable" if row.run.ended == "diverged" else row.run.ended,

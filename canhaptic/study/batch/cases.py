@@ -39,13 +39,24 @@ def why_not_batchable(scene: Scene) -> str:
     if reason:
         return reason
     try:
-        case = batch_case(scene, {})
-        loop_case(scene.axes[0], scene).controller()
+        batch_case(scene, {})
+        case = loop_case(scene.axes[0], scene)
+        case.controller()
     except ParameterError as error:
         return f"refused: {error}"
+    return why_not_compiled(case)
+
+
+def why_not_compiled(case: LoopCase) -> str:
+    """Returns "" when a loop can be compiled together with its plant, else the reason by name."""
+    if case.simulation is None:
+        return "the plant is not that of a scene"
+    reason = _why_not_moved(case.simulation, case.algorithm, case.own)
+    if reason:
+        return reason
     if plain(case.environment) is case.environment:
         return f"environment {type(case.environment).__name__} has no plain form (it asks its base by super())"
-    return "" if kernel_of(case) else f"algorithm {case.algorithm} is not written as a kernel"
+    return "" if kernel_of(case.algorithm) else f"algorithm {case.algorithm} is not written as a kernel"
 
 
 def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
@@ -64,8 +75,12 @@ def why_not_beforehand(scene: Scene) -> str:
     simulation = scene.axes[0].simulation
     if simulation is None:
         return "axis is not simulated"
-    if scene.axes[0].passivity.own is not None:
-        return f"algorithm {scene.axes[0].passivity.name} is own code"
+    return _why_not_moved(simulation, scene.axes[0].passivity.name, scene.axes[0].passivity.own)
+
+
+def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | None) -> str:
+    if own is not None:
+        return f"algorithm {algorithm} is own code"
     if type(simulation.user) not in (UserParameters, type(None)):
         return "the hand is own code"
     return why_not_in_loop(simulation)
@@ -113,6 +128,12 @@ def loop_in_arrays(
     simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, (), 0)
     found = {**_numbers(case, simulation, case.sample_time_ns, varied or {}), **numbers}
     return _case(case, simulation, found, varied or {})
+
+
+def loop_alone(case: LoopCase) -> BatchCase:
+    """Returns one loop for which `why_not_compiled` is ""."""
+    simulation = cast(AxisSimulation, case.simulation)
+    return _case(case, simulation, _numbers(case, simulation, float(case.sample_time_ns), {}), {})
 
 
 def _numbers(

@@ -13,7 +13,7 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.kernels import Buffer
 from canhaptic.sim.plant.effects.encoder_noise import noise
 from canhaptic.sim.plant.propagator import TICKS
-from canhaptic.study.batch.meter import Meter, MeterSettings, compare, take
+from canhaptic.study.batch.meter import Meter, MeterSettings, compare, diverge, take
 from canhaptic.study.batch.reference_kernel import (
     ReferenceMemory,
     ReferenceSettings,
@@ -200,15 +200,15 @@ def run_loop(
         position = read(loop.signals, cycle, true_position)
         position = measured(loop, position) if isfinite(position) else position
         if not isfinite(position - state.axis.position + held):
-            meter.diverged = 1.0
+            diverge(meter)
             break
         balance = step(environment, settings, state, memory, position, held)
         if not isfinite(balance.torque):
-            meter.diverged = 1.0
+            diverge(meter)
             break
-        take(environment, loop.meter, meter, position, true_position, held, place.interaction, balance)
+        take(environment, loop.meter, meter, cycle, position, true_position, held, place.interaction, balance)
         if not -loop.furthest < true_position < loop.furthest:
-            meter.diverged = 1.0
+            diverge(meter)
             break
         command = commanded(loop, balance.torque)
         if loop.delay:

@@ -13,7 +13,7 @@ from canhaptic.study.loop import Array
 
 
 def run_event_plants(
-    loops: Any, plants: Sequence[PlantValues], which: Array, stopped: dict[int, str], *, listed: bool
+    loops: Any, plants: Sequence[PlantValues], which: Array, stopped: dict[int, EventLimitError], *, listed: bool
 ) -> None:
     """Runs every loop.
 
@@ -32,15 +32,18 @@ def run_event_plants(
         )
 
 
-def _going_on(modes: EventModes, stopped: dict[int, str]) -> Any:
+def _going_on(modes: EventModes, stopped: dict[int, EventLimitError]) -> Any:
     def interrupted(plants: Any, loop: int, place: Any, outcome: int) -> Any:
         if outcome == INCOMPLETE:
             return modes.completed(plants)
-        error: EventLimitError = modes.error(plants, int(number_in(place, "cycle")))
-        stopped[loop] = str(error).splitlines()[0]
+        stopped[loop] = modes.error(plants, int(number_in(place, "cycle")))
         return None
 
     return interrupted
+
+
+def uninterrupted(*_what: Any) -> None:
+    """Is called by no loop of a linear plant."""
 
 
 def loop_replacements(plants: Sequence[PlantValues]) -> dict[Any, Any]:

@@ -6,10 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.errors import EventLimitError
 from canhaptic.study.batch.batch_case import BatchCase, NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes, continuous_modes, no_modes, why_not_continuous
 from canhaptic.study.batch.engine import WORTH_COMPILING, Engine, chosen_engine
-from canhaptic.study.batch.event_loops import loop_replacements, run_event_plants
+from canhaptic.study.batch.event_loops import loop_replacements, run_event_plants, uninterrupted
 from canhaptic.study.batch.interpreted_loops import InterpretedLoops
 from canhaptic.study.batch.meter import BRIEF
 from canhaptic.study.batch.rows import kernel_of, linear_plants, scene_rows
@@ -54,12 +55,12 @@ def march(
     for first in range(0, scenes, _MOST):
         part = slice(first, min(first + _MOST, scenes))
         numbers = {name: v[part] if isinstance(v, np.ndarray) else v for name, v in case.numbers.items()}
-        ended: dict[int, str] = {}
+        ended: dict[int, EventLimitError] = {}
         for name, values in _part(case, numbers, part.stop - first, cycles, chosen, found, ended).items():
             if name in found:
                 found[name][part] = values
-        for row, reason in ended.items():
-            failed[first + row] = reason
+        for row, error in ended.items():
+            failed[first + row] = str(error).splitlines()[0]
     metrics_found = metrics_of(names, found)
     for values in metrics_found.values():
         values[list(failed)] = np.nan
@@ -77,9 +78,9 @@ def _last_from(case: BatchCase, cycles: int) -> Array | float:
 
 def _part(
     case: BatchCase, numbers: Mapping[str, Any], count: int, cycles: int, engine: str, asked: Mapping[str, Array],
-    stopped: dict[int, str],
+    stopped: dict[int, EventLimitError],
 ) -> dict[str, Array]:  # fmt: skip
-    kernel = kernel_of(case)
+    kernel = kernel_of(case.algorithm)
     if kernel is None:
         raise NotBatchableError(f"algorithm {case.algorithm} is not written as a kernel")
     modes = no_modes(count)
@@ -92,7 +93,7 @@ def _part(
     if case.plants:
         run_event_plants(loops, case.plants, np.broadcast_to(numbers["plant"], (count,)), stopped, listed=not compiles)
     else:
-        loops.run(range(count), linear_plants(case, numbers, count, listed=not compiles), _never)
+        loops.run(range(count), linear_plants(case, numbers, count, listed=not compiles), uninterrupted)
     sums, runs = _columns(loops.meters), _columns(loops.references)
     return sums | _compared(sums, runs, modes)
 
@@ -103,10 +104,6 @@ def _loops(compiles: bool) -> Any:
     from canhaptic.study.batch.compiled_loops import CompiledLoops
 
     return CompiledLoops
-
-
-def _never(*_what: Any) -> None:
-    """Is called by no linear plant."""
 
 
 def _columns(found: Any) -> dict[str, Array]:

@@ -84,6 +84,7 @@ def take(
     environment: Environment,
     settings: MeterSettings,
     meter: Meter,
+    cycle: int,
     position: float,
     true_position: float,
     torque: float,
@@ -96,14 +97,15 @@ def take(
         environment: That is rendered.
         settings: Of the run.
         meter: Changed.
+        cycle: Number of the SYNC.
         position: As the controller saw it [m or rad].
         true_position: [m or rad].
         torque: Applied in the hold that ended [N or N*m].
         interaction: True energy that came in since the start [J].
         balance: What the controller booked.
     """
-    meter.cycles += 1.0
-    moved = true_position - meter.true_position if meter.cycles > 1.0 else 0.0
+    meter.cycles = cycle + 1.0
+    moved = true_position - meter.true_position if cycle else 0.0
     meter.true_position = true_position
     take_energy(settings, meter, moved, interaction, balance)
     meter.torque_peak = max(meter.torque_peak, abs(torque))
@@ -136,6 +138,11 @@ def take_energy(
     meter.believed_margin = min(meter.believed_margin, believed - dissipated)
     meter.believed_error = max(meter.believed_error, abs(believed - interaction))
     meter.surplus = balance.h_dis
+
+
+def diverge(meter: Meter) -> None:
+    """Takes it that a run diverged."""
+    meter.diverged = 1.0
 
 
 def compare(meter: Meter, position: float, torque: float, continuous_position: float, continuous_torque: float) -> None:

@@ -26,9 +26,9 @@ class SceneRow(NamedTuple):
     loop: LoopSettings
 
 
-def kernel_of(case: BatchCase) -> Kernel | None:
+def kernel_of(algorithm: str) -> Kernel | None:
     """Returns the kernel of an algorithm; None for a class of one's own that has none."""
-    kernel: Kernel | None = getattr(load(ALGORITHMS, case.algorithm, "passivity algorithm"), "kernel", None)
+    kernel: Kernel | None = getattr(load(ALGORITHMS, algorithm, "passivity algorithm"), "kernel", None)
     return kernel
 
 

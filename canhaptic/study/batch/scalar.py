@@ -80,7 +80,8 @@ def _metered(case: LoopCase, cycles: int, continuous: ContinuousReference | None
         if expected is not None:
             compare(meter, true_position, held, *next(expected))
         balance = controller.step(position, held)
-        take(environment, loop.meter, meter, position, true_position, held, 0.0 - plant.energy().motor, balance)
+        cycle, interaction = int(meter.cycles), 0.0 - plant.energy().motor
+        take(environment, loop.meter, meter, cycle, position, true_position, held, interaction, balance)
         if not -loop.furthest < true_position < loop.furthest:
             raise DivergedError(f"the axis is at {true_position:g}")
         return balance

@@ -70,4 +70,6 @@ def guided_case(
 ) -> LoopCase:
     """Returns a loop whose plant is held by a guided hand."""
     period = case.sample_time_ns
-    return replace(case, make_plant=lambda: GuidedPlant(parameters, hand, effects, period, course, seed))
+    return replace(
+        case, make_plant=lambda: GuidedPlant(parameters, hand, effects, period, course, seed), simulation=None
+    )

@@ -76,7 +76,7 @@ def with_floats(case: LoopCase, batch: BatchCase, cycles: int, last: int = 0) ->
         before = state[0]
         position = measured(loop, state[0])
         balance = controller.step(position, held)
-        take(plain(case.environment), loop.meter, meter, position, state[0], held, interaction, balance)
+        take(plain(case.environment), loop.meter, meter, k, position, state[0], held, interaction, balance)
         command = commanded(loop, balance.torque)
         held, waiting = (waiting, command) if loop.delay else (command, 0.0)
     names = [name for name in METRICS if name not in COUNTED]
