@@ -11,7 +11,6 @@ from canhaptic.cli.output import note_file, write_json, write_note
 from canhaptic.cli.scene_progress import scene_progress
 from canhaptic.cli.stop_signal import StopSignal
 from canhaptic.errors import InputError
-from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.study.sweep.run_sweep import Progress, sweep
 from canhaptic.study.sweep.summary import summary, summary_report
 from canhaptic.study.sweep.sweep_table import SweepTable
@@ -28,7 +27,6 @@ def execute(arguments: argparse.Namespace) -> int:
         CanHapticError: Bad input, a file that cannot be written, workers that die.
     """
     scene = scene_of(arguments)
-    refuse_displays(scene, "sweep")
     _check(arguments)
     with ExitStack() as stack:
         out = arguments.out

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
@@ -76,6 +77,23 @@ def group_under(group: GroupScene, name: str) -> GroupScene:
     given = group.passivity.parameters
     common = {key: getattr(given, key) for key in model.model_fields if key in type(given).model_fields}
     return replace(group, passivity=ComponentSpec(name, model().model_copy(update=common)))
+
+
+def display_under(axis: AxisScene, name: str) -> AxisScene:
+    """Returns an admittance display under another algorithm, with its defaults where it is not that of the scene.
+
+    Raises:
+        ParameterError: The algorithm needs parameters that the scene does not give.
+    """
+    if axis.passivity.name == name:
+        return axis
+    model = load(DISPLAY_ALGORITHMS, name, "admittance algorithm").parameters_type
+    try:
+        return replace(axis, passivity=ComponentSpec(name, model()))
+    except ValueError as error:
+        raise ParameterError(
+            f"{name}: needs parameters that the scene does not give; compare a scene with it"
+        ) from error
 
 
 def _with_known_plant(axis: AxisScene) -> _AbleAxis:

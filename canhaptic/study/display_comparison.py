@@ -8,11 +8,9 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
-from canhaptic.errors import ParameterError
-from canhaptic.registry import load
-from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import Scene
 from canhaptic.study.accounts_over_can import accounts_over_can, heading_of, known_algorithms
+from canhaptic.study.algorithms import display_under
 from canhaptic.study.scenes import cycles_of
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
@@ -63,7 +61,7 @@ def compare_displays(
 
 
 def _scene_under(scene: Scene, name: str) -> Scene:
-    return replace(scene, axes=tuple(_under(axis, name) for axis in scene.axes))
+    return replace(scene, axes=tuple(display_under(axis, name) for axis in scene.axes))
 
 
 def _of_axis(axis: str, found: Mapping[str, Any]) -> dict[str, Any]:
@@ -71,19 +69,6 @@ def _of_axis(axis: str, found: Mapping[str, Any]) -> dict[str, Any]:
         return {"status": found["status"], "remark": found["remark"]}
     status = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"]
     return {"status": status, "account": found["ports"][axis], "truth": found["truth"][axis]}
-
-
-def _under(axis: AxisScene, name: str) -> AxisScene:
-    """Returns an axis under another algorithm, with its defaults where it is not the one of the scene."""
-    if axis.passivity.name == name:
-        return axis
-    model = load(DISPLAY_ALGORITHMS, name, "admittance algorithm").parameters_type
-    try:
-        return replace(axis, passivity=ComponentSpec(name, model()))
-    except ValueError as error:
-        raise ParameterError(
-            f"{name}: needs parameters that the scene does not give; compare a scene with it"
-        ) from error
 
 
 def display_comparison_report(result: Mapping[str, Any]) -> RenderableType:

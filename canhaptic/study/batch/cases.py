@@ -79,6 +79,8 @@ def why_not_beforehand(scene: Scene) -> str:
 
 
 def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | None) -> str:
+    if simulation.admittance is not None:
+        return "an admittance display runs one by one"
     if own is not None:
         return f"algorithm {algorithm} is own code"
     if type(simulation.user) not in (UserParameters, type(None)):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from canhaptic.errors import InputError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
-from canhaptic.study.algorithms import with_algorithm
+from canhaptic.study.algorithms import display_under, with_algorithm
+from canhaptic.study.displays.display_loop import is_display
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import COMPLETED
 from canhaptic.study.sweep.points import CONTROLLER
@@ -35,6 +36,7 @@ class MapField:
         is_grid: Whether figures have one dimension per key.
         scene: Before anything varied, of this axis alone under this algorithm.
         algorithm: Its name.
+        is_display: Whether the axis is an admittance display.
     """
 
     def __init__(self, table: SweepTable, axis: str, controller: str = "", *, allow_code: bool = False) -> None:
@@ -54,6 +56,7 @@ class MapField:
         self.scene = _scene(table, axis, controller, allow_code)
         self.algorithm = self.scene.axes[0].passivity.name
         self.unit = self.scene.axes[0].parameters.unit
+        self.is_display = is_display(self.scene)
 
     def figure(self, metric: str) -> Array:
         """Returns a figure, one dimension per key of `keys` and one for all others in a grid; NaN where none is."""
@@ -127,8 +130,11 @@ def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> S
     """Returns the scene before anything varied, of one axis alone."""
     overrides = json.loads(table.note("overrides"))
     scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
-    [chosen] = [one for one in scene.axes if one.parameters.name == axis]
-    return replace(scene, axes=(with_algorithm(chosen, controller) if controller else chosen,))
+    chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.group))
+    if not controller:
+        return replace(scene, axes=(chosen,))
+    under = with_algorithm if chosen.parameters.admittance is None else display_under
+    return replace(scene, axes=(under(chosen, controller),))
 
 
 def _unit_of(scene: Scene, key: str) -> str:

@@ -14,6 +14,8 @@ from canhaptic.study.map.theory import theory_at
 from canhaptic.study.map.z_width import JUDGEMENTS, border_of, usual_judgement
 
 _STIFFNESS: Final = "environment.stiffness"
+_MASS: Final = "environment.mass"
+_OF_DISPLAYS: Final = ("mass_felt.share", "least_interaction", "guard_acts")
 _PREFERRED: Final = ("bus.rate", "environment.damping")
 _MOST_LINES: Final = 5
 _LEAST_ENERGY: Final = 1e-6  # [J]
@@ -39,10 +41,21 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
     _check(fields[0], chosen)
     if chosen.metric is not None or not fields[0].is_grid:
         return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
+    if fields[0].is_display:
+        return [list(_display_panels(one, chosen)) for one in fields]
     together = _together(fields, chosen)
     columns = [_usual_panels(one, chosen, beside=bool(together)) for one in fields]
     rows = [row for row in zip(*columns, strict=True) if any(panel.has_something() for panel in row)]
     return _below(together, [list(column) for column in zip(*rows, strict=True)] or columns)
+
+
+def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
+    """Returns the panels of an admittance display: the mass felt, the energy given out, how often a guard acts."""
+    metrics = [metric for metric in _OF_DISPLAYS if field.has(metric)]
+    if len(field.keys) == 1:
+        return [_profile(field, field.keys[0], metric) for metric in metrics]
+    x = chosen.x or next((key for key in field.keys if key == _MASS), None)
+    return [_metric_panel(field, Chosen(x, chosen.y), metric) for metric in metrics]
 
 
 def _below(together: list[Lines], columns: list[list[Panel]]) -> list[list[Panel | None]]:
@@ -188,7 +201,7 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
         with np.errstate(all="ignore"):
             return np.where(asked > 0.0, values / asked, np.nan), "damping rendered over asked", "share"
     if metric.endswith(".share"):
-        return values, "stiffness rendered over asked", "share"
+        return values, f"{'mass felt' if metric == 'mass_felt.share' else 'stiffness rendered'} over asked", "share"
     if metric == _ERROR:
         return values, f"position error, rms [{field.scene.axes[0].parameters.unit}]", "error"
     return values, metric, "plain"

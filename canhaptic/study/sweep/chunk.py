@@ -26,6 +26,8 @@ from canhaptic.study.batch import (
 )
 from canhaptic.study.batch.group_case import group_case
 from canhaptic.study.batch.group_scalar import group_figures, group_meter
+from canhaptic.study.displays.display_figures import DISPLAY_METRICS, display_figures
+from canhaptic.study.displays.display_loop import is_display
 from canhaptic.study.loop import Array
 from canhaptic.study.scenes import parts_of
 from canhaptic.study.sweep.places import batch_key
@@ -45,9 +47,19 @@ from canhaptic.study.sweep.recipe import (
 
 RADIUS: Final = "spectral_radius"
 """Metric of the linear sampled loop, from its eigenvalues; NaN where the loop is not linear."""
-FIGURES: Final = (*ALL, RADIUS)
+FIGURES: Final = tuple(dict.fromkeys((*ALL, RADIUS, *DISPLAY_METRICS)))
 USUAL: Final = (*METRICS, RADIUS)
 """Metrics that need no continuous run of each scene."""
+
+
+def usual_figures(scene: Scene) -> tuple[str, ...]:
+    """Returns the metrics of a sweep that names none: of each kind of display that a scene has."""
+    displays = [is_display(part) for part in parts_of(scene).values()]
+    if not any(displays):
+        return USUAL
+    return tuple(DISPLAY_METRICS) if all(displays) else tuple(dict.fromkeys((*USUAL, *DISPLAY_METRICS)))
+
+
 STATUS: Final = ("pending", "completed", "refused", "failed")
 COMPLETED, REFUSED, _FAILED = (STATUS.index(name) for name in ("completed", "refused", "failed"))
 ENGINES: Final = ("none", "closed form", "python", "numba", "scalar")
@@ -261,9 +273,11 @@ def _alone(built: Built, name: str) -> Scene:
     return parts_of(built.permitted())[name]
 
 
-def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[dict[str, float], bool]:
+def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[Mapping[str, float], bool]:
     """Returns the figures of one axis or group, and whether its loop was compiled."""
     cycles = cycles_in(recipe, scene)
+    if is_display(scene):
+        return display_figures(scene, cycles, asked), False
     if not scene.groups:
         return run_scalar(scene, cycles, asked), False
     case = group_case(scene)

@@ -14,11 +14,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.errors import InputError, ParameterError, SceneConflictError, SceneError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.own_code import require_same_code
-from canhaptic.study.algorithms import PLANT_OF, able_under, chosen_algorithms
+from canhaptic.study.accounts_over_can import known_algorithms
+from canhaptic.study.algorithms import PLANT_OF, able_under, chosen_algorithms, display_under
 from canhaptic.study.batch.engine import ChosenEngine
 from canhaptic.study.loop import Array
 from canhaptic.study.scenes import at_rate, cycles_of, parts_of
@@ -54,6 +56,7 @@ class Recipe:
         seed: From which every scene's own follows.
         allow_code: Whether the program files that scenes name may run, here and in workers.
         own_code: (file or plug-in, SHA-256) of what the scene names; a worker that has another refuses the scene.
+        displays: Whether every axis is an admittance display.
         alone: Why every scene runs by itself although it might fit a batch; "" where batches pay.
     """
 
@@ -70,6 +73,7 @@ class Recipe:
     beyond_bus: bool
     seed: int
     alone: str = ""
+    displays: bool = False
     allow_code: bool = False
     own_code: tuple[tuple[str, str], ...] = ()
 
@@ -130,6 +134,7 @@ def make_recipe(
         engine,
         beyond_bus,
         scene.simulation.seed if scene.simulation else 0,
+        displays=all(axis.parameters.admittance is not None for axis in scene.axes),
         allow_code=allow_code or bool(scene.own_code),
         own_code=tuple(scene.own_code.items()),
     )
@@ -211,7 +216,11 @@ def _try_alone(recipe: Recipe, varied: Varied) -> None:
         SceneError: One is; the message is that of the scene.
     """
     if varied.key == CONTROLLER:
-        chosen_algorithms([str(value) for value in varied.values])
+        names = [str(value) for value in varied.values]
+        if recipe.displays:
+            known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", names)
+        else:
+            chosen_algorithms(names)
         return
     for value in varied.ends:
         texts = _overrides(recipe, {varied.key: value}, with_unit=True)
@@ -250,6 +259,9 @@ def _under(scene: Scene, controller: str) -> Built:
         return Built(None, f"{CONTROLLER} {controller}: group {scene.groups[0].name!r} has algorithms of its own")
     for axis in scene.axes:
         try:
+            if axis.parameters.admittance is not None:
+                axes.append(display_under(axis, controller))
+                continue
             chosen = able_under(axis, controller, scene)
         except ParameterError as error:
             return Built(None, _first_line(error))

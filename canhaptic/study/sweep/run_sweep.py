@@ -25,8 +25,9 @@ from canhaptic.study.algorithms import with_algorithm
 from canhaptic.study.batch import why_not_batchable
 from canhaptic.study.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.study.batch.group_case import group_case
+from canhaptic.study.displays.display_loop import is_display
 from canhaptic.study.scenes import cycles_of, parts_of
-from canhaptic.study.sweep.chunk import FIGURES, USUAL, ChunkResult, is_batch_key, run_chunk
+from canhaptic.study.sweep.chunk import FIGURES, ChunkResult, is_batch_key, run_chunk, usual_figures
 from canhaptic.study.sweep.points import Points, make_points
 from canhaptic.study.sweep.recipe import RATE, Recipe, make_recipe, scene_of
 from canhaptic.study.sweep.sweep_table import Columnset, SweepTable, create
@@ -144,7 +145,7 @@ def _make_sweep(
         seed: Of the hypercube.
         duration: Of every scene [s]; by default that of the scene.
         cycles: SYNCs of every scene instead of a duration.
-        metrics: Names of `FIGURES`; by default `USUAL`, which need no continuous run of each scene.
+        metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
         engine: For scenes that fit a batch; "auto" is numba where it is installed and pays.
         chunk: Scenes that are finished together; changes nothing but how much a kill can lose.
         beyond_bus: Whether to judge rates that the bus could not carry, instead of refusing them.
@@ -164,7 +165,7 @@ def _make_sweep(
     recipe = make_recipe(
         scene,
         points,
-        metrics=tuple(dict.fromkeys(metrics or USUAL)),
+        metrics=tuple(dict.fromkeys(metrics or usual_figures(scene))),
         engine=chosen_engine(engine, pays=False),
         duration=duration,
         cycles=cycles,
@@ -172,7 +173,7 @@ def _make_sweep(
         allow_code=allow_code,
     )
     together = _together(recipe, points)
-    if together < _FEWEST_TOGETHER and not scene.groups:
+    if together < _FEWEST_TOGETHER and not scene.groups and not recipe.displays:
         reason = f"only {together} of the scenes differ in nothing but keys of a batch, expected {_FEWEST_TOGETHER}"
         recipe = replace(recipe, alone=reason)
     least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
@@ -291,7 +292,7 @@ def _together(recipe: Recipe, points: Points) -> int:
 
 def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
     """Whether some of the scenes will have to run one by one."""
-    if scene.groups:
+    if scene.groups or any(is_display(part) for part in parts_of(scene).values()):
         return True
     for axis in scene.axes:
         for name in controllers or (axis.passivity.name,):

@@ -73,6 +73,10 @@ def _shares(selected: Selected) -> dict[str, Any]:
         found["stable"] = selected.share("spectral_radius", lambda values: values < 1.0, finite=True)
     if "stiffness_rendered.share" in asked:
         found["stiffness_rendered"] = selected.median("stiffness_rendered.share")
+    if "mass_felt.share" in asked:
+        found["mass_felt"] = selected.median("mass_felt.share")
+    if "guard_acts" in asked:
+        found["guard_acts"] = selected.median("guard_acts")
     return found
 
 
@@ -109,6 +113,8 @@ _COLUMNS: Final = {
     "diverged": "diverged",
     "stable": "linear loop stable",
     "stiffness_rendered": "stiffness, median",
+    "mass_felt": "mass felt, median",
+    "guard_acts": "guard acts, median",
 }
 
 
