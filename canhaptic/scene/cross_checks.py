@@ -89,7 +89,10 @@ def _check_loss_limits(scene: Scene, entries: list[MarkedMapping], faults: Diagn
 
 
 def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
-    """Notes axes whose TPDO shows a torque that no RPDO has carried yet: with `event` the RPDO follows the SYNC."""
+    """Notes axes whose TPDO shows a torque that no RPDO has carried yet: with `event` the RPDO follows the SYNC.
+
+    And those of which nothing is read back behind a lost TPDO, where a certificate is to survive lost RPDOs.
+    """
     for axis, entry in zip(scene.axes, entries, strict=True):
         bus = next(bus.parameters for bus in scene.buses if bus.name == axis.bus)
         if axis.parameters.demand_reported == "after" and bus.rpdo == "event":
@@ -97,6 +100,14 @@ def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: D
                 entry.value_at("demand_reported"),
                 "got 'after', but with bus.rpdo: event no torque changes at SYNC: the TPDO shows that of the hold "
                 "that ended; leave it out, or set rpdo: synchronous",
+            )
+        of = next((group.passivity for group in scene.groups if group.name == axis.group), axis.passivity).parameters
+        losses = getattr(of, "max_consecutive_losses", 0)
+        if axis.parameters.demand_reported == "after" and losses:
+            faults.add(
+                entry.value_at("demand_reported"),
+                f"got 'after' with max_consecutive_losses {losses}: a lost TPDO would have shown the torque of the "
+                "next hold, and where an RPDO is lost as well nothing shows it; set max_consecutive_losses: 0",
             )
 
 

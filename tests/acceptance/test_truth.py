@@ -5,8 +5,15 @@
 
 import pytest
 
+from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.scene.models import LOOP_KEYS
+from canhaptic.sim.plant.effects import EFFECTS
 from tools.bench.truth import fault_table, is_false, outcome_of, outcome_with_fault, table_of
-from tools.truth.judge import Outcome
+from tools.truth.faults import with_fault
+from tools.truth.judge import Outcome, judged
+from tools.truth.scenes import random_scene
 
 SCENES = 150
 QUICK = 50
@@ -14,24 +21,27 @@ QUICK = 50
 KNOWN: dict[str, str] = {}
 """Named by a scene with a false claim, and why. Each is needed: what is mended must go from here."""
 
+_KINDS = ("effect", "environment", "algorithm")
+
 MENDED = {
     204061: "lost positions of a group",
     205488: "the same, drives with a limit of their own",
     206597: "lost positions, torques booked at their worst",
     208872: "lost positions of a hand without a bound",
     203884: "energy_bounding with SYNCs that come late",
+    700198: "a lost TPDO that showed the torque of the next hold",
 }
 
 
 @pytest.mark.parametrize("seed", MENDED)
 def test_what_was_mended_stays_mended(seed: int) -> None:
-    outcome = outcome_of(seed)
+    _, outcome = judged(random_scene(seed, further=False))
     assert outcome.declared
     assert outcome.false_claims == ()
 
 
 def test_a_hold_ended_by_a_late_sync_dissipates_for_its_own_length():
-    assert outcome_with_fault(400828).false_claims == ()
+    assert judged(with_fault(random_scene(400828, further=False)))[1].false_claims == ()
 
 
 def _outcomes(scenes: int) -> list[Outcome]:
@@ -52,6 +62,22 @@ class TestNoFalseClaim:
         counted = [outcome for outcome in outcomes if outcome.counts]
         assert len(counted) > 0.85 * scenes
         assert table_of(outcomes)[0]["runs"] == len(counted)
+
+
+def test_scenes_name_every_effect_environment_limit_algorithm_and_declaration():
+    named, keys = set(), set()
+    for seed in range(1200):
+        scene = random_scene(seed)
+        named |= scene.tags
+        keys |= scene.passivity.keys() if scene.promises else set()
+        keys |= scene.values["axes"][0].keys()
+    of = {kind: {tag.partition(":")[2] for tag in named if tag.startswith(f"{kind}:")} for kind in _KINDS}
+    assert of["effect"] == set(EFFECTS)
+    assert of["environment"] == set(ENVIRONMENTS) - {"free_space"}  # nothing is touched there
+    assert of["algorithm"] == {*ALGORITHMS, "step_scaling"}
+    from_the_scene = {"sync_jitter", "torque_window", "current_lag", "delay", "sample_time"}
+    assert keys >= GuardedParameters.model_fields.keys() | set(LOOP_KEYS) - from_the_scene
+    assert keys >= {"torque_limit", "torque_rate_limit", "power_limit", "read_back", "demand_reported", "direction"}
 
 
 def test_faults_of_bus_drive_and_host_leave_no_false_claim_either():

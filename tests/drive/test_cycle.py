@@ -51,6 +51,17 @@ def test_a_drive_that_reports_the_next_demand_is_shifted_back_by_one(bench: Make
     assert samples == pytest.approx([0.0, 0.0, 1.0, 2.0])
 
 
+def test_behind_a_lost_tpdo_that_showed_the_next_torque_the_command_of_that_hold_is_booked(bench: MakeBench) -> None:
+    b = started(bench, [axis(demand_reported="after")], drive_values={"torque_read_back": "after_update"})
+    samples = []
+    for k, command in enumerate([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]):
+        b.tampered.drop(*([0x185] if k == 3 else []))
+        samples.append(b.rig.sync()[0])
+        b.rig.write_torques([command])
+    assert [sample.fresh for sample in samples] == [True, True, True, False, True, True]
+    assert [sample.torque_applied for sample in samples if sample.fresh] == pytest.approx([0.0, 0.0, 1.0, 3.0, 3.0])
+
+
 def test_direction_turns_position_and_torque_together(bench: MakeBench) -> None:
     b = started(bench, [axis(direction=-1)])
     samples = b.run(10, torque=2.0)

@@ -227,6 +227,15 @@ def test_a_torque_that_begins_at_sync_needs_torques_that_change_at_sync(tmp_path
     assert "demand_reported: got 'after', but with bus.rpdo: event no torque changes at SYNC" in line
 
 
+_SURVIVES_A_LOSS = "passivity={algorithm: guarded, hand_force: null, device_damping: 1, max_consecutive_losses: 1}"
+
+
+def test_no_losses_are_certified_where_a_lost_frame_showed_the_torque_of_the_next_hold(tmp_path: Path) -> None:
+    lines = faults(tmp_path, overrides=(_SURVIVES_A_LOSS, "axes.0.demand_reported=after"))
+    [line] = [line for line in lines if "demand_reported: got 'after' with max_consecutive_losses 1" in line]
+    assert line.endswith("set max_consecutive_losses: 0")
+
+
 def test_a_window_shorter_than_the_frames_is_refused_where_drives_may_be_real(tmp_path: Path) -> None:
     """47 bits for SYNC, 47 + 64 each for a TPDO and 47 + 32 for an RPDO of 4 bytes, at 1 Mbit/s; no stuff bits."""
     real = ("bus.interface=socketcan", "bus.channel=can0", "simulation=null")

@@ -1,7 +1,8 @@
 """How hard a simulated hand really pulled and pushed: whether a declared hand force was true.
 
 Read from the states of the simulated plant at every SYNC. What else can move the body at the encoder besides motor and
-bearings counts as hand: dry friction and cogging by their largest values, a shaft by its own torque.
+bearings counts as hand: dry friction beyond its declared bound and cogging by their largest values, a shaft by its own
+torque.
 """
 
 import math
@@ -31,6 +32,7 @@ class HandWatch:
     Attributes:
         pull: Largest force out of the wall while a torque points there; per axis [N or N*m].
         push: Largest force into the wall while a torque points there; per axis [N or N*m].
+        speed: Largest mean speed of a hold; per axis [m/s or rad/s].
     """
 
     def __init__(self, experiment: Experiment, outward: Sequence[int]) -> None:
@@ -41,10 +43,17 @@ class HandWatch:
         self._torques: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
         self.pull = [0.0] * len(self._forces)
         self.push = [0.0] * len(self._forces)
+        self.speed = [0.0] * len(self._forces)
+        motors: list[Any] = [drive.servo.motor for drive in experiment.far_side.drives] if experiment.far_side else []
+        self._motors, self._period = motors, experiment.rig.bus.sample_time
+        self._positions = [motor.position for motor in motors]
 
     def __call__(self, _cycles: int) -> None:
         """Reads the forces of the SYNC that was just answered; given to `run` as its progress."""
         sent = self._rig.records[-1].torques_per_mille
+        for axis, motor in enumerate(self._motors):
+            before, self._positions[axis] = self._positions[axis], motor.position
+            self.speed[axis] = max(self.speed[axis], _BETWEEN_SYNCS * abs(motor.position - before) / self._period)
         for axis, read in enumerate(self._forces):
             self._seen[axis].append(read())
             self._torques[axis].append(self._rig.drives[axis].scaling.torque(sent[axis]))
@@ -64,7 +73,7 @@ def _readers(experiment: Experiment) -> list[_Force]:
     for drive, axis in zip(drives, experiment.scene.axes, strict=True):
         motor: Any = drive.servo.motor
         if isinstance(motor, Plant):
-            readers.append(_of_plant(motor))
+            readers.append(_of_plant(motor, axis.loop.device_friction_bound or 0.0))
         else:
             of = next(of for of in mechanisms if axis.parameters.name in of.axes)
             if of.mechanism.name == "xy_stage":
@@ -74,18 +83,19 @@ def _readers(experiment: Experiment) -> list[_Force]:
     return readers
 
 
-def _of_plant(plant: Plant) -> _Force:
-    margin = sum(_largest(effect) for effect in plant.effects)
+def _of_plant(plant: Plant, declared_friction: float) -> _Force:
+    friction = sum(_dry_friction(effect) for effect in plant.effects)
+    margin = max(0.0, friction - declared_friction)
+    margin += sum(getattr(effect, "amplitude", 0.0) for effect in plant.effects if effect.type == "cogging")
     shafts = [effect for effect in plant.effects if effect.type == "shaft_compliance"]
     force = _of_shaft(plant, shafts[0]) if shafts else _of_hand(plant, plant.user)
     return lambda: math.copysign(abs(force()) + margin, force())
 
 
-def _largest(effect: Any) -> float:
-    """Returns what an effect that is no hand may push with; viscous friction cannot."""
-    if effect.type in ("coulomb_friction", "stribeck_friction", "lugre_friction"):
-        return float(max(effect.static, effect.kinetic))
-    return float(effect.amplitude) if effect.type == "cogging" else 0.0
+def _dry_friction(effect: Any) -> float:
+    """Returns what dry friction may push with; viscous friction cannot."""
+    is_dry = effect.type in ("coulomb_friction", "stribeck_friction", "lugre_friction")
+    return float(max(effect.static, effect.kinetic)) if is_dry else 0.0
 
 
 def _of_hand(plant: Plant, user: UserParameters | None) -> _Force:

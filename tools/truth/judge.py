@@ -90,10 +90,15 @@ def _with_true_hand(scene: TruthScene, watch: HandWatch) -> TruthScene:
     values = copy.deepcopy(scene.values)
     raised = replace(scene, values=values)
     section = raised.passivity
-    for key, seen in (("hand_force", max(watch.pull)), ("hand_push", max(watch.push))):
+    for key, seen in _of_hand(watch).items():
         if section.get(key) is not None and seen > section[key]:
             section[key] = float(f"{1.2 * seen:.4g}")
     return raised
+
+
+def _of_hand(watch: HandWatch) -> dict[str, float]:
+    """Returns what a scene may declare of the hand, as it really was."""
+    return {"hand_force": max(watch.pull), "hand_push": max(watch.push), "hand_speed": max(watch.speed)}
 
 
 def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
@@ -160,9 +165,8 @@ def _outcome(
 ) -> Outcome:
     ports = {name: port for name, port in account["ports"].items() if "passive" in port}
     section = scene.passivity
-    pull, push = max(watch.pull), max(watch.push)
-    within = pull <= section.get("hand_force", 0.0)
-    within = within and (section.get("hand_push") is None or push <= section["hand_push"])
+    hand = _of_hand(watch)
+    within = all(section.get(key) is None or seen <= section[key] for key, seen in hand.items())
     declared = scene.is_true and (within or not scene.promises)
     claims = [
         claim for name, port in ports.items() for claim in _false_claims(name, port, account["truth"][name], section)

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from tools.truth.five_bar import make_five_bar
+from tools.truth.further import add_further
 
 SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "truth.yaml")
 """Where paths of a scene start from."""
@@ -81,8 +82,13 @@ class _Chance:
         return name
 
 
-def random_scene(seed: int) -> TruthScene:
-    """Returns the scene of a seed."""
+def random_scene(seed: int, *, further: bool = True) -> TruthScene:
+    """Returns the scene of a seed.
+
+    Args:
+        seed: Any.
+        further: Whether with what `add_further` draws.
+    """
     chance = _Chance(seed)
     group = chance.named("group", {"": 0.8, "xy_box": 0.1, "coupled_handles": 0.1})
     rate = chance.one_of(_RATES_OF_GROUPS if group else _RATES)
@@ -102,6 +108,8 @@ def random_scene(seed: int) -> TruthScene:
         chance.tags -= {"group:xy_box"}
         chance.tags.add("group:five_bar")
         make_five_bar(np.random.default_rng([seed, 22]), values)
+    if further:
+        outward = add_further(seed, values, chance.tags, outward)
     _declare_falsely(chance, values)
     chance.tags.add(f"rate:{rate}")
     return TruthScene(seed, values, frozenset(chance.tags), outward, values["duration"])

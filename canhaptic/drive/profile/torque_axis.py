@@ -240,6 +240,7 @@ class TorqueAxis(ABC):
             self._acting = self._commanded
             if not self.is_complete:
                 self.unheard += 1
+                self._reported = self._acting  # what it would have shown where `_shows_next`
             elif self._shows_next:
                 self._reported = self._values[2]
             self._last = self._last._replace(sync_index=sync_index, fresh=False)
