@@ -117,6 +117,7 @@ def sweep(
             stack.callback(pool.close)
         run = _Run(asked, table, progress)
         run.run(executor or SerialExecutor(), 1 if executor is None else in_flight, stop_requested)
+        table.merge()
         return run.state
 
 

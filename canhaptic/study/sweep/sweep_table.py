@@ -1,4 +1,4 @@
-"""The file of a sweep: HDF5 with a layout that is fixed before the first scene runs.
+"""The file of a sweep: HDF5 with every value of every scene, and what it gave.
 
     /values/KEY            what each scene had: numbers in SI, or the index of a text in the attribute `texts`
     /figures/AXIS/METRIC   what it gave; NaN where there is nothing
@@ -6,13 +6,11 @@
     /remark /texts         one more than the index among the texts of the scene's chunk; 0 for none
     /done                  one flag per chunk
 
-Every byte is laid out, filled and on the disk before a scene runs, so that a disk that is too small says so at once.
-HDF5 itself writes only the layout (it crashes where a disk is full), and that is not written again: the rows of a
-chunk go to their places, are flushed to the disk, and only then the chunk's flag is set. A kill at any moment leaves a
-valid file in which each chunk is either there or not.
+Chunks are files of their own (`chunk_files`) until a run ends; then all of them are merged into a new file, which is
+renamed into the place of the old one. A reader sees what is merged and what is not. That there is room for all results
+is asked before a scene runs, and before each merge: HDF5 crashes where a disk is full.
 """
 
-import errno
 import json
 import os
 from collections.abc import Iterator
@@ -27,12 +25,12 @@ from numpy.typing import NDArray
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
 from canhaptic.study.loop import Array
 from canhaptic.study.sweep.chunk import ENGINES, SLOTS, STATUS, ChunkResult
+from canhaptic.study.sweep.chunk_files import KEPT, ChunkFiles, write_error
 from canhaptic.study.sweep.points import Column, Points
 
 _FORMAT: Final = "canhaptic sweep"
 _VERSION: Final = 1
 _TEXT_BYTES: Final = 320
-_KEPT: Final = "what was finished is kept, --resume goes on"
 _NOTHING_RUN: Final = "nothing has been run"
 _ROOM_OF_LAYOUT: Final = 1 << 20
 """Least room for names, attributes and remarks [bytes]."""
@@ -63,7 +61,7 @@ class SweepTable:
     def __init__(self, path: Path, *, writable: bool = False) -> None:
         self.path = path
         self._file = _opened(path)
-        self._writer = _Writer(path, self._file) if writable else None
+        self._chunks = ChunkFiles(path, writable=writable)
 
     def __enter__(self) -> Self:
         return self
@@ -75,8 +73,7 @@ class SweepTable:
 
     def close(self) -> None:
         """Closes the file."""
-        if self._writer is not None:
-            self._writer.close()
+        self._chunks.close()
         self._file.close()
 
     def __len__(self) -> int:
@@ -114,7 +111,9 @@ class SweepTable:
 
     def done(self) -> NDArray[np.bool_]:
         """Returns which chunks are there, shape (n_chunks,)."""
-        return np.asarray(self._file["done"]).astype(bool)
+        flags = np.asarray(self._file["done"]).astype(bool)
+        flags[sorted(self._chunks.there)] = True
+        return flags
 
     def span(self, chunk: int) -> tuple[int, int]:
         """Returns first scene and one beyond the last of a chunk."""
@@ -144,116 +143,114 @@ class SweepTable:
 
     def figure(self, axis: str, metric: str, start: int = 0, stop: int | None = None) -> Array:
         """Returns a figure of every scene, NaN where there is none, shape (n,)."""
-        return np.asarray(self._file[f"figures/{_name(axis)}/{metric}"][start:stop])
+        return self._column(f"figures/{_name(axis)}/{metric}", start, stop)
 
     def status(self, start: int = 0, stop: int | None = None) -> NDArray[np.uint8]:
         """Returns the status of every scene, an index in `STATUS`, shape (n,)."""
-        return np.asarray(self._file["status"][start:stop])
+        return self._column("status", start, stop)
 
     def engine(self, start: int = 0, stop: int | None = None) -> NDArray[np.uint8]:
         """Returns what computed every scene, an index in `ENGINES`, shape (n,)."""
-        return np.asarray(self._file["engine"][start:stop])
+        return self._column("engine", start, stop)
 
     def remark(self, scene: int) -> str:
         """Returns why a scene was refused, why it ran alone, or what its algorithm took from the plant."""
-        number = int(self._file["remark"][scene])
+        number = int(self._column("remark", scene, scene + 1)[0])
         return self._texts(scene // self.chunk)[number - 1] if number else ""
 
     def remarks(self) -> Iterator[tuple[str, str, str, int]]:
         """Yields (status, engine, remark, number of scenes) of each chunk in turn, alike ones counted together."""
         for chunk in np.flatnonzero(self.done()).tolist():
             start, stop = self.span(chunk)
-            rows = np.stack([self.status(start, stop), self.engine(start, stop), self._file["remark"][start:stop]])
+            rows = np.stack([self.status(start, stop), self.engine(start, stop), self._column("remark", start, stop)])
             texts = self._texts(chunk)
             kinds, counts = np.unique(rows, axis=1, return_counts=True)
             for (status, engine, number), count in zip(kinds.T.tolist(), counts.tolist(), strict=True):
                 yield STATUS[status], ENGINES[engine], texts[number - 1] if number else "", count
 
     def write(self, chunk: int, result: ChunkResult) -> None:
-        """Writes a chunk: its rows, and when those are on the disk its flag.
+        """Keeps a chunk, on the disk when this returns.
 
         Raises:
             LogWriteError: The disk refuses; what was finished before stays.
         """
-        if self._writer is None:
-            raise LogWriteError(f"{self.path}: is open for reading only; open it with writable=True")
-        start = self.span(chunk)[0]
-        rows: dict[str, NDArray[Any]] = {_path_of(name): values for name, values in result.figures.items()}
-        rows |= {"status": result.status, "engine": result.engine, "remark": result.remark}
+        columns: dict[str, NDArray[Any]] = {_path_of(name): values for name, values in result.figures.items()}
+        columns |= {"status": result.status, "engine": result.engine, "remark": result.remark}
         texts = np.zeros(SLOTS, dtype=f"S{_TEXT_BYTES}")
         texts[: len(result.texts)] = [_cut(text) for text in result.texts]
-        for path, values in rows.items():
-            self._writer.put(path, start, values)
-        self._writer.put("texts", chunk * SLOTS, texts)
-        self._writer.flush()
-        self._writer.put("done", chunk, np.ones(1, dtype=np.uint8))
+        self._chunks.write(chunk, columns | {"texts": texts, "done": np.ones(1, dtype=np.uint8)})
+
+    def merge(self) -> None:
+        """Brings every chunk into the file.
+
+        Raises:
+            LogWriteError: The disk refuses; the chunks stay.
+        """
+        if not self._chunks.there:
+            return
+        names: list[str] = []
+        self._file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+        size = sum(self._file[name].size * self._file[name].dtype.itemsize for name in names)
+        with _Beginning(self.path, size, KEPT) as beginning, _made(beginning) as file:
+            _copy_attributes(self._file, file)
+            for name in names:
+                _copy_attributes(self._file[name], file.create_dataset(name, data=self._column(name)))
+        self._file.close()
+        self._file = _opened(self.path)
+        self._chunks.clear()
+
+    def _column(self, path: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Returns a column, with what is not merged yet."""
+        found = np.asarray(self._file[path][start:stop])
+        places = {"texts": SLOTS, "done": 1}.get(path, self.chunk)  # of a chunk
+        if path.startswith("values/") or not self._chunks.there:
+            return found
+        for chunk in range(start // places, -(-(start + len(found)) // places)):
+            if chunk in self._chunks.there:
+                first = chunk * places
+                low, high = max(start, first), min(start + len(found), first + places)
+                found[low - start : high - start] = self._chunks.read(chunk, path)[low - first : high - first]
+        return found
 
     def _texts(self, chunk: int) -> list[str]:
-        raw = self._file["texts"][chunk * SLOTS : (chunk + 1) * SLOTS]
+        raw = self._column("texts", chunk * SLOTS, (chunk + 1) * SLOTS)
         return [bytes(text).decode("utf-8", "replace") for text in raw]
 
 
-class _Writer:
-    """Writes rows at the places that HDF5 gave its columns, without HDF5.
+class _Beginning:
+    """A file that is made next to another and takes its place, whole and on the disk, or goes.
 
     Args:
-        path: Of the file, for messages.
-        file: The same, open in HDF5.
-        place: Where it is, when not at its path yet.
+        path: Of the other.
+        size: Of its columns [bytes].
         kept: What a failure leaves behind, for messages.
     """
 
-    def __init__(self, path: Path, file: Any, place: Path | None = None, kept: str = _KEPT) -> None:
-        import fcntl  # not on Windows
+    def __init__(self, path: Path, size: int, kept: str) -> None:
+        self._path, self._size, self._kept = path, size, kept
+        self._beginning = path.with_name(f".{path.name}.{os.getpid()}")
 
-        self._path, self._kept = path, kept
+    def __enter__(self) -> Path:
         try:
-            self._descriptor = os.open(place or path, os.O_RDWR)
-            fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            os.close(self._descriptor)
-            raise LogWriteError(f"{path}: another sweep writes it; wait for its end, or give another --out") from error
+            _reserve(self._beginning, self._size)
         except OSError as error:
-            raise _write_error(path, error, kept) from error
-        self._places: dict[str, tuple[int, np.dtype[Any]]] = {}
+            self._beginning.unlink(missing_ok=True)
+            raise write_error(self._path, error, self._kept) from error
+        return self._beginning
 
-        def visit(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset):
-                self._places[name] = item.id.get_offset(), item.dtype
-
-        file.visititems(visit)
-
-    def put(self, path: str, start: int, values: NDArray[Any]) -> None:
-        """Writes consecutive elements of a column."""
-        offset, dtype = self._places[path]
-        content = memoryview(np.ascontiguousarray(values, dtype=dtype).tobytes())
-        offset += start * dtype.itemsize
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         try:
-            while content:
-                written = os.pwrite(self._descriptor, content, offset)
-                content, offset = content[written:], offset + written
-        except OSError as error:
-            raise _write_error(self._path, error, self._kept) from error
-
-    def fill(self, path: str, count: int, value: NDArray[Any]) -> None:
-        """Writes one value all over a column."""
-        block = np.full(min(count, _BLOCK), value)
-        for start in range(0, count, _BLOCK):
-            self.put(path, start, block[: count - start])
-
-    def flush(self) -> None:
-        """Waits until the disk has everything."""
-        try:
-            os.fdatasync(self._descriptor)
-        except OSError as error:
-            raise _write_error(self._path, error, self._kept) from error
-
-    def close(self) -> None:
-        """Closes the file, everything flushed."""
-        try:
-            self.flush()
+            if error is None:
+                _flush(self._beginning)
+                self._beginning.replace(self._path)
+        except OSError as failed:
+            raise write_error(self._path, failed, self._kept) from failed
         finally:
-            os.close(self._descriptor)
+            self._beginning.unlink(missing_ok=True)
+        if isinstance(error, OSError | RuntimeError) and not isinstance(error, LogWriteError):
+            raise write_error(self._path, error, self._kept) from error
 
 
 def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replace: bool = False) -> None:
@@ -261,30 +258,17 @@ def create(path: Path, points: Points, chunk: int, columns: Columnset, *, replac
 
     Raises:
         InputError: It exists.
-        LogWriteError: The folder is missing or read-only, or the disk is too small for all results.
+        LogWriteError: The folder is missing or read-only, the disk is too small for all results, or another process
+            writes it.
     """
     if path.exists() and not replace:
         raise InputError(f"{path} already exists; --resume continues it, --force replaces it")
-    beginning = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        _reserve(beginning, len(points) * (8 * (len(columns.figures) + len(points.varied)) + 3))
-        with h5py.File(beginning, "w", libver=("earliest", "v110"), locking=False) as file:
-            fills = _lay_out(file, points, chunk, columns)
-        with h5py.File(beginning, "r", locking=False) as file:
-            writer = _Writer(path, file, beginning, _NOTHING_RUN)
-        try:
-            for name, (count, fill) in fills.items():
-                writer.fill(name, count, fill)
-            _write_values(writer, points)
-        finally:
-            writer.close()
-        beginning.replace(path)
-    except LogWriteError:
-        raise  # an OSError itself, whose message is complete
-    except (OSError, RuntimeError) as error:
-        raise _write_error(path, error, _NOTHING_RUN) from error
-    finally:
-        beginning.unlink(missing_ok=True)
+    size = len(points) * (8 * (len(columns.figures) + len(points.varied)) + 3)
+    with _Beginning(path, size, _NOTHING_RUN) as beginning, _made(beginning) as file:
+        _lay_out(file, points, chunk, columns)
+        earlier = ChunkFiles(path, writable=True)  # of a sweep that is replaced, or whose file is gone
+        earlier.clear()
+        earlier.close()
 
 
 def _reserve(path: Path, size: int) -> None:
@@ -296,44 +280,52 @@ def _reserve(path: Path, size: int) -> None:
         os.close(descriptor)
 
 
-_Fills = dict[str, tuple[int, NDArray[Any]]]
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
-def _lay_out(file: Any, points: Points, chunk: int, columns: Columnset) -> _Fills:
-    """Makes all columns, each in one piece with its room allotted; returns what each one begins with."""
+def _made(path: Path) -> Any:
+    return h5py.File(path, "w", libver=("earliest", "v110"), locking=False)
+
+
+def _copy_attributes(source: Any, target: Any) -> None:
+    for name in sorted(source.attrs):
+        target.attrs[name] = source.attrs[name]
+
+
+def _lay_out(file: Any, points: Points, chunk: int, columns: Columnset) -> None:
+    """Makes all columns: the values, and empty ones for the results, which take no room yet."""
     count, chunks = len(points), -(-len(points) // chunk)
     file.attrs["format"], file.attrs["format_version"], file.attrs["chunk"] = _FORMAT, _VERSION, chunk
     file.attrs["identity"] = json.dumps(columns.identity, sort_keys=True)
     for name, text in columns.notes.items():
         file.attrs[name] = text
-    nothing, zero = np.array(np.nan), np.array(0, dtype="u1")
-    fills: _Fills = {_path_of(name): (count, nothing) for name in columns.figures}
-    fills |= dict.fromkeys(("status", "engine", "remark"), (count, zero))
-    fills |= {"texts": (chunks * SLOTS, np.array(b"", dtype=f"S{_TEXT_BYTES}")), "done": (chunks, zero)}
-    for name, (length, fill) in fills.items():
-        _column(file, name, length, fill.dtype)
+    for figure in columns.figures:
+        file.create_dataset(_path_of(figure), (count,), dtype="<f8", fillvalue=np.nan)
+    for name in ("status", "engine", "remark"):
+        file.create_dataset(name, (count,), dtype="u1")
     file["status"].attrs["names"], file["engine"].attrs["names"] = json.dumps(STATUS), json.dumps(ENGINES)
+    file.create_dataset("texts", (chunks * SLOTS,), dtype=f"S{_TEXT_BYTES}")
+    file.create_dataset("done", (chunks,), dtype="u1")
     for varied in points.varied:
-        dataset = _column(file, f"values/{_name(varied.key)}", count, np.dtype("<f8" if varied.is_number else "<i4"))
+        dtype = "<f8" if varied.is_number else "<i4"
+        dataset = file.create_dataset(f"values/{_name(varied.key)}", (count,), dtype=dtype)
         if not varied.is_number:
             dataset.attrs["texts"] = json.dumps([varied.yaml(value) for value in varied.values])
-    return fills
+    _write_values(file, points)
 
 
-def _column(file: Any, path: str, count: int, dtype: np.dtype[Any]) -> Any:
-    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    layout.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-    return file.create_dataset(path, (count,), dtype=dtype, dcpl=layout)
-
-
-def _write_values(writer: _Writer, points: Points) -> None:
+def _write_values(file: Any, points: Points) -> None:
     for start in range(0, len(points), _BLOCK):
         stop = min(len(points), start + _BLOCK)
         for (key, column), varied in zip(points.columns(start, stop).items(), points.varied, strict=True):
             numbers = {value: number for number, value in enumerate(varied.values)}
             values = column if isinstance(column, np.ndarray) else [numbers[value] for value in column]
-            writer.put(f"values/{_name(key)}", start, np.asarray(values))
+            file[f"values/{_name(key)}"][start:stop] = np.asarray(values)
 
 
 def _opened(path: Path) -> Any:
@@ -350,14 +342,6 @@ def _opened(path: Path) -> Any:
         file.close()
         raise LogFormatError(f"{path}: is {found!r} version {version}, expected {_FORMAT!r} up to {_VERSION}")
     return file
-
-
-def _write_error(path: Path, error: Exception, kept: str) -> LogWriteError:
-    code = error.errno if isinstance(error, OSError) else None
-    reason = os.strerror(code) if code else " ".join(str(error).split())
-    if code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return LogWriteError(f"{path}: the disk has no room for it ({reason}); make room, {kept}")
-    return LogWriteError(f"{path}: cannot be written ({reason}); {kept}")
 
 
 def _name(key: str) -> str:

@@ -18,6 +18,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
 from canhaptic.scene.load import load_scene
 from canhaptic.study.sweep import sweep
+from canhaptic.study.sweep.chunk import ChunkResult
 from canhaptic.study.sweep.sweep_table import SweepTable
 from tests.study.sweep.conftest_sweep import DEMO, VARY
 
@@ -67,10 +68,11 @@ def test_after_kill_9_every_finished_chunk_is_there_and_the_rest_is_run(tmp_path
     process.communicate()
     before = finished(path)
     assert 3 <= before < CHUNKS
-    with h5py.File(path, "r") as killed:  # plain HDF5 opens it, nothing to repair
-        rows = np.flatnonzero(killed["done"][:])  # a chunk is one scene
-        kept = killed["figures/handle/travel"][:][rows]
-        assert (killed["status"][:][rows] == 1).all()
+    with SweepTable(path) as killed:
+        rows = np.flatnonzero(killed.done())  # a chunk is one scene
+        kept = killed.figure("handle", "travel")[rows]
+        assert (killed.status()[rows] == 1).all()
+        assert np.isfinite(kept).all()
     wait_until(lambda: not group_lives(process.pid))  # no worker outlives it
     assert main([*LONG, "--out", str(path), "--resume"]) == 0
     assert path.read_bytes() == whole
@@ -102,22 +104,16 @@ def test_ctrl_c_ends_after_the_chunk_under_way_and_says_how_to_go_on(tmp_path, w
 def test_a_disk_that_fills_up_costs_the_chunk_under_way_alone(demo, tmp_path, monkeypatch):
     path, undisturbed = tmp_path / "full.h5", tmp_path / "whole.h5"
     sweep(demo, VARY, undisturbed, chunk=4, **ONE)
-    write, room = os.pwrite, [10**6]
+    flush = os.fsync
 
-    def refuse(descriptor, content, offset):
-        room[0] -= 1
-        if room[0] < 0:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(descriptor, content[: 1 + len(content) // 2], offset)  # and short writes on the way
+    def refuse(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def fill_up(state):
-        if state.done == 8:
-            room[0] = 15
+        patch.setattr(os, "fsync", refuse if state.done == 8 else flush)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "pwrite", refuse)
-        with pytest.raises(LogWriteError, match=r"no room.*--resume"):
-            sweep(demo, VARY, path, chunk=4, **ONE, progress=fill_up)
+    with monkeypatch.context() as patch, pytest.raises(LogWriteError, match=r"no room.*--resume"):
+        sweep(demo, VARY, path, chunk=4, **ONE, progress=fill_up)
     assert finished(path) == 2
     assert sweep(demo, VARY, path, chunk=4, **ONE, resume=True).done == 32
     assert path.read_bytes() == undisturbed.read_bytes()
@@ -137,6 +133,56 @@ def test_a_disk_without_room_for_all_results_is_found_out_before_a_scene_runs(de
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_merge_that_fails_leaves_the_chunks_for_the_next(demo, tmp_path, monkeypatch):
+    path, undisturbed = tmp_path / "full.h5", tmp_path / "whole.h5"
+    sweep(demo, VARY, undisturbed, chunk=4, **ONE)
+
+    def refuse(self, target):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def fill_up(state):
+        if state.done == 32:
+            patch.setattr(Path, "replace", refuse)
+
+    with monkeypatch.context() as patch, pytest.raises(LogWriteError, match=r"no room.*--resume"):
+        sweep(demo, VARY, path, chunk=4, **ONE, progress=fill_up)
+    with SweepTable(path) as table:
+        assert table.done().all()
+        travel = table.figure("handle", "travel")
+    state = sweep(demo, VARY, path, chunk=4, **ONE, resume=True)
+    assert (state.begun, state.done) == (32, 32)
+    assert path.read_bytes() == undisturbed.read_bytes()
+    assert sorted(tmp_path.iterdir()) == [path, undisturbed]
+    with SweepTable(path) as table:
+        assert table.figure("handle", "travel").tobytes() == travel.tobytes()
+
+
+def test_chunks_of_an_earlier_sweep_are_not_taken_for_those_of_another(demo, tmp_path):
+    path = tmp_path / "a.h5"
+    sweep(demo, VARY, path, chunk=4, **ONE, stop_requested=iter([False, False, True, True, True]).__next__)
+    with SweepTable(path, writable=True) as table:
+        table.write(7, table_result(4))
+    path.unlink()
+    assert sweep(demo, VARY[:1], path, chunk=4, **ONE).begun == 0
+    with SweepTable(path) as table:
+        assert np.isfinite(table.figure("handle", "travel")).all()
+
+
+def table_result(scenes):
+    nothing = np.zeros(scenes, dtype=np.uint8)
+    return ChunkResult({"handle/travel": np.full(scenes, np.nan)}, nothing + 1, nothing, nothing, ())
+
+
+def test_a_damaged_chunk_is_named(demo, tmp_path):
+    path = tmp_path / "a.h5"
+    sweep(demo, VARY, path, chunk=4, **ONE)
+    folder = tmp_path / "a.h5.chunks"
+    folder.mkdir()
+    (folder / "00000003.npz").write_bytes(b"no chunk")
+    with SweepTable(path) as table, pytest.raises(LogFormatError, match=r"00000003\.npz"):
+        table.status()
+
+
 def test_a_folder_that_is_not_there_is_named(demo, tmp_path):
     with pytest.raises(LogWriteError, match="nowhere"):
         sweep(demo, VARY, tmp_path / "nowhere" / "a.h5")
@@ -145,7 +191,10 @@ def test_a_folder_that_is_not_there_is_named(demo, tmp_path):
 def test_two_sweeps_cannot_write_one_file(demo, tmp_path):
     path = tmp_path / "a.h5"
     sweep(demo, VARY, path, **ONE)
-    code = f"from canhaptic.study.sweep.sweep_table import SweepTable; SweepTable({str(path)!r}, writable=True)"
+    code = (
+        "from pathlib import Path; from canhaptic.study.sweep.sweep_table import SweepTable; "
+        f"SweepTable(Path({str(path)!r}), writable=True)"
+    )
     with SweepTable(path, writable=True):
         found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "another sweep writes it" in found.stderr
