@@ -63,7 +63,7 @@ class FrictionCurve(NamedTuple):
     mass: float  # [kg or kg*m^2]
     mass_error: float
     speeds: _Array  # mean of each range of speed, rising, shape (n,) [m/s or rad/s]
-    frictions: _Array  # braking force there, whatever its law, shape (n,) [N or N*m]
+    frictions: _Array  # braking force there, by any law, shape (n,) [N or N*m]
     errors: _Array  # shape (n,)
 
     def least(self, damping: float, sure: float) -> float:

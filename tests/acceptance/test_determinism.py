@@ -1,4 +1,4 @@
-"""The same scene gives the same frames, to the byte, whatever process runs it."""
+"""The same scene gives the same frames, to the byte, in any process."""
 
 import os
 import subprocess

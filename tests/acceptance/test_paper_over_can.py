@@ -126,7 +126,7 @@ def test_fig_7_one_sample_late_is_calm_only_with_capped_damping_and_then_still_l
 ) -> None:
     """10 N*s/m at 40 Hz, one sample late, is d T / m = 1.0, beyond the 0.828 at which any sampled damper diverges.
 
-    Told the moving mass, the damping is capped and the force is calm. But the user leaves at 0.4 m/s, 12 mm a hold,
+    Where the mass is given, the damping is capped and the force is calm. But the user leaves at 0.4 m/s, 12 mm a hold,
     with two computed torques still to come: the paper's algorithm has no bound on those, and eq. 4 fails by some 60 mJ.
     """
     found = over_can("paper_fig7_40hz.yaml", "bus.rpdo=synchronous", "passivity.moving_mass=0.25", duration=DURATION)

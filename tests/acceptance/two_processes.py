@@ -65,7 +65,7 @@ class Listener:
 
 @contextmanager
 def canhaptic(*words: str) -> Iterator["subprocess.Popen[str]"]:
-    """The command in a process of its own, gone at the end of the block whatever happens."""
+    """The command in a process of its own, gone at the end of the block in any case."""
     with subprocess.Popen(
         [sys.executable, "-m", "canhaptic", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:

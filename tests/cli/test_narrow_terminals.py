@@ -107,7 +107,7 @@ def test_a_replay_is_shown_whole(log: Path, printed: list[Any]) -> None:
 
 def test_the_findings_of_commissioning_are_shown_whole() -> None:
     report = Report()
-    text = "no friction could be told from noise; move the handle further, or give a larger step of the torque"
+    text = "no friction could be seen in the noise; move the handle further, or give a larger step of the torque"
     for verdict in StepVerdict:
         report.add(StepFinding(LONG, "counts of the encoder", "131072 count/rev", "131071.6 count/rev", verdict, text))
     assert_whole([((report.table(),), {})])

@@ -1,4 +1,4 @@
-"""What the operating system granted to a run stands in its account, and `check` asks before anything is sent."""
+"""What the operating system granted to a run is in its account, and `check` asks before anything is sent."""
 
 import json
 from pathlib import Path

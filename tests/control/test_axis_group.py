@@ -1,4 +1,4 @@
-"""Axes that render together beside axes that render alone: who gets which sample, torque and part of the energy."""
+"""Axes that render together and axes that render alone: who gets which sample, torque and part of the energy."""
 
 from collections.abc import Sequence
 

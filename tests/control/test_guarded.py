@@ -223,7 +223,7 @@ def test_torque_commands_are_whole_quanta_and_never_above_the_bound():
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_what_is_taken_from_an_empty_store_is_lacking_though_nothing_dissipates(delay: int) -> None:
-    """A torque that nobody commanded gives energy out of a wall without a damper, in which nothing was stored."""
+    """A torque that was not commanded gives energy out of a wall without a damper, in which nothing was stored."""
     loop = LoopProperties(sample_time=1e-3, delay=delay, moving_mass=0.2, device_damping_bound=0.0)
     controller = build_controller(SpringDamperWall(stiffness=100.0), "guarded", None, loop)
     controller.step(-0.001, 0.0)

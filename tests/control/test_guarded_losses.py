@@ -77,7 +77,7 @@ def dragged(delay: int, losses: int, seed: int) -> tuple[float, float]:
 @pytest.mark.parametrize("losses", [1, 2])
 @pytest.mark.parametrize("delay", [1, 2])
 def test_a_reversal_in_a_lost_sample_is_booked_where_damping_alone_is_known(delay: int, losses: int) -> None:
-    """At delay 1 46 mJ more came out than device and wall had taken in: the displacement, 0, told nothing of it."""
+    """At delay 1 46 mJ more came out than device and wall had taken in: the displacement, 0, did not show it."""
     runs = [dragged(delay, losses, seed) for seed in range(120)]
     assert min(least for least, _ in runs) >= -1e-12
     assert sum(strongest > 1.0 for _, strongest in runs) > 20

@@ -87,7 +87,7 @@ class Stiffened(SpringDamperWall):
 
 
 class Counting(SpringDamperWall):
-    """A wall of somebody's own with a field, a property and a method that changes what it stands on."""
+    """A wall of somebody's own with a field, a property and a method that changes what it is computed from."""
 
     offset: Annotated[float, quantity("m")] = 0.25
 

@@ -20,7 +20,7 @@ MASS, SAMPLE_TIME = 0.3, 2e-3
 
 
 def roots(damping, delay):
-    """Of a free mass under a held torque -d (q(k) - q(k-1)) / T, `delay` samples late."""
+    """For a free mass under a held torque -d (q(k) - q(k-1)) / T, `delay` samples late."""
     g = damping * SAMPLE_TIME / (2.0 * MASS)
     polynomial = np.zeros(delay + 3)
     polynomial[0], polynomial[1] = 1.0, -1.0

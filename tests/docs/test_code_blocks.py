@@ -52,7 +52,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the shipped scenes, in which modules of the page can be imported."""
     for folder in ("configs", "eds"):
         shutil.copytree(ROOT / folder, tmp_path / folder)
-    shutil.copy(ROOT / "eds" / "cia402_servo.eds", tmp_path / "my_drive.eds")  # stands for the reader's own
+    shutil.copy(ROOT / "eds" / "cia402_servo.eds", tmp_path / "my_drive.eds")  # is the reader's own
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     return tmp_path

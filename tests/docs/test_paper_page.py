@@ -34,7 +34,7 @@ def test_a_number_of_the_page_is_that_of_the_result() -> None:
 
 
 def test_the_source_has_no_measured_number_of_its_own() -> None:
-    """Energies, errors and ratios come from marks: none of their units stands behind a number in the source."""
+    """Energies, errors and ratios come from marks: in the source no number is followed by a unit of theirs."""
     plain = re.sub(r"\[\[.+?\]\]|`[^`]+`", "", SOURCE.read_text(encoding="utf-8"))
     assert not re.findall(r"\d (?:[munpk]?J|um|times)\b", plain)
 

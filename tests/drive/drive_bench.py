@@ -27,7 +27,7 @@ _channels = itertools.count()
 
 
 class FreeMass:
-    """A motor that is a free mass of 1 kg, held by nobody; starts at 10 mm."""
+    """A motor that is a free mass of 1 kg, not held; starts at 10 mm."""
 
     def __init__(self) -> None:
         self.position, self.velocity, self.time = 0.01, 0.0, 0

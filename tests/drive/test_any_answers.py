@@ -1,4 +1,4 @@
-"""Whatever a node answers to an SDO, whenever: a value or SdoError, in bounded time, and never anything else."""
+"""Any answer of a node to an SDO, at any time: a value or SdoError, in bounded time, and never anything else."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

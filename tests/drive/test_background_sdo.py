@@ -1,4 +1,4 @@
-"""SDO beside the running cycle: literal frames, from any thread, never in the way of a PDO, never after the stop."""
+"""SDO during the running cycle: literal frames, from any thread, never in the way of a PDO, never after the stop."""
 
 import threading
 from concurrent.futures import CancelledError
@@ -114,7 +114,7 @@ def test_any_answers_end_a_transfer_or_are_part_of_it(answers: list[bytes], read
         answer_all(transfer, answers)
 
 
-# --- beside a cycle -----------------------------------------------------------------------------------------------
+# --- during a cycle -----------------------------------------------------------------------------------------------
 
 
 def test_an_upload_and_a_download_beside_the_cycle(bench: MakeBench) -> None:

@@ -125,7 +125,7 @@ def test_a_frame_ends_a_real_wait_at_once(pair: tuple[can.BusABC, can.BusABC]) -
 
 
 class SlowMachine:
-    """Stands in for the module `time`: every look costs 1 us, every sleep lasts 80 us longer than asked for."""
+    """Replaces the module `time`: every look costs 1 us, every sleep lasts 80 us longer than asked for."""
 
     def __init__(self) -> None:
         self.nanoseconds, self.sleeps = 0, list[int]()
@@ -139,7 +139,7 @@ class SlowMachine:
         self.nanoseconds += round(seconds * 1e9) + 80_000
 
     def recv(self, timeout: float) -> None:
-        """Stands in for a bus on which nothing ever comes."""
+        """Replaces a bus on which nothing ever comes."""
         if timeout:
             self.sleep(timeout)
         self.nanoseconds += 2_000

@@ -31,7 +31,7 @@ def test_a_torque_is_reported_for_exactly_the_holds_in_which_it_acted(
 
 
 def test_work_by_reported_torque_and_position_is_the_energy_of_the_mass(bench: MakeBench) -> None:
-    """Free mass of 1 kg: the sum of torque times displacement is its kinetic energy, whatever the delay."""
+    """Free mass of 1 kg: the sum of torque times displacement is its kinetic energy, at any delay."""
     b = started(bench, [axis(counts_per_unit=1e9)])
     work, last = 0.0, b.rig.sync()[0]
     for k in range(50):

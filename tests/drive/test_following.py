@@ -1,4 +1,4 @@
-"""What the drive says of the torque it gives: bits 11 and 12 of the statusword, and a measured torque that stands."""
+"""What the drive says of the torque it gives: bits 11 and 12 of the statusword, and a measured torque that stays."""
 
 from typing import Any
 
@@ -191,7 +191,7 @@ def test_noise_within_the_tolerance_is_no_lost_command(bench: MakeBench) -> None
 
 
 def test_a_measured_torque_that_lags_or_wanders_is_no_lost_command(bench: MakeBench) -> None:
-    """It never stands near the old command for long: it is somewhere else."""
+    """It is never near the old command for long: it is somewhere else."""
     b = bench([axis(read_back="actual")])
     tampered = Tampered(b)
     b.rig.start()
@@ -212,7 +212,7 @@ def test_commands_near_the_old_one_tell_nothing_and_forget_nothing(bench: MakeBe
         b.run(30, torque=1.0)
 
 
-# --- a torque that nobody reads back ------------------------------------------------------------------------------
+# --- a torque that is not read back ------------------------------------------------------------------------------
 
 
 def test_a_lost_rpdo_that_nothing_tells_of_is_ended_by_the_drives_own_deadline(bench: MakeBench) -> None:

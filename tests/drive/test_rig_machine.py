@@ -1,6 +1,6 @@
 """Master and simulated drive through random faults, resets, EMCYs, NMT commands, lost frames and operator's actions.
 
-Whatever the order, after each step: no torque outside OPERATION ENABLED, none beyond its limits of magnitude and rate,
+In any order, after each step: no torque outside OPERATION ENABLED, none beyond its limits of magnitude and rate,
 no drive enabled that the operator has not enabled, no energy out of the wall that did not go in, every trouble ends in
 a stop in time, and whenever the rig has stopped by itself the drive has no torque already.
 """
@@ -178,7 +178,7 @@ class RigUnderStress(RuleBasedStateMachine):
                 self._check_cycle()
         except RigError:
             assert not self.rig.is_running
-            assert self.drive.torque == 0.0, "the rig has stopped, the torque stands"
+            assert self.drive.torque == 0.0, "the rig has stopped, the torque stays"
             assert self.drive.state is not DriveState.OPERATION_ENABLED
             self.enabled_by_operator = False
             self.cycle = None

@@ -382,4 +382,4 @@ def test_axes_that_are_disabled_leave_operational_before_another_is_waited_for(b
     with pytest.raises(LinkError, match="NOT confirmed to be disabled: axis6"):
         b.run(60, torque=1.0)
     assert [drive.torque for drive in b.drives] == [0.0, 0.0]
-    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED, "its watchdog found nobody beating"
+    assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED, "its watchdog missed the heartbeat"

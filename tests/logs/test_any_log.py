@@ -1,4 +1,4 @@
-"""Whatever is in a file that should be a log: frames, an account, or one LogFormatError; never anything else."""
+"""Any content of a file that should be a log: frames, an account, or one LogFormatError; never anything else."""
 
 import struct
 from contextlib import suppress

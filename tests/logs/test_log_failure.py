@@ -55,7 +55,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_any_frame(
         assert main(["run", DEMO, "--duration", "1", "--log", str(locked / "run.h5")]) == 2
         assert "Permission denied" in capsys.readouterr().err
     else:
-        (locked / "probe").unlink()  # root may write anywhere: a file in the place of a folder stands for it
+        (locked / "probe").unlink()  # root may write anywhere: a file in the place of a folder has the same effect
         (locked / "file").touch()
         assert main(["run", DEMO, "--duration", "1", "--log", str(locked / "file" / "run.h5")]) == 2
         assert "cannot write the log" in capsys.readouterr().err

@@ -2,7 +2,7 @@
 
 from types import ModuleType
 
-# Statusword, low byte: x stands for any. CiA 402-2, table "State coding".
+# Statusword, low byte: x is any. CiA 402-2, table "State coding".
 STATE_CODING = {
     "x0xx0000": "NOT_READY_TO_SWITCH_ON",
     "x1xx0000": "SWITCH_ON_DISABLED",

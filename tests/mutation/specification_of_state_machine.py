@@ -100,7 +100,7 @@ def _commands(module: ModuleType) -> None:
 
 
 def _fault_reset(module: ModuleType) -> None:
-    for command in ONE_WORD_EACH:  # whatever else is commanded, the reset enables nothing
+    for command in ONE_WORD_EACH:  # with any other command, the reset enables nothing
         machine = machine_in(module, FAULT)
         assert machine.obey(command, 2) is False
         assert machine.obey(command | 0x80, 2) is True

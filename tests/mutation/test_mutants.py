@@ -1,4 +1,4 @@
-"""The tests of what stands between a controller and a hand are tested themselves: every slip must fail one of them.
+"""The tests of what lies between a controller and a hand are tested themselves: every slip must fail one of them.
 
 Each module below has a specification that takes the module as an argument. The module as it is must meet it, and every
 mutant of it must not.
@@ -35,7 +35,7 @@ class Subject(NamedTuple):
     fewest: int  # mutants; fewer would mean that the mutator has gone blind
     members: Mapping[str, type[Enum]] = {}
     names: Mapping[str, Sequence[str]] = {}
-    equivalent: Mapping[str, str] = {}  # name of the mutant -> why nobody can notice
+    equivalent: Mapping[str, str] = {}  # name of the mutant -> why no test can notice
 
 
 SUBJECTS = {
@@ -64,7 +64,7 @@ SUBJECTS = {
         members={"PowerState": cia402.PowerState, "Controlword": Controlword},
         equivalent={
             "module: ..PowerState.OPERATION_ENABLED), (111, 7, PowerState.QUICK_STO.. => "
-            "..PowerState.OPERATION_ENABLED), (79, 7, PowerState.QUICK_STO..": "0x27 was told apart one row earlier",
+            "..PowerState.OPERATION_ENABLED), (79, 7, PowerState.QUICK_STO..": "0x27 was recognised one row earlier",
             "module: _STATES: Final = tuple((_state(low_byte) for low_byte in range(256))) => "
             "_STATES: Final = tuple((_state(low_byte) for low_byte in range(257)))": "no index reaches the last entry",
             "drive_state: return _STATES[statusword & 255] => "
@@ -107,8 +107,8 @@ SUBJECTS = {
             "StatusBit": StatusBit,
         },
         equivalent={
-            "PowerCommand: DISABLE_VOLTAGE = 0 => DISABLE_VOLTAGE = -1": "commands are told apart, never counted",
-            "PowerCommand: ENABLE_OPERATION = 4 => ENABLE_OPERATION = 5": "commands are told apart, never counted",
+            "PowerCommand: DISABLE_VOLTAGE = 0 => DISABLE_VOLTAGE = -1": "commands are distinguished, never counted",
+            "PowerCommand: ENABLE_OPERATION = 4 => ENABLE_OPERATION = 5": "commands are distinguished, never counted",
             "StateMachine.reset: self._controlword = 0 => self._controlword = 1": "only the edge of bit 7 is asked for",
         },
     ),
@@ -150,7 +150,7 @@ def test_the_module_meets_its_specification_and_every_mutant_fails_it(name: str)
     every = {mutant.name: mutant.code for mutant in mutants(path, subject.members, subject.names)}
     assert len(every) >= subject.fewest
     survivors = [mutant for mutant, code in every.items() if survives(code, subject.judge)]
-    assert [mutant for mutant in survivors if mutant not in subject.equivalent] == [], "nobody notices these"
+    assert [mutant for mutant in survivors if mutant not in subject.equivalent] == [], "no test notices these"
     assert [mutant for mutant in subject.equivalent if mutant not in every] == [], "these are no longer made"
     assert [mutant for mutant in subject.equivalent if mutant not in survivors] == [], "these are noticed after all"
 

@@ -1,4 +1,4 @@
-"""Effects around the exact core: their measured order is the declared one, their balance closes whatever the step."""
+"""Effects around the exact core: their measured order is the declared one, their balance closes at any step."""
 
 import math
 from collections.abc import Callable

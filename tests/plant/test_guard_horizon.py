@@ -1,4 +1,4 @@
-"""A hold that is taken without looking at its guards has no event, whatever the torques within the limit."""
+"""A hold that is taken without looking at its guards has no event, for all torques within the limit."""
 
 import math
 

@@ -134,7 +134,7 @@ def test_rounding_does_not_grow_with_the_length_of_a_run():
         plant.advance_to((k + 1) * MS, -0.5 if k % 2 else 0.0)
     energy = plant.energy()
     assert abs(energy.motor + energy.user - energy.dissipated - energy.stored) <= 3e-13 * energy.user
-    # Steady response to the hand after 300 s, in closed form, beside the mean torque.
+    # Steady response to the hand after 300 s, in closed form, next to the mean torque.
     omega, stiffness, damping = 2 * math.pi, 300, 3
     force = (stiffness + 1j * omega * damping) * 0.03
     steady = force / (stiffness + 1j * omega * (damping + 0.1) - 0.25 * omega**2)

@@ -1,4 +1,4 @@
-"""Random scenes: whatever is combined with whatever, energies close and nothing hangs."""
+"""Random scenes: any effects are combined, energies close and nothing hangs."""
 
 import itertools
 import math

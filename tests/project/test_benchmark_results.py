@@ -22,7 +22,7 @@ def recorded() -> dict[Path, tuple[int, bytes]]:
 def test_a_benchmark_leaves_the_recorded_results_alone(tmp_path: Path) -> None:
     before = recorded()
     words = [sys.executable, str(RUN), "dictionaries", "--out", "mine"]
-    environment = {**os.environ, "CANHAPTIC_VENDOR_EDS": str(tmp_path)}  # none beside the package's own
+    environment = {**os.environ, "CANHAPTIC_VENDOR_EDS": str(tmp_path)}  # none but the package's own
     done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "mine" / "dictionaries.json").read_text())["rows"]

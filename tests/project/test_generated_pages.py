@@ -28,7 +28,7 @@ def test_the_trace_of_a_cycle_is_current() -> None:
 
 
 def keys_of(schema: Any) -> Iterator[str]:
-    """Every key that a JSON schema accepts, at any depth, but for `type` and `algorithm`, which stand in titles."""
+    """Every key that a JSON schema accepts, at any depth, but for `type` and `algorithm`, which are in titles."""
     if isinstance(schema, list):
         for part in schema:
             yield from keys_of(part)

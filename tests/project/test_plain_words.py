@@ -1,10 +1,12 @@
-"""Texts without the tics of this project's early English: pages, comments of scenes, docstrings, messages, help texts.
+"""Texts without the tics of this project's early English: pages, comments, docstrings, messages, help texts.
 
 Each has a plain word of the field: see the glossary (docs/words.md) and the neighbours of the text.
 """
 
 import ast
+import io
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,12 +24,13 @@ TICS = {
     "lay over": r"\b(?:lay|laid|lays|lie|lies) over\b",
     "Of the ...": r"^(?:Of|By which|In what|In which|With which|From which|To which) ",
 }
-"""Name -> pattern. The last one is for the beginning of a docstring or of a description: a sentence has a subject."""
+"""Name -> pattern. The last one is for the beginning of a text: a sentence has a subject."""
 PATTERNS = {name: re.compile(pattern, re.IGNORECASE if name != "Of the ..." else 0) for name, pattern in TICS.items()}
 ALLOWED = {
     "got beside {}, expected": "the name of a parameter",
     "got neither or both of beside and": "the name of a parameter",
     "got beside with a structure": "the name of a parameter",
+    "viscous: 8, beside:": "the name of a parameter",
 }
 
 
@@ -40,8 +43,24 @@ def strings(path: Path) -> Iterator[tuple[int, str]]:
             parts = [str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values]
             yield node.lineno, "".join(parts)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in inside:
-            text = "" if node.value.isidentifier() else node.value  # no key and no name
+            text = node.value if " " in node.value else ""  # no key and no name
             yield node.lineno, text
+
+
+def comments(path: Path) -> Iterator[tuple[int, str]]:
+    """Every block of comments of a module as one text; a comment behind code is a text of its own."""
+    begun, texts = 0, list[str]()
+    for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline):
+        is_alone = token.type == tokenize.COMMENT and not token.line[: token.start[1]].strip()
+        if is_alone and texts and token.start[0] == begun + len(texts):
+            texts.append(token.string[1:].strip())
+            continue
+        if token.type == tokenize.COMMENT:
+            if texts:
+                yield begun, " ".join(texts)
+            begun, texts = token.start[0], [token.string[1:].strip()]
+    if texts:
+        yield begun, " ".join(texts)
 
 
 def prose(path: Path) -> Iterator[tuple[int, str]]:
@@ -61,13 +80,13 @@ def files() -> list[Path]:
     pages = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")]
     pages += [*(ROOT / "docs").rglob("*.md")]
     scenes = [*(ROOT / "configs").rglob("*.yaml"), *(ROOT / "examples").rglob("*.yaml")]
-    code = [path for folder in ("canhaptic", "tools", "examples") for path in (ROOT / folder).rglob("*.py")]
-    return sorted([*pages, *scenes, *code])
+    code = [path for folder in ("canhaptic", "tools", "examples", "tests") for path in (ROOT / folder).rglob("*.py")]
+    return sorted({*pages, *scenes, *code} - {Path(__file__).resolve()})
 
 
 def found(path: Path) -> list[str]:
     """Every tic of a file, with its place."""
-    texts = strings(path) if path.suffix == ".py" else prose(path)
+    texts = [*strings(path), *comments(path)] if path.suffix == ".py" else prose(path)
     hits = [
         (number, name, text[max(0, hit.start() - 40) : hit.end() + 40])
         for number, text in texts
@@ -88,6 +107,11 @@ def test_no_text_has_a_tic():
 )
 def test_a_tic_is_found(tmp_path, monkeypatch, text):
     monkeypatch.setattr(f"{__name__}.ROOT", tmp_path)
-    for name, content in (("page.md", text), ("module.py", f'"""{text}"""'), ("scene.yaml", f"a: 1  # {text}")):
+    for name, content in (
+        ("page.md", text),
+        ("module.py", f'"""{text}"""'),
+        ("code.py", f"# {text}"),
+        ("scene.yaml", f"a: 1  # {text}"),
+    ):
         (tmp_path / name).write_text(content)
         assert found(tmp_path / name)

@@ -1,4 +1,4 @@
-"""Groups of axes and simulated mechanisms in a scene: read, checked, resolved, told to schema and `check`."""
+"""Groups of axes and simulated mechanisms in a scene: read, checked, resolved, shown in the schema and by `check`."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""Values laid over a scene from the command line, and the faults that name them."""
+"""Values that override a scene from the command line, and the faults that name them."""
 
 from pathlib import Path
 

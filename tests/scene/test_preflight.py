@@ -241,7 +241,7 @@ def test_a_restart_that_the_preflight_accepts_finds_the_rig_stopped(restart_ms: 
     assert (judged(changed('"restart_ms":0', f'"restart_ms":{restart_ms}'))["restart-ms"].severity == "well") is (
         is_accepted
     )
-    off = restart_ms * 1e-3 or 1.0  # restart-ms 0: for as long as nobody restarts it
+    off = restart_ms * 1e-3 or 1.0  # restart-ms 0: until it is restarted
     effects = f"simulation.bus={{drop: 1.0, during: [{{begin: 0.2, duration: {off}}}]}}"
     with build(load_scene(DEMO, [effects])) as experiment:
         assert experiment.far_side is not None
@@ -302,7 +302,7 @@ def test_the_command_says_when_there_is_nothing_to_look_at(capsys: pytest.Captur
 
 
 def test_the_ip_of_this_machine_is_asked_for_real() -> None:
-    """Whatever this host has: an interface that is judged, one that is missing, or no answer, each told."""
+    """On any host: an interface that is judged, one that is missing, or no answer, each reported."""
     found = preflight(scene("bus.channel=can99"))
     assert {finding.interface for finding in found} == {"can99"}
     assert all(finding.seen and (finding.text or finding.severity == "well") for finding in found)

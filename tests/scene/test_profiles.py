@@ -73,7 +73,7 @@ def test_every_vendor_drive_runs_whole_with_its_profile(
 def test_every_dictionary_of_the_folder_serves_whole_or_is_refused_whole(
     vendor_eds: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Whatever file is put into the folder: the verdict, the check and a run with the profile of its make agree."""
+    """For any file in the folder: the verdict, the check and a run with the profile of its make agree."""
     files = sorted([*vendor_eds.glob("*.eds"), *vendor_eds.glob("*.dcf")])
     assert files
     for path in files:

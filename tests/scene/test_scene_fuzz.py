@@ -1,4 +1,4 @@
-"""Whatever is in a scene file or an override: a scene, or SceneError with at least one fault, and nothing else."""
+"""Any content of a scene file or an override: a scene, or SceneError with at least one fault, and nothing else."""
 
 import string
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A faulty bus between two connections of a private virtual bus, on a clock that stands still until it is told."""
+"""A faulty bus between two connections of a private virtual bus, on a clock that stands still until it is moved."""
 
 import itertools
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ def virtual_bus(channel: str) -> can.BusABC:
 
 
 class Ear:
-    """The far side: notes when each frame arrives, and answers SYNC when it is told to."""
+    """The far side: notes when each frame arrives, and answers SYNC when it is asked to."""
 
     def __init__(self, bus: can.BusABC, answer: bytes | None = None) -> None:
         self.bus, self.answer = bus, answer

@@ -87,7 +87,7 @@ def disturbed(*overrides: str, cycles: int = 1500) -> Outcome:
         assert experiment.far_side is not None
         [drive] = experiment.far_side.drives
         experiment.clock.wait_until(experiment.clock.now() + 300_000_000)
-        assert drive.torque == 0.0  # told so, or by its own watchdog
+        assert drive.torque == 0.0  # commanded so, or by its own watchdog
         assert drive.state is not DriveState.OPERATION_ENABLED
         judge = cycle.judge
         assert judge is not None
@@ -218,7 +218,7 @@ def test_faults_beyond_the_policy_stop_the_run_with_their_reason(bus: str, error
     assert 50 < seen.cycles < 400
     rpdos = [int.from_bytes(m.data[2:4], "little", signed=True) for m in seen.heard if m.arbitration_id == 0x201]
     assert min(rpdos) < -100
-    if "TPDO_LOST" in reason or "HEARTBEAT" in reason or "EM" in reason:  # the drive could still be told
+    if "TPDO_LOST" in reason or "HEARTBEAT" in reason or "EM" in reason:  # the drive could still be commanded
         assert set(rpdos[-2:]) == {0}
 
 

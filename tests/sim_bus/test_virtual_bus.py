@@ -1,4 +1,4 @@
-"""The lean virtual bus does what python-can's own does, beside it on the same channel."""
+"""The lean virtual bus does what python-can's own does, next to it on the same channel."""
 
 import threading
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Whatever arrives, the drive neither raises nor makes torque outside OPERATION ENABLED."""
+"""For all bytes that arrive, the drive neither raises nor makes torque outside OPERATION ENABLED."""
 
 import math
 

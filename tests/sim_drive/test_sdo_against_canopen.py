@@ -62,7 +62,7 @@ def test_any_bytes_that_are_written_are_read_again(
     tried.download(0x2000, 0, content, force_segment=True)
     if indicates_size or len(content) > 4:
         assert tried.upload(0x2000, 0) == content
-    else:  # an expedited answer without its length: what lies behind cannot be told from the value
+    else:  # an expedited answer without its length: what lies behind cannot be distinguished from the value
         assert tried.upload(0x2000, 0) == content.ljust(4, b"\0")
 
 

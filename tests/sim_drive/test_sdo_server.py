@@ -42,7 +42,7 @@ def test_segmented_upload_toggles_and_marks_the_last_segment(rig: Rig) -> None:
     [
         ("2b 17 10 00 64 00 00 00", "60 17 10 00 00 00 00 00"),
         ("2f 60 60 00 0a 00 00 00", "60 60 60 00 00 00 00 00"),
-        ("22 17 10 00 64 00 ff ff", "60 17 10 00 00 00 00 00"),  # length not told: the object's own counts
+        ("22 17 10 00 64 00 ff ff", "60 17 10 00 00 00 00 00"),  # length not given: the object's own counts
         ("2b 72 60 00 f4 01 00 00", "60 72 60 00 00 00 00 00"),
     ],
 )

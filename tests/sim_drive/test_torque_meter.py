@@ -1,4 +1,4 @@
-"""What 0x6077 shows beside 0x6074: the motor's torque behind its current loop, filtered, with a sensor's error."""
+"""What 0x6077 shows next to 0x6074: the motor's torque behind its current loop, filtered, with a sensor's error."""
 
 import math
 from pathlib import Path
@@ -19,7 +19,7 @@ MILLISECOND = 1_000_000
 
 
 class Still:
-    """A motor that stands at a place."""
+    """A motor that rests at a place."""
 
     position = 0.25
 

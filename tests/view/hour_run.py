@@ -12,7 +12,7 @@ from canhaptic.logs.packing import _PACKED_CHUNK
 
 HOUR = 3_600_000
 SPIKE = 0.7
-"""Of the position, in one row."""
+"""Position, in one row."""
 
 
 def columns_of(rows: int) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def test_every_part_of_the_result_is_in_the_report() -> None:
 
 
 def row_of(content: dict[str, object], label: str) -> str:
-    """What stands behind a label of the table."""
+    """What follows a label of the table."""
     (line,) = (line for line in printed(content).splitlines() if line.strip().startswith(label))
     return line.strip().removeprefix(label).strip()
 

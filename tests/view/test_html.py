@@ -59,7 +59,7 @@ def test_contacts_are_drawn_with_their_peak_and_energy_and_faults_with_their_por
 
 
 class Taken:
-    """Stands for the panels and keeps what they are given."""
+    """Replaces the panels and keeps what they are given."""
 
     def timing(self, columns: dict[str, np.ndarray], period: float) -> dict[str, np.ndarray]:
         assert period == 1e-3  # [s]

@@ -116,7 +116,7 @@ def test_a_browser_sees_a_run_while_it_goes_on(tmp_path: Path) -> None:
     log = tmp_path / "run.h5"
     words = ["run", str(DEMO), "--pace", "real", "--duration", "600", "--set", "bus.rate=200 Hz", "--log", str(log)]
     words += ["--set", "bus.heartbeat_timeout=10 s", "--set", "bus.stop_cycles=2000"]
-    words += ["--set", "axes.0.energy_loss_limit=none"]  # beside a busy browser
+    words += ["--set", "axes.0.energy_loss_limit=none"]  # with a busy browser
     with chromium(height=900) as page, scope(log) as address:
         assert address.startswith("http://127.0.0.1:")
         page.open(address)

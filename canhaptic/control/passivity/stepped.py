@@ -14,7 +14,7 @@ _HELD = Branch.HELD.value
 class Wording(NamedTuple):
     """What a controller takes and gives, for its messages."""
 
-    effort: str  # beside the position
+    effort: str  # in addition to the position
     command: str
     sensors: str  # to check where what it takes is no number
     values: str  # to check where what it computes is none

@@ -31,7 +31,7 @@ class NetworkTables(NamedTuple):
     squared: Buffer  # (d,)
     coulomb: Buffer  # (d,)
     corner: Buffer  # flow at which Coulomb friction reaches 0.71 of its value, (d,)
-    beside: Indices  # storage beside which a dissipator acts, only where that is engaged; -1: always, (d,)
+    beside: Indices  # storage in parallel with a dissipator, only where that is engaged; -1: always, (d,)
     origin: Matrix  # rows of x(0) over the ports' first coordinates, (n, r)
     edged: Indices  # states whose storage can be left
     always: bool  # whether some storage or dissipator is felt everywhere

@@ -20,7 +20,7 @@ class Effort:
     amplitude: float = 0.0  # of a detent [N or N*m], of a ripple as a part of the torque
     pitch: float = 1.0  # [m or rad]
     phase: float = 0.0  # [rad]
-    kinetic: float = 0.0  # friction of a fast slide; of FALLING what is there already [N or N*m]
+    kinetic: float = 0.0  # friction of a fast slide; of FALLING the friction that another part exerts [N or N*m]
     static: float = 0.0  # friction at which it breaks away [N or N*m]
     stribeck_velocity: float = 1.0  # [m/s or rad/s]
     bristle_stiffness: float = 0.0  # [N/m or N*m/rad]

@@ -82,7 +82,7 @@ class Built(NamedTuple):
     """A scene, or why there is none."""
 
     scene: Scene | None
-    remark: str  # why it is refused, or what an algorithm had to be told
+    remark: str  # why it is refused, or what was given to an algorithm
     told: tuple[str, ...] = ()  # loop properties taken from the plant
 
     def permitted(self) -> Scene:

@@ -139,7 +139,7 @@ def group_of(attack):
 
 
 class Hand:
-    """Pulls each axis with no more than the declared force, in whatever direction pays."""
+    """Pulls each axis with no more than the declared force, in the direction that pays."""
 
     def __init__(self, attack, mobility, rng):
         most = attack.own["hand_speed"] if attack.hand_force is None else attack.hand_force

@@ -1,4 +1,4 @@
-"""Of one spring and one damper a group is the algorithm of one axis, to rounding."""
+"""A group of one spring and one damper is the algorithm of one axis, to rounding."""
 
 import math
 import random

@@ -56,7 +56,7 @@ def test_the_works_of_the_motors_and_the_hand_are_those_of_the_reference():
 
 
 def kinetic_energy(z: np.ndarray) -> float:
-    """Of the open chains, from the velocities of points."""
+    """Energy of the open chains, from the velocities of points."""
     a, b, v = LINKS["proximal"], LINKS["distal"], z[4:]
     total = 0.0
     for side in (0, 1):

@@ -1,4 +1,4 @@
-"""Several drives on one mechanism: whoever is asked first, the torques of all act in the hold that ended."""
+"""Several drives on one mechanism: in any order of the questions, the torques of all act in the hold that ended."""
 
 import itertools
 

@@ -251,7 +251,7 @@ def main() -> None:
     for name, scenario in scenarios.items():
         try:
             result = scenario()
-        except Exception as error:  # one line a scenario, whatever happens
+        except Exception as error:  # one line a scenario, in any case
             result = {"failed": f"{type(error).__name__}: {error}"}
         print("RESULT", json.dumps({"scenario": name, **result}), flush=True)
 

@@ -1,4 +1,4 @@
-"""The continuous axis by DOP853 on textbook equations, beside the exact machine with the environment in it."""
+"""The continuous axis by DOP853 on textbook equations, next to the exact machine with the environment in it."""
 
 import numpy as np
 import pytest

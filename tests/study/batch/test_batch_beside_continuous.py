@@ -1,4 +1,4 @@
-"""Continuous runs in arrays are those of DOP853 and of the exact machine of the simulation, whatever the scene."""
+"""Continuous runs in arrays are those of DOP853 and of the exact machine of the simulation, for every scene."""
 
 from typing import Any
 

@@ -26,7 +26,7 @@ RIG = [
 
 @pytest.fixture(scope="module", params=["python", pytest.param("numba", marks=pytest.mark.slow)])
 def engine(request):
-    """Of the trials: Python tries fewer walls, numba compiles for 20 s of a processor."""
+    """Trials: Python tries fewer walls, numba compiles for 20 s of a processor."""
     if request.param == "numba":
         pytest.importorskip("numba")
     return request.param
