@@ -87,3 +87,11 @@ def test_faults_of_bus_drive_and_host_leave_no_false_claim_either():
     rows = fault_table(outcomes)
     assert sum(row["runs"] for row in rows) == len(outcomes)
     assert sum(outcome.status == "stopped" for outcome in outcomes) > 3
+
+
+def test_losses_that_a_bus_makes_are_declared_and_a_yes_is_due_then():
+    outcomes = [outcome_with_fault(seed) for seed in (5056, 5115)]  # TPDOs lost; RPDOs lost
+    assert all(0 < outcome.losses == outcome.declared_losses for outcome in outcomes)
+    assert all(outcome.is_due and outcome.says_yes for outcome in outcomes)
+    beyond = Outcome(**{**outcomes[0].as_json(), "declared_losses": outcomes[0].losses - 1})
+    assert not beyond.is_due

@@ -7,6 +7,18 @@ false of it and leaves it, made smaller, as a scene file. Faults that no frame c
 TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A run counts when it lasted 1 s and
 something pushed or asked for 0.5 N. `--faults` lays a fault over every scene (`tools/truth/faults.py`): lost, doubled
 and late frames, bus and host that stop, drives that fail, another master, on one bus or two.
+
+With a fault, a yes is due where
+
+* the algorithm promises (`guarded`), something pushed or asked for 0.5 N, and the run ended or its fault stopped it;
+* the true sum of interaction never fell below zero, and hand and device were within what is declared;
+* the fault was within it too: no SYNC was skipped, and in no more cycles in a row than `max_consecutive_losses` was a
+  frame lost, as the drives and the samples show it (`tools/truth/loss_watch.py`). A scene declares up to four losses as
+  soon as its bus makes them, as it does with the force of its hand; more are a fault beyond any declaration, and there
+  the account has to doubt.
+
+A yes is one at the motor or, where that is what is promised, at the handle, with a certificate; a run without any
+torque needs none, and is left out of the second of the two shares.
 """
 
 import argparse
@@ -24,7 +36,7 @@ from rich.table import Table
 
 from tools.bench.report import Row, out_folder, publish, write_result
 from tools.truth.faults import with_fault
-from tools.truth.judge import ROUNDING, Outcome, judged
+from tools.truth.judge import ROUNDING, TOUCH, Outcome, judged
 from tools.truth.scenes import random_scene
 from tools.truth.shrink import shrunk, write_scene
 
@@ -111,6 +123,7 @@ def fault_table(outcomes: list[Outcome]) -> list[dict[str, Any]]:
                 "stopped by": ", ".join(f"{reason} {count}" for reason, count in reasons.most_common()),
                 "SYNCs to zero, median": syncs[len(syncs) // 2] if syncs else "-",
                 "most": syncs[-1] if syncs else "-",
+                "yes of due": f"{sum(o.says_yes for o in those if o.is_due)} of {sum(o.is_due for o in those)}",
                 "false claims": sum(map(is_false, those)),
                 "lost more and went on": sum(outcome.went_on for outcome in those),
             }
@@ -118,9 +131,11 @@ def fault_table(outcomes: list[Outcome]) -> list[dict[str, Any]]:
     return rows
 
 
-def _figures(outcomes: list[Outcome]) -> list[Row]:
+def _figures(outcomes: list[Outcome], *, faults: bool) -> list[Row]:
     counted = [outcome for outcome in outcomes if outcome.counts]
     wrong, went_on = sum(map(is_false, outcomes)), sum(o.went_on and o.declared for o in outcomes)
+    if faults:
+        return _fault_figures(outcomes, wrong, went_on)
     promised = [o for o in counted if o.declared and "algorithm:guarded" in o.tags and o.least >= -ROUNDING]
     said = [o for o in promised if "yes" in (o.verdict, o.at_handle) and o.certificates]  # the sum that is promised
     ratios = [o.resolution / o.error for o in counted if o.error > 1e-9]
@@ -134,6 +149,23 @@ def _figures(outcomes: list[Outcome]) -> list[Row]:
         Row("of these, yes at motor or handle with a certificate", share, "1", target=">= 0.8", met=share >= 0.8),
         Row("stated resolution over the error seen, median", ratio, "1", target="<= 20", met=ratio <= 20.0),
         Row("runs that ended before their time", sum(o.status == "stopped" for o in outcomes), "1"),
+        Row("scenes refused", sum(o.status == "refused" for o in outcomes), "1"),
+    ]
+
+
+def _fault_figures(outcomes: list[Outcome], wrong: int, went_on: int) -> list[Row]:
+    due = [outcome for outcome in outcomes if outcome.is_due]
+    with_torque = [outcome for outcome in due if outcome.peak >= TOUCH]
+    shares = [sum(o.says_yes for o in those) / max(1, len(those)) for those in (due, with_torque)]
+    return [
+        Row("runs with a fault", len(outcomes), "1"),
+        Row("false claims", wrong, "1", target="0", met=wrong == 0),
+        Row("runs that lost more than declared and went on", went_on, "1", target="0", met=went_on == 0),
+        Row("runs in which a yes is due", len(due), "1"),
+        Row("of these, yes", shares[0], "1", target=">= 0.8", met=shares[0] >= 0.8),
+        Row("of these with a torque of 0.5 N", len(with_torque), "1"),
+        Row("of those, yes with a certificate", shares[1], "1", target=">= 0.8", met=shares[1] >= 0.8),
+        Row("runs that a fault stopped", sum(o.status == "stopped" for o in outcomes), "1"),
         Row("scenes refused", sum(o.status == "refused" for o in outcomes), "1"),
     ]
 
@@ -183,7 +215,7 @@ def main() -> None:
     show(rows)
     for outcome in list(filter(is_false, outcomes))[:_SHRUNK_AT_MOST]:
         print(f"seed {outcome.seed}: {'; '.join(outcome.false_claims)}; {', '.join(outcome.tags)}")
-    publish(name, _figures(outcomes), _PACKAGES)
+    publish(name, _figures(outcomes, faults=arguments.faults), _PACKAGES)
     write_result(out_folder() / f"{name}_table.json", _PACKAGES, {"table": rows})
 
 

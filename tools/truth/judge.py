@@ -22,6 +22,7 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import scene_from_mapping
 from tools.truth.faults import FaultWatch
 from tools.truth.hand_watch import HandWatch
+from tools.truth.loss_watch import LossWatch
 from tools.truth.scenes import SOURCE, TruthScene
 
 ROUNDING: Final = 1e-9
@@ -30,6 +31,8 @@ TOUCH: Final = 0.5
 """Force of a contact that counts [N]."""
 LOSS_LIMIT: Final = 0.01
 """Energy given out beyond what is declared at which a rig stops by default [J]."""
+_MOST_LOSSES: Final = 4
+"""Cycles in a row with a loss that a scene with a fault declares, once its bus has really lost so many."""
 _TRIES: Final = 4
 
 
@@ -54,11 +57,26 @@ class Outcome:
     reaction: str = ""  # why the rig stopped
     to_zero: int = 0  # sample times from a fault until no drive gave a torque any more
     lost: float = 0.0  # true energy given out beyond what is declared and the resolution, of the worst port [J]
+    losses: int = 0  # most cycles in a row in which a bus lost process data
+    declared_losses: int = 0  # of these that are declared
+    skipped: int = 0  # SYNCs that the rig left out
 
     @property
     def counts(self) -> bool:
         """Whether it ran for long enough and touched."""
         return self.status == "completed" and max(self.peak, self.asked) >= TOUCH
+
+    @property
+    def is_due(self) -> bool:
+        """Whether a yes is due in a scene with a fault; `tools/bench/truth.py` says when."""
+        touched = self.status != "refused" and max(self.peak, self.asked) >= TOUCH
+        is_within = self.losses <= self.declared_losses and not self.skipped
+        return touched and is_within and self.declared and "algorithm:guarded" in self.tags and self.least >= -ROUNDING
+
+    @property
+    def says_yes(self) -> bool:
+        """Whether the account promises the sum at motor or handle; a port without any torque needs no certificate."""
+        return "yes" in (self.verdict, self.at_handle) and (bool(self.certificates) or self.peak == 0.0)
 
     @property
     def went_on(self) -> bool:
@@ -76,12 +94,18 @@ class Outcome:
 
 
 def judged(scene: TruthScene) -> tuple[TruthScene, Outcome]:
-    """Returns the scene with its hand force raised to what the hand really did, and what its run came to."""
+    """Returns the scene with its declarations raised to what hand and bus really did, and what its run came to.
+
+    Of the bus that is done where a fault is drawn, and as far as `_MOST_LOSSES`.
+    """
     outcome, watch = _run(scene)
     for _ in range(_TRIES):
-        if outcome.declared or watch is None or not scene.is_true:
+        more_losses = scene.has_fault and outcome.declared_losses < outcome.losses <= _MOST_LOSSES
+        if watch is None or not scene.is_true or (outcome.declared and not more_losses):
             break
         scene = _with_true_hand(scene, watch)
+        if more_losses and scene.promises:
+            scene.passivity["max_consecutive_losses"] = outcome.losses
         outcome, watch = _run(scene)
     return scene, outcome
 
@@ -111,11 +135,13 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
     status, text = "completed", ""
     with experiment:
         watch, asked, faults = HandWatch(experiment, scene.outward), _Asked(experiment), FaultWatch(experiment, scene)
+        losses = LossWatch(experiment)
 
         def each(cycles: int) -> None:
             watch(cycles)
             asked()
             faults(cycles)
+            losses()
 
         try:
             run(experiment.cycle, max(1, round(scene.duration / loaded.bus.sample_time)), progress=each)
@@ -129,7 +155,9 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
     outcome = _outcome(scene, account, watch, asked, status, text)
-    return replace(outcome, reaction=reaction, to_zero=to_zero), watch
+    declared = int(scene.passivity.get("max_consecutive_losses", 0))
+    seen = {"losses": losses.longest, "declared_losses": declared, "skipped": losses.skipped}
+    return replace(outcome, reaction=reaction, to_zero=to_zero, **seen), watch
 
 
 def _refused(scene: TruthScene, text: str) -> Outcome:
