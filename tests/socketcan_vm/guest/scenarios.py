@@ -4,6 +4,7 @@ Every line `RESULT {...}` is one scenario. Frames are read from the kernel by a 
 kernel's time stamps, and judged by their bytes.
 """
 
+import importlib
 import json
 import os
 import select
@@ -12,15 +13,18 @@ import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from functools import partial
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
+
+from canhaptic.cli.main import main as command_line
 
 SCENE = "/packages/configs/demo.yaml"
 EXAMPLE = "/packages/configs/socketcan_example.yaml"
@@ -125,49 +129,83 @@ def torque(frame: Frame) -> int:
     return int(struct.unpack_from("<h", frame.data, 2)[0])
 
 
-@contextmanager
-def canhaptic(*words: str, is_first: bool = False, is_cold: bool = False) -> Iterator["subprocess.Popen[str]"]:
-    """The command in a process of its own, gone at the end of the block.
+class Forked:
+    """The command in a process forked from this one, with what is used here of `subprocess.Popen`.
 
-    It is forked from this process, which has imported the package, unless it is to start cold: the imports are nearly
-    all the work of a start, and the emulated processor does in ten seconds what a real one does in one.
+    This one has imported the package: the imports are nearly all the work of a start, which the emulated processor
+    does in half a minute.
     """
-    forked = None if is_cold else partial(_become, words, is_first)
-    with subprocess.Popen(
-        [sys.executable, "-c", (FIRST if is_first else "") + PROGRAM, *words],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=forked,
-    ) as process:  # fmt: skip
-        try:
-            yield process
-        finally:
-            process.kill()
+
+    def __init__(self, words: Sequence[str], is_first: bool) -> None:
+        reading, writing = os.pipe()
+        self._out = tempfile.TemporaryFile("w+")  # noqa: SIM115 - open as long as the process
+        self.returncode: int | None = None
+        self.pid = os.fork()
+        if not self.pid:
+            os.dup2(self._out.fileno(), 1)
+            os.dup2(writing, 2)
+            _become(words, is_first)
+        os.close(writing)
+        self.stderr = os.fdopen(reading)
+
+    def poll(self) -> int | None:
+        if self.returncode is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self.returncode = os.waitstatus_to_exitcode(status) if pid else None
+        return self.returncode
+
+    def communicate(self, timeout: float = PATIENCE) -> tuple[str, str]:
+        if self.poll() is None:
+            descriptor = os.pidfd_open(self.pid)
+            ended = select.select([descriptor], [], [], timeout)[0]
+            os.close(descriptor)
+            if not ended:
+                raise subprocess.TimeoutExpired("canhaptic", timeout)
+            self.poll()
+        self._out.seek(0)
+        return self._out.read(), self.stderr.read()
+
+    def send_signal(self, number: int) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
 
 
-def _become(words: Sequence[str], is_first: bool) -> None:
-    """Runs the command in the process that was just forked, its pipes in place, and ends it; nothing is executed."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    if is_first:
-        exec(FIRST)
-    from canhaptic.cli.main import main as command
-
+def _become(words: Sequence[str], is_first: bool) -> NoReturn:
     status = 1
     try:
-        status = command(list(words))
+        if is_first:
+            exec(FIRST)
+        status = command_line(list(words))
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else 1
+    except BaseException:
+        traceback.print_exc()
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)
 
 
-def import_all() -> None:
-    """Imports in this process what `run` and `drive` import, by a short run on a virtual bus."""
-    from canhaptic.cli import drive  # noqa: F401
-    from canhaptic.cli.main import main as command
+@contextmanager
+def canhaptic(*words: str, is_first: bool = False, is_cold: bool = False) -> Iterator["Forked | subprocess.Popen[str]"]:
+    """The command in a process of its own, gone at the end of the block; with an interpreter of its own if cold."""
+    process: Forked | subprocess.Popen[str]
+    if is_cold:
+        program = [sys.executable, "-c", (FIRST if is_first else "") + PROGRAM, *words]
+        process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    else:
+        process = Forked(words, is_first)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGKILL)
 
+
+def import_all() -> None:
+    """Imports what `run` and `drive` import, by a short run on a virtual bus."""
+    importlib.import_module("canhaptic.cli.drive")
     with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-        command(["run", SCENE, "--duration", "0.01", "--json", "--bus-log", "/tmp/first.log"])
+        command_line(["run", SCENE, "--duration", "0.01", "--json"])
 
 
 def on_bus(channel: str) -> list[str]:
@@ -179,16 +217,16 @@ def on_bus(channel: str) -> list[str]:
 
 
 def whole_run(
-    master: str, drive: str, seconds: float, scene: str = SCENE, *, is_cold: bool = False
+    master: str, drive: str, seconds: float, scene: str = SCENE, *, is_cold: bool = False, is_logged: bool = False
 ) -> dict[str, Any]:
-    """Two processes over one bus: start, contact, stop. The master may have a scene of its own."""
+    """Two processes over one bus, and the writer of a log: start, contact, stop. The master may have its own scene."""
     listener = Listener(master)
     far_words = "drive", SCENE, *on_bus(drive), *HAND_IN_THE_WALL
     with canhaptic(*far_words, is_first=True, is_cold=is_cold) as far:
         assert far.stderr is not None
         powered = far.stderr.readline()
         command = ["run", scene, *on_bus(master), "--pace", "real", "--duration", str(seconds), "--json"]
-        command += ["--bus-log", "/tmp/run.log"]
+        command += ["--bus-log", "/tmp/run.log"] if is_logged else []
         with canhaptic(*command, is_cold=is_cold) as near, Usage() as usage:
             out, err = near.communicate(timeout=PATIENCE)
         far.send_signal(signal.SIGTERM)
@@ -277,10 +315,10 @@ def main() -> None:
         link("set", name, "up")
     for name in ("can0", "can1"):
         link("set", name, "up", "txqueuelen", "128", "type", "can", "bitrate", "1000000")
-    seconds = 3.0
+    seconds = 3.0  # 1200 cycles
     scenarios = {
-        "vcan": lambda: whole_run("vcan0", "vcan0", seconds),
-        "example": lambda: whole_run("vcan1", "vcan1", seconds, EXAMPLE, is_cold=True),
+        "vcan": lambda: whole_run("vcan0", "vcan0", seconds, is_logged=True),
+        "example": lambda: whole_run("vcan1", "vcan1", 1.0, EXAMPLE, is_cold=True),
         "kvaser": lambda: whole_run("can0", "can1", seconds),
         "link_down": lambda: cut_off("can0", "can1", "down"),
         "killed": lambda: cut_off("can0", "can1", "killed"),
