@@ -37,7 +37,7 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "drive": ("drive", "replay", "sim_bus", "acceptance", "commission"),
     "logs": ("logs", "audit", "replay", "view"),
     "replay": ("replay", "acceptance"),
-    "sim": ("sim_drive", "sim_bus", "plant", "replay", "acceptance"),
+    "sim": ("sim_drive", "sim_bus", "plant", "replay", "acceptance", "touch"),
     "view": ("view", "audit", "cli", "project"),
     "result.py": ("audit", "acceptance", "cli", "view"),
     "control/certificates": ("control", "replay", "kernels", "acceptance"),
@@ -52,6 +52,14 @@ EQUIVALENT: Final[dict[str, str]] = {
     "=> if mode == 0 or (mode >= 0 and listed >> mode - 1 & 1):": "mode 0 is taken before",
     "canhaptic/sim/drive/profile/display_servo.py: DisplayServo.settle: is_late = self.now - self._braking_since >= "
     "_LONGEST_BRAKING => is_late = self.now - self._braking_since > _LONGEST_BRAKING": "1 ns of half a second",
+    "canhaptic/drive/profile/force_channel.py: ForceChannel.reset: self.force, self.same, self.is_wrong = (0.0, 0, "
+    "False) => self.force, self.same, self.is_wrong = (0.0, 32, False)": "the first value "
+    "behind a reset sets it, and nothing reads it before",
+    "canhaptic/sim/drive/profile/object_store.py: Entry.__init__: signed_code = _PDO_CODES.get((size, True), '') if "
+    "data_type != DataType.BOOLEAN else '' => signed_code = _PDO_CODES.get((size, True), '') if data_type > "
+    "DataType.BOOLEAN else ''": "BOOLEAN is the lowest data type",
+    "canhaptic/logs/bus_reader.py: module: _LATEST: Final = 4000000000000000000 => _LATEST: Final = "
+    "4000000000000000002": "2 ns of 127 years",
     "canhaptic/view/series.py: module: _BUCKETS: Final = 400 => _BUCKETS: Final = 402": "points of a drawing",
     "canhaptic/view/html_panels.py: module: _WORST_SPAN: Final = 0.25 => _WORST_SPAN: Final = 1.25": (
         "seconds that a button of a page shows"
@@ -133,6 +141,8 @@ def reached(copy: Path, folders: Sequence[str], into: Path, budget: float) -> Re
         room = room_of(Path(module))
         near = tuple(f"tests/{folder}/" for folder in ROOMS[room][:2]) if room else ()
         callers[module] |= {test for test in seconds if near and test.startswith(near)}
+    for room, near in ROOMS.items():  # for modules that run in processes which no site reaches, as the log writer does
+        callers[room] = {test for test in seconds if test.startswith(tuple(f"tests/{folder}/" for folder in near[:2]))}
     found = {}
     for name, tests in callers.items():
         ordered = sorted(tests, key=seconds.__getitem__)
@@ -146,7 +156,8 @@ def _tests_of(mutant: str, path: Path, callers: Reached) -> Sequence[str]:
     scope = mutant.partition(":")[0]
     is_class = scope.rpartition(".")[2].lstrip("_")[:1].isupper()  # whose body runs with the import, in one test alone
     found = callers.get(f"{path.as_posix()}:{scope}", ())
-    return found if found and not is_class else callers.get(path.as_posix(), ())
+    found = found if found and not is_class else callers.get(path.as_posix(), ())
+    return found or callers.get(room_of(path), ())
 
 
 def outcome(copy: Path, path: Path, number: int, callers: Reached) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import threading
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -317,3 +318,11 @@ def test_the_room_is_that_of_a_request_behind_the_worst_cycle_or_in_place_of_an_
         budget = bus_budget(parameters, plan)
         assert budget.fits
         assert has_room_for_sdo(budget, parameters) is room
+
+
+def test_a_cycle_that_is_too_long_by_half_a_bit_has_no_room_for_a_request_either(bench: MakeBench) -> None:
+    parameters = BusParameters(rate=1000.0, emcy_reserve=1)
+    budget = bus_budget(parameters, [bench().rig.drives[0].map])
+    for bits, room in ((0.0, True), (0.5, False)):
+        full = replace(budget, sample_time=budget.worst_cycle - bits / budget.bitrate)
+        assert has_room_for_sdo(full, parameters) is room

@@ -228,6 +228,7 @@ def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC,
 def test_the_timing_of_a_cycle_is_recorded() -> None:
     bench = make_bench()
     bench.rig.start()
+    assert bench.rig.timing == (0, 0, 0, 0)
     bench.run(5)
     assert bench.rig.timing == (0, 0, 0, 0)
     bench.rig.sync()

@@ -8,6 +8,8 @@ from canhaptic.canopen.code_texts import emcy_text, sdo_abort_text
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SdoAbort
 from canhaptic.logs.decoder import BusDecoder, NodeDescription
+from canhaptic.logs.pdo_decoder import PdoMaps
+from canhaptic.logs.sdo_decoder import Access
 
 EDS = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"
 
@@ -111,6 +113,14 @@ def test_a_map_is_learnt_without_any_description_too_and_an_aborted_write_teache
     words(decoder, 0x605, "2F001A0001000000")
     words(decoder, 0x585, "80001A0022000008")
     assert words(decoder, 0x185, "37120A0000000000")[2].endswith("position actual 10, torque demand 0")
+
+
+def test_the_fields_of_a_frame_are_objects_with_their_subindex() -> None:
+    maps = PdoMaps(5, None)
+    for subindex, entry in ((0, 2), (1, 0x60C1_0220), (2, 0x6071_0010)):
+        maps.learn(Access(0x1600, subindex, entry.to_bytes(4, "little")))
+    fields = maps.fields(0x1600, bytes.fromhex("78563412 f6ff"))
+    assert fields == [(0x60C1, 2, 32, 0x12345678), (0x6071, 0, 16, -10)]
 
 
 def test_segments_belong_to_the_object_whose_transfer_they_continue(decoder: BusDecoder) -> None:

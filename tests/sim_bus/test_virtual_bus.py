@@ -1,6 +1,7 @@
 """The lean virtual bus does what python-can's own does, next to it on the same channel."""
 
 import threading
+import time
 from collections.abc import Iterator
 from itertools import count
 
@@ -147,3 +148,19 @@ def test_a_connection_that_was_shut_down_refuses_and_hears_nothing(channel: str)
         with pytest.raises(can.CanOperationError, match="closed"):
             use()
     here.shutdown()
+
+
+def test_a_frame_that_comes_while_its_receiver_waits_is_received(
+    pair: tuple[LeanVirtualBus, LeanVirtualBus],
+) -> None:
+    here, there = pair
+    sender = threading.Timer(0.02, here.send, [can.Message(arbitration_id=7, is_extended_id=False)])
+    sender.start()
+    begin = time.monotonic()
+    heard = there.recv(1.0)
+    if heard is None:
+        assert time.monotonic() - begin >= 1.0  # the sender was late, not the receiver impatient
+        heard = there.recv(30.0)
+    assert heard is not None
+    assert heard.arbitration_id == 7
+    sender.join()

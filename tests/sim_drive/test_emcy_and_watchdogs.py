@@ -3,7 +3,7 @@
 import pytest
 
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.sim_drive.drive_on_bus import PERIOD, Rig
+from tests.sim_drive.drive_on_bus import NODE, PERIOD, TRAITS, Rig
 
 MS = 1_000_000
 
@@ -105,6 +105,13 @@ def test_rpdo_timeout_obeys_the_abort_connection_option(rig: Rig) -> None:
     rig.enable()
     rig.run(rig.now + 6 * MS)
     assert rig.drive.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_a_drive_without_that_option_takes_a_lost_connection_for_a_fault() -> None:
+    with Rig(TRAITS / "array_maps.eds") as rig:
+        rig.enable()
+        rig.send(0x000, f"02 {NODE:02x}")
+        assert rig.drive.state is DriveState.FAULT_REACTION_ACTIVE
 
 
 def test_missing_syncs_fault_when_the_cycle_period_is_known(rig: Rig) -> None:

@@ -238,3 +238,6 @@ def test_several_runs_lie_over_one_page_and_two_cursors_read_it(
     cursors = [{span.name for span in panel.select({"type": Span}) if span.editable} for panel in timed]
     assert len(timed) == 3
     assert cursors == [{"cursor 1", "cursor 2"}] * 3
+    span = next(span for span in timed[0].select({"type": Span}) if span.editable)
+    [read] = span.js_property_callbacks["change:location"]
+    assert [read.args[name].name for name in ("first", "second")] == ["cursor 1", "cursor 2"]
