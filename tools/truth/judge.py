@@ -156,8 +156,8 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
     outcome = _outcome(scene, account, watch, asked, status, text)
     declared = int(scene.passivity.get("max_consecutive_losses", 0))
-    seen = {"losses": losses.longest, "declared_losses": declared, "skipped": losses.skipped}
-    return replace(outcome, reaction=reaction, to_zero=to_zero, **seen), watch
+    outcome = replace(outcome, losses=losses.longest, declared_losses=declared, skipped=losses.skipped)
+    return replace(outcome, reaction=reaction, to_zero=to_zero), watch
 
 
 def _refused(scene: TruthScene, text: str) -> Outcome:

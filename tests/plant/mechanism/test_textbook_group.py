@@ -15,5 +15,7 @@ def test_the_rates_of_a_stage_are_those_of_newton(has_hand):
     force = hand_force(time, place, speed) if has_hand else np.zeros(2)
     masses, damping = np.array([0.6, 0.25]), np.array([0.4, 0.1])
     expected = [*speed, *((torques + force - damping * speed) / masses), torques @ speed, force @ speed]
-    assert model.rates(time, [*place, *speed, 0.0, 0.0], list(torques)) == pytest.approx(expected, rel=1e-12)
+    assert model.rates(time, [*place, *speed, 0.0, 0.0], list(torques), model.first) == pytest.approx(
+        expected, rel=1e-12
+    )
     assert model.start == [0.0] * 6
