@@ -1,11 +1,11 @@
-"""`canhaptic design CONFIG`: the stiffest wall, and its largest damping, that `guarded` renders on a rig."""
+"""`canhaptic design CONFIG`: the stiffest wall that `guarded` renders on a rig, or the lightest mass of a display."""
 
 import argparse
 
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.cli.scene_progress import scene_progress
-from canhaptic.scene.display_checks import refuse_displays
+from canhaptic.scene.models import Scene
 from canhaptic.study.design.design_report import design_report, snippet
 from canhaptic.study.design.wall import design_wall
 from canhaptic.study.sweep.run_sweep import Progress
@@ -20,7 +20,8 @@ def execute(arguments: argparse.Namespace) -> int:
         CheckFailedError: No wall at all is rendered.
     """
     scene = scene_of(arguments)
-    refuse_displays(scene, "design")
+    if all(axis.parameters.admittance is not None for axis in scene.axes):
+        return _design_displays(scene, arguments)
     with scene_progress("trying walls") as show:
         found = design_wall(
             scene, arguments.margin, arguments.tolerance, arguments.engine,
@@ -30,4 +31,18 @@ def execute(arguments: argparse.Namespace) -> int:
         write_json({**found.result, "yaml": snippet(found.result)})
     else:
         make_console().print(design_report(found.result))
+    return 0
+
+
+def _design_displays(scene: Scene, arguments: argparse.Namespace) -> int:
+    from canhaptic.study.displays.display_design import design_displays, display_design_report, display_snippet
+
+    with scene_progress("trying masses") as show:
+        found = design_displays(
+            scene, arguments.margin, arguments.tolerance, lambda tried, most: show(Progress(tried, most, 0))
+        )
+    if arguments.json:
+        write_json({**found, "yaml": {name: display_snippet(of) for name, of in found["displays"].items()}})
+    else:
+        make_console().print(display_design_report(found))
     return 0

@@ -271,7 +271,7 @@ def test_every_algorithm_is_compared_over_can(capsys: pytest.CaptureFixture[str]
     assert {found["status"] for found in compared.values()} == {"completed"}
 
 
-@pytest.mark.parametrize("command", ["accuracy", "design"])
+@pytest.mark.parametrize("command", ["accuracy"])
 def test_what_is_made_for_impedance_displays_refuses_in_words(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([command, str(SCENE)]) == 2
     assert "impedance displays" in capsys.readouterr().err
