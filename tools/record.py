@@ -60,6 +60,12 @@ _AT_A_BOUND: Final = (  # a hand that knocks twice a second on a wall stiffer th
     "simulation.user.motion={type: sinusoid, amplitude: 30 mm, frequency: 2 Hz}",
 )
 _WITHOUT_FORCE: Final = ("passivity.hand_force=null", "passivity.hand_push=null")
+_WITH_FRICTION: Final = (
+    "passivity.device_friction_bound=0.6",
+    "simulation.effects=[{type: coulomb_friction, kinetic: 0.5, static: 0.5}]",
+)
+_LATE: Final = {"sync_jitter": "0.02", "torque_window": "400 us", "current_lag": "300 us"}
+_GROUP_AT_A_BOUND: Final = ("bus.rate=250", "groups.0.network.stiffness=6000", "groups.0.passivity.hand_force=1")
 
 RECORDINGS: Final = {
     "demo": Plan("configs/demo.yaml", 1.6),
@@ -74,13 +80,7 @@ RECORDINGS: Final = {
     "bound_late_torque": Plan(
         "configs/demo.yaml",
         0.8,
-        (
-            *_AT_A_BOUND,
-            "bus.rpdo=event",
-            "passivity.sync_jitter=0.02",
-            "passivity.torque_window=400 us",
-            "passivity.current_lag=300 us",
-        ),
+        (*_AT_A_BOUND, "bus.rpdo=event", *(f"passivity.{key}={value}" for key, value in _LATE.items())),
     ),
     "bound_device_damping": Plan(
         "configs/demo.yaml", 0.8, (*_AT_A_BOUND, *_WITHOUT_FORCE, "passivity.device_damping=0.1")
@@ -96,10 +96,33 @@ RECORDINGS: Final = {
         (*_AT_A_BOUND, "passivity.hand_force=2", "passivity.max_consecutive_losses=2"),
         loses=lambda number: number % 23 in (11, 12),
     ),
-    "bound_group": Plan(
+    "bound_device_friction": Plan(
+        "configs/demo.yaml", 0.8, (*_AT_A_BOUND, *_WITHOUT_FORCE, *_WITH_FRICTION, "passivity.device_friction=0.4")
+    ),
+    "bound_sum": Plan(
+        "configs/demo.yaml",
+        0.8,
+        (
+            *(*_AT_A_BOUND, *_WITH_FRICTION),
+            *("passivity.hand_force=2", "passivity.device_damping=0.1", "passivity.device_friction=0.2"),
+        ),
+    ),
+    "bound_drag": Plan(
+        "configs/demo.yaml",
+        0.8,
+        (*_AT_A_BOUND, "passivity.hand_force=2", "passivity.drag=0.2", "passivity.earned_energy=5 mJ"),
+    ),
+    "bound_group": Plan("configs/xy_box.yaml", 1.4, _GROUP_AT_A_BOUND),
+    "bound_late_group": Plan(
         "configs/xy_box.yaml",
         1.4,
-        ("bus.rate=250", "groups.0.network.stiffness=6000", "groups.0.passivity.hand_force=1"),
+        (*_GROUP_AT_A_BOUND, "bus.rpdo=event", *(f"groups.0.passivity.{key}={value}" for key, value in _LATE.items())),
+    ),
+    "bound_lossy_group": Plan(
+        "configs/xy_box.yaml",
+        1.4,
+        (*_GROUP_AT_A_BOUND, "groups.0.passivity.max_consecutive_losses=1"),
+        loses=lambda number: number % 23 == 11,
     ),
     "bound_group_of_handles": Plan("configs/two_handles.yaml", 0.4),
 }
