@@ -1,6 +1,7 @@
 """Shared test settings: hypothesis deterministic, vendor dictionaries found or visibly absent, CPU time shown."""
 
 import gc
+import json
 import os
 from collections import Counter
 from collections.abc import Generator
@@ -67,6 +68,16 @@ def pytest_runtest_makereport() -> Generator[None, Any, Any]:
     return report
 
 
+def recorded_coverage(path: Path) -> str:
+    """What was last recorded of the lines that the fast tests run; measuring it doubles their CPU time."""
+    how = "make bench Q=coverage RECORD=1"
+    if not path.exists():
+        return f"coverage of the fast tests: not recorded ({how})"
+    found = json.loads(path.read_text(encoding="utf-8"))
+    row = found["rows"][0]
+    return f"coverage of the fast tests: {row['value']:.1f} % of the {row['row']} ({found['commit']}; {how})"
+
+
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Ends a run with its CPU time and the slowest tests: wall-clock time says little on a machine with other work."""
     seconds: Counter[str] = Counter()
@@ -78,3 +89,4 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
         terminalreporter.section(f"{_cpu_seconds():.0f} s of CPU; the {_SLOWEST} slowest tests")
         for test, spent in seconds.most_common(_SLOWEST):
             terminalreporter.write_line(f"{spent:6.2f} s  {test}")
+        terminalreporter.write_line(recorded_coverage(REPOSITORY / "docs" / "results" / "coverage.json"))

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tools.bench import report
+from tests.conftest import recorded_coverage
+from tools.bench import coverage, report
 
 ROOT = Path(__file__).parents[2]
 RUN = ROOT / "tools" / "bench" / "run.py"
@@ -59,3 +60,20 @@ def test_make_records_only_where_it_is_told_to() -> None:
     assert "--record" not in command("Q=cycle")
     assert command("Q=cycle", "RECORD=1").endswith("cycle --record")
     assert command("Q=cycle", "OUT=here").endswith("cycle --out here")
+
+
+def test_the_summary_of_the_tests_says_what_was_recorded_of_their_coverage(tmp_path: Path) -> None:
+    place = tmp_path / "coverage.json"
+    assert "not recorded (make bench Q=coverage RECORD=1)" in recorded_coverage(place)
+    summary = {"covered_lines": 3, "num_statements": 4}
+    files = {"canhaptic/cycle.py": summary, "canhaptic/sim/plant/user.py": {"covered_lines": 1, "num_statements": 4}}
+    rows = coverage.rows_of({"files": {name: {"summary": found} for name, found in files.items()} | {
+        "/there/canhaptic/sim/plant/plant.py": {"summary": summary}}})  # fmt: skip
+    assert [(row.row, round(row.value, 1)) for row in rows] == [
+        ("whole package, 12 statements", 58.3),
+        ("modules of no room, 4 statements", 75.0),
+        ("sim, 8 statements", 50.0),
+    ]
+    place.write_text(json.dumps({"rows": [{"row": rows[0].row, "value": rows[0].value}], "commit": "abc1234"}))
+    assert recorded_coverage(place).startswith("coverage of the fast tests: 58.3 % of the whole package, 12 statements")
+    assert "abc1234" in recorded_coverage(place)
