@@ -16,7 +16,7 @@ from math import inf
 from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, list_of_zeros
+from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
 
 
@@ -126,42 +126,3 @@ def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int
     for distance in range(1, length + 1):
         narrow(window, ring[newest - length + distance], tolerance, distance)
     window.scanned += 2 * length
-
-
-class AdaptiveWindow:
-    """Velocity of the newest sample of one axis; keeps the window and its samples.
-
-    Attributes:
-        window: As the kernels have it.
-    """
-
-    __slots__ = ("_ring", "_sample_time", "_tolerance", "window")
-
-    def __init__(self, sample_time: float, tolerance: float, longest: int) -> None:
-        """Makes an estimator at rest.
-
-        Args:
-            sample_time: [s].
-            tolerance: Largest distance of a sample from the line [m or rad]: one encoder count.
-            longest: Window, in samples.
-        """
-        self._sample_time, self._tolerance = sample_time, tolerance
-        self.window, self._ring = VelocityWindow(), list_of_zeros(longest + 1)
-
-    def restart(self, position: float) -> None:
-        """Begins anew at a position [m or rad], at rest."""
-        restart(self.window, self._ring, position)
-
-    def update(self, position: float) -> float:
-        """Takes the position [m or rad] one sample later and returns the velocity [m/s or rad/s]."""
-        update(self.window, self._ring, self._tolerance, self._sample_time, position)
-        return self.window.velocity
-
-    @property
-    def velocity(self) -> float:
-        """Velocity at the newest sample [m/s or rad/s]."""
-        return self.window.velocity
-
-    @velocity.setter
-    def velocity(self, velocity: float) -> None:
-        self.window.velocity = velocity

@@ -27,7 +27,7 @@ DISPLAY_KEYS: Final = (
 _SENSOR_NODE: Final = 9  # node ID of a sensor that is a node of its own, where the drive has no input
 
 
-def analog_input(dictionary: ObjectDictionary) -> str | None:
+def _analog_input(dictionary: ObjectDictionary) -> str | None:
     """Returns the first known analog input that a TPDO of the drive can carry, as `0x3160.1`; None where there is none.
 
     The object of another make at one of these places may be another thing: it is a proposal.
@@ -51,7 +51,7 @@ def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | Non
     Raises:
         pydantic.ValidationError: `force_object` is no place of an object.
     """
-    place = force_object or analog_input(dictionary)
+    place = force_object or _analog_input(dictionary)
     node = ForceNode(node_id=_SENSOR_NODE) if place is None else None
     force = ForceParameters(object=place, node=node, per_count=1.0, range=1e6, slew=1.0, error=0.0)
     return DisplayParameters(mode=mode, handle_acceleration=1.0, force=force)

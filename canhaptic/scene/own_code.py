@@ -37,7 +37,7 @@ ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
 """What may be a user's own -> group of the entry points of plug-ins."""
 
 
-def names_own_code(name: object) -> bool:
+def _names_own_code(name: object) -> bool:
     """Returns whether the name of a component is `file.py:Class`."""
     return isinstance(name, str) and _MARK in name
 
@@ -69,7 +69,7 @@ class OwnCode:
 
     def is_left(self, reference: str, kind: str) -> bool:
         """Returns whether a name is of own code that this scene leaves unread; it is then noted in `left`."""
-        if self._use != "left" or not (names_own_code(reference) or reference in installed(kind)):
+        if self._use != "left" or not (_names_own_code(reference) or reference in installed(kind)):
             return False
         self.left.append(reference)
         return True
@@ -80,7 +80,7 @@ class OwnCode:
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
         """
-        if names_own_code(reference):
+        if _names_own_code(reference):
             return self.load(reference, kind)
         found = installed(kind).get(reference)
         return None if found is None else self._plug_in(found)

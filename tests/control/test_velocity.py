@@ -12,12 +12,27 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
-from canhaptic.control.velocity import AdaptiveWindow
+from canhaptic.control.velocity import VelocityWindow, restart, update
 from canhaptic.errors import ParameterError
 from tests.control.reference_loop import USER_S, continuous, sampled, variation
 
 SAMPLE_TIME = 1e-3
 counts = st.lists(st.integers(-3, 3), min_size=1, max_size=120)
+
+
+class AdaptiveWindow:
+    """The velocity of one axis by the kernels; keeps their window and its samples."""
+
+    def __init__(self, sample_time, tolerance, longest):
+        self._sample_time, self._tolerance = sample_time, tolerance
+        self.window, self._ring = VelocityWindow(), [0.0] * (longest + 1)
+
+    def restart(self, position):
+        restart(self.window, self._ring, position)
+
+    def update(self, position):
+        update(self.window, self._ring, self._tolerance, self._sample_time, position)
+        return self.window.velocity
 
 
 def run(positions, tolerance=1.0, longest=16):

@@ -98,7 +98,7 @@ class PlantSide:
             return {**named(candidate), "status": f"failed: {error}", "evaluations": None}
         found = difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
         stable = found.is_finite and found.position <= FURTHEST * self.travel
-        errors = errors_of(found) if stable else dict.fromkeys(("position_error", "force_error", "energy_error"))
+        errors = _errors_of(found) if stable else dict.fromkeys(("position_error", "force_error", "energy_error"))
         return {
             **named(candidate),
             "status": "ok" if stable else "unstable",
@@ -141,7 +141,7 @@ class PlantSide:
             "effect": name,
             "order": order,
             "remark": "",
-            **errors_of(found),
+            **_errors_of(found),
             "evaluations_saved_per_period": (base - evaluations) / len(self.torques),
         }
 
@@ -198,6 +198,6 @@ def named(candidate: Candidate) -> Row:
     }
 
 
-def errors_of(found: MotionError) -> Row:
+def _errors_of(found: MotionError) -> Row:
     """Returns the columns of the errors."""
     return {"position_error": found.position, "force_error": found.force, "energy_error": found.energy}

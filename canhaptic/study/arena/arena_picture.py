@@ -26,7 +26,7 @@ _DARK: Final = 3e-3
 """Energy from which a cell is so dark that its number is white [J]."""
 
 
-def draw_borders(found: Found, path: str | Path) -> None:
+def _draw_borders(found: Found, path: str | Path) -> None:
     """Draws the K-B plot: passive, and passive and near, each without delay and late.
 
     Raises:
@@ -81,7 +81,7 @@ def _line(name: str, number: int) -> dict[str, Any]:
     return {**mark, "color": _COLOURS[number % len(_COLOURS)], "linewidth": 1.0}
 
 
-def draw_impedance(found: Found, path: str | Path) -> None:
+def _draw_impedance(found: Found, path: str | Path) -> None:
     """Draws the impedance rendered over the one asked for, size and angle, without delay and late.
 
     Raises:
@@ -113,7 +113,7 @@ def _draw_ratio(panel: Any, found: Found, delay: int, key: str) -> None:
         panel.set_yscale("log")
 
 
-def draw_given_out(found: Found, path: str | Path) -> None:
+def _draw_given_out(found: Found, path: str | Path) -> None:
     """Draws who gives out energy where: cells by the most energy beyond the device, with the number of cases.
 
     Raises:
@@ -151,8 +151,8 @@ def _cell(found: Found, name: str, scene: str, key: str) -> float:
 
 def pictures_of(found: Found) -> Sequence[tuple[str, str, Any]]:
     """Returns (file name, title, function that draws it) of every picture that an arena has."""
-    whole = [("arena_given_out.png", "Who gives out energy where", draw_given_out)]
+    whole = [("arena_given_out.png", "Who gives out energy where", _draw_given_out)]
     if found.get("borders"):
-        whole.insert(0, ("arena_kb.png", "Stiffness over damping", draw_borders))
-        whole.append(("arena_impedance.png", "Impedance", draw_impedance))
+        whole.insert(0, ("arena_kb.png", "Stiffness over damping", _draw_borders))
+        whole.append(("arena_impedance.png", "Impedance", _draw_impedance))
     return whole

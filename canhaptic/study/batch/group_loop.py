@@ -45,7 +45,7 @@ class GroupSync(NamedTuple):
     interaction: float  # true energy that came in by motors and mover since the start [J]
 
 
-def run_group_loop(
+def _run_group_loop(
     scene: Scene, cycles: int, take: Callable[[GroupSync], None], controller: GroupController | None = None
 ) -> None:
     """Runs the one group of a scene.
@@ -176,7 +176,7 @@ def render_group(scene: Scene, cycles: int, recorder: GroupRecorder) -> LoopRun:
         ParameterError: The group cannot be built.
     """
     try:
-        run_group_loop(scene, cycles, recorder.take_group)
+        _run_group_loop(scene, cycles, recorder.take_group)
     except DivergedError:
         return recorder.run("diverged")
     except ControlError as error:

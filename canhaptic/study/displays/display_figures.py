@@ -50,7 +50,7 @@ def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = N
 def figures_of(run: DisplayRun, scene: Scene) -> dict[str, float]:
     """Returns every figure of a run of a scene."""
     mass, damping = felt(run, scene)
-    motion, asked = run.columns(), mass_asked(scene)
+    motion, asked = run.columns(), _mass_asked(scene)
     moved = len(motion) > 0
     return {
         "diverged": float(bool(run.ended) or run.diverged),
@@ -72,7 +72,7 @@ def figures_of(run: DisplayRun, scene: Scene) -> dict[str, float]:
     }
 
 
-def mass_asked(scene: Scene) -> float | None:
+def _mass_asked(scene: Scene) -> float | None:
     """Returns the mass that a scene of one part renders [kg or kg*m^2]; None where it has none."""
     part = scene.groups[0].network if scene.groups else scene.axes[0].environment
     asked = getattr(part.parameters, "inertia", getattr(part.parameters, "mass", None))
