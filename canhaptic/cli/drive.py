@@ -16,7 +16,8 @@ from canhaptic.errors import InputError, LinkError
 from canhaptic.host.realtime import Realtime
 from canhaptic.scene.build import build_drive_group
 from canhaptic.scene.bus import open_bus, suffers, with_effects
-from canhaptic.scene.models import NamedBus, Scene
+from canhaptic.scene.further_bus import NamedBus
+from canhaptic.scene.models import Scene
 from canhaptic.sim.drive.can.drive_group import DriveGroup
 
 _LONGEST_WAIT = 50_000_000  # [ns] between two looks at the stop signal

@@ -94,15 +94,13 @@ def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: D
     And those of which nothing is read back behind a lost TPDO, where a certificate is to survive lost RPDOs.
     """
     for axis, entry in zip(scene.axes, entries, strict=True):
-        bus = next(bus.parameters for bus in scene.buses if bus.name == axis.bus)
-        if axis.parameters.demand_reported == "after" and bus.rpdo == "event":
+        if axis.parameters.demand_reported == "after" and scene.bus_of(axis).rpdo == "event":
             faults.add(
                 entry.value_at("demand_reported"),
                 "got 'after', but with bus.rpdo: event no torque changes at SYNC: the TPDO shows that of the hold "
                 "that ended; leave it out, or set rpdo: synchronous",
             )
-        of = next((group.passivity for group in scene.groups if group.name == axis.group), axis.passivity).parameters
-        losses = getattr(of, "max_consecutive_losses", 0)
+        losses = getattr(scene.passivity_of(axis).parameters, "max_consecutive_losses", 0)
         if axis.parameters.demand_reported == "after" and losses:
             faults.add(
                 entry.value_at("demand_reported"),
@@ -182,7 +180,7 @@ def _check_window(
     axis: AxisScene, axis_map: AxisMap, passivity: MarkedMapping, scene: Scene, faults: Diagnostics
 ) -> None:
     """Notes a window that no bus keeps: it is true of a simulation in lock-step, and was carried over from there."""
-    bus, window = next(bus.parameters for bus in scene.buses if bus.name == axis.bus), axis.loop.torque_window
+    bus, window = scene.bus_of(axis), axis.loop.torque_window
     least = shortest_answer(bus.bitrate, axis_map)
     if bus.rpdo == "event" and window is not None and window < least:
         faults.add(
@@ -213,8 +211,7 @@ def _check_parts(
             build_plant(axis.simulation, scene.bus.sample_time_ns)
         except ParameterError as error:
             faults.add(_place_in_simulation(axis, sections["simulation"], error.part), str(error))
-    bus = next(bus.parameters for bus in scene.buses if bus.name == axis.bus)
-    return _check_dictionary(axis, bus, entry, scene, faults)
+    return _check_dictionary(axis, entry, scene, faults)
 
 
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
@@ -230,16 +227,16 @@ def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) 
     return simulation.value_at(part if part == "compiled" else "plant")
 
 
-def _check_dictionary(
-    axis: AxisScene, bus: BusParameters, entry: MarkedMapping, scene: Scene, faults: Diagnostics
-) -> AxisMap | None:
+def _check_dictionary(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> AxisMap | None:
     """Notes every reason why the drive's dictionary does not serve; returns the PDO map when it does."""
     try:
         dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
     except DictionaryError as error:
         faults.add(entry.value_at("eds"), str(error))
         return None
-    refusals = [f for f in check_dictionary(dictionary, axis.parameters, bus) if f.verdict is Verdict.REFUSED]
+    refusals = [
+        f for f in check_dictionary(dictionary, axis.parameters, scene.bus_of(axis)) if f.verdict is Verdict.REFUSED
+    ]
     for finding in refusals:
         faults.add(entry.value_at("eds"), f"{axis.parameters.eds}: {finding.item}: {finding.text}")
     if (text := limit_objection(axis, dictionary, scene)) is not None:

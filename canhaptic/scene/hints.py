@@ -23,12 +23,8 @@ _BY_DAMPING: Final = ("guarded", "energy_bounding")
 _UNPROTECTED: Final = "unprotected"
 """Algorithm that renders the plain wall."""
 _LINEAR_ROTARY: Final = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "N*m*s/rad"), "speed": ("m/s", "rad/s")}
-
-
 LEAN: Final = 0.25
 """Force of a hand that leans on a wall, as a part of the torque limit."""
-
-
 DRAG: Final = 0.1
 """Drag that is hardly felt [N or N*m]."""
 

@@ -23,8 +23,9 @@ from canhaptic.scene.diagnostics import Diagnostics
 from canhaptic.scene.document import MarkedList, MarkedMapping
 from canhaptic.scene.eds_path import find_dictionary
 from canhaptic.scene.explain import NOTED, read_list, read_mapping, refuse_unknown_keys
+from canhaptic.scene.further_bus import FurtherBus
 from canhaptic.scene.group_layout import Members, check_group_axes, group_layout, mechanism_layout, members_of
-from canhaptic.scene.models import LOOP_KEYS, FurtherBus, GroupMembership, RunParameters
+from canhaptic.scene.models import LOOP_KEYS, GroupMembership, RunParameters
 from canhaptic.scene.profiles import with_profile
 from canhaptic.scene.simulated_defaults import mirror_quirks
 from canhaptic.units import shown

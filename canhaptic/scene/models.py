@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, WrapValidator
 from pydantic import ValidationInfo as Info
@@ -40,6 +40,7 @@ from canhaptic.scene.components import (
     UnreadParameters,
 )
 from canhaptic.scene.document import MarkedMapping
+from canhaptic.scene.further_bus import BusName, FurtherBus, NamedBus
 from canhaptic.scene.old_names import in_old_names
 from canhaptic.scene.own_code import OwnCode
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
@@ -49,7 +50,7 @@ from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
-from canhaptic.units import Name, Parameters, PrintableText, UnitContext, quantity
+from canhaptic.units import Name, Parameters, UnitContext, quantity
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus.bus_effects import BusEffects
@@ -65,7 +66,6 @@ _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres, for linear and rotary motors."""
 
 UnitT = TypeVar("UnitT", bound=str | None)
-BusName = Annotated[Name, Field(pattern=r"^\S+$")]
 Environment = Annotated[
     ComponentSpec,
     ComponentByDisplay(
@@ -130,33 +130,6 @@ class SimulationParameters(Parameters):
     """Seed of everything random in the simulation."""
     compiled: bool = False
     """Whether plants run compiled by numba (the extra `fast`); seconds of compiling, for stiff scenes."""
-
-
-class FurtherBus(Parameters):
-    """What a bus of several may have of its own; rate, link policy and the rest are those of the first."""
-
-    name: BusName
-    """Name used in an axis's `bus`."""
-    interface: PrintableText | None = None
-    """python-can interface; None: that of the first bus."""
-    channel: PrintableText | int | None = None
-    """Channel of the interface; None: a private one for `virtual`."""
-    bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] | None = None
-    """Bit rate of classic CAN; None: that of the first bus."""
-    options: dict[str, Any] | None = None
-    """Further keyword arguments of `can.Bus`; None: those of the first bus."""
-
-    def beside(self, first: BusParameters) -> BusParameters:
-        """Returns all parameters of this bus."""
-        own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
-        return first.model_copy(update={"channel": None, **own})
-
-
-class NamedBus(NamedTuple):
-    """One bus with everything that holds for it."""
-
-    name: str  # empty where the scene has one bus without a name
-    parameters: BusParameters
 
 
 class GroupMembership(Parameters):
@@ -308,7 +281,7 @@ class Scene:
     @property
     def buses(self) -> tuple[NamedBus, ...]:
         """All buses of the rig; rate, link policy and the rest are those of the first."""
-        further = (NamedBus(bus.name, bus.beside(self.bus)) for bus in self.further_buses)
+        further = (NamedBus(bus.name, bus.over(self.bus)) for bus in self.further_buses)
         return (NamedBus(self.bus_name, self.bus), *further)
 
     def axis(self, name: str) -> AxisScene:
@@ -318,6 +291,14 @@ class Scene:
     def axes_on(self, bus: str) -> tuple[AxisScene, ...]:
         """Returns the axes on one bus, by its name."""
         return tuple(axis for axis in self.axes if axis.bus == bus)
+
+    def bus_of(self, axis: AxisScene) -> BusParameters:
+        """Returns the bus that an axis is on."""
+        return next(bus.parameters for bus in self.buses if bus.name == axis.bus)
+
+    def passivity_of(self, axis: AxisScene) -> ComponentSpec:
+        """Returns the algorithm that renders on an axis: its own, or that of its group."""
+        return next((group.passivity for group in self.groups if group.name == axis.group), axis.passivity)
 
     @property
     def simulated(self) -> bool:

@@ -15,7 +15,8 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.can.bus_budget import torque_latency, worst_frame
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.errors import CanHapticError
-from canhaptic.scene.models import AxisScene, NamedBus, Scene
+from canhaptic.scene.further_bus import NamedBus
+from canhaptic.scene.models import AxisScene, Scene
 
 GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
 """Taken for real drives until it is declared, with the time that event RPDOs take; no real drive runs on them."""
@@ -63,8 +64,7 @@ def _with_guesses(scene: Scene) -> Scene:
 
 def _is_certified(scene: Scene, axis: AxisScene) -> bool:
     """Whether the algorithm of an axis promises anything that rests on its holds."""
-    algorithm = next((group.passivity for group in scene.groups if group.name == axis.group), axis.passivity)
-    return hasattr(algorithm.parameters, "hand_force")
+    return hasattr(scene.passivity_of(axis).parameters, "hand_force")
 
 
 def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, Any]:

@@ -14,7 +14,8 @@ from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.models import AxisScene, FurtherBus, GroupScene, MechanismScene, Scene
+from canhaptic.scene.further_bus import FurtherBus
+from canhaptic.scene.models import AxisScene, GroupScene, MechanismScene, Scene
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.pointer_hand import PointerHand
 from canhaptic.sim.plant.user import UserParameters
