@@ -54,7 +54,8 @@ def test_the_largest_torque_is_where_what_is_taken_meets_what_is_left(seed):
         speed=draw.choice([0.0, 0.3]),
     )
     bound = TorqueBound(displacement=draw.uniform(-2e-4, 2e-4), torque=draw.uniform(0.0, 3.0), out=1.0)
-    bound.dissipated, energy = draw.uniform(0.0, 2e-3), draw.uniform(0.0, 2e-3)
+    bound.dissipated = bound.certain = draw.uniform(0.0, 2e-3)
+    energy = draw.uniform(0.0, 2e-3)
     under_way = [draw.uniform(0.0, 0.4), 0.0]
     memory = bound_memory(known, under_way, list_of_zeros)
     largest, for_all, by_force = largest_in_sum(known, bound, memory, 1.0, energy)

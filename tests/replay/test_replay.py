@@ -60,8 +60,8 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
     ("name", "place"),
     [
         ("bound_hand_force", "certificates.certified_torque.hand_force_bound"),
-        ("bound_late_torque", "certificates.late_torque.hand_force_bound"),
-        ("bound_lost_frames", "certificates.certified_torque.by_hand_force_if_held_on"),
+        ("bound_late_torque", "certificates.late_reach.hand_force_bound"),
+        ("bound_lost_frames", "certificates.late_reach.if_held_on"),
         ("bound_device_damping", "certificates.sum_of_certificates.for_any_hand"),
         ("bound_hand_speed", "certificates.sum_of_certificates.by_fastest"),
         ("bound_device_friction", "certificates.sum_of_certificates.for_any_hand"),

@@ -1,251 +1,287 @@
-"""The hand-force certificate where a torque comes late: each step of the proof is in `hold_timing`."""
+"""The sum of certificates where torques come late, holds are uneven, or frames may be lost.
 
-from typing import NamedTuple
+`sum_of_certificates` has the sum for holds with one torque each, `hold_timing` what a late torque changes. Here both:
+at every instant the device dissipates b v^2 + f_c |v|, so that torques u = f (1 - p) + older ones take from S no more
+than the integral of
 
-from canhaptic.control.certificates.scalar_bounds import (
-    DisplacementResponse,
-    hand_force_bound,
-    next_displacement,
-    tail_reach,
-)
+    phi = u v - b v^2 - f_c |v|
+
+over the motions v <= v* that the hand allows. phi is concave in v, and with n the part of a torque above f_c,
+(u - f_c)+ <= n_f (1 - p) + n_older p. So a hold takes no more than each of
+
+    A  what the torques give out along v*, as in `hold_timing`:     phi <= u v* where v* < 0 or u v* > 0
+    B  the same with n in place of every torque:                    phi <= (u - f_c)+ v*, and u v* <= n v* for v* < 0
+    C  (n_f^2 T + theta max(0, n_g^2 - n_f^2)) / 4b:                phi <= (u - f_c)+^2 / 4b, and squares are convex
+    D  v_max (n_f T + theta max(0, n_g - n_f)):                     phi <= (u - f_c)+ |v|
+
+with g the largest older torque, and the least of them counts (`taken_in_hold`): A and B need the hand's force (the
+motion is that of the whole torques), C the device's damping, or torques that are all below f_c, and D the hand's speed.
+Torques in both directions are charged each for its own; friction and damping are used where v is along the torque
+alone, so that no part of them counts twice. The tail of the last torque is charged as if no torque followed.
+
+**Lost frames.** In each hold under way any of the last torques sent may act: A to D are taken at the largest, an energy
+that comes in at the least of them. A new torque may act in 1, 2, ... holds, and each of A to D is summed over them.
+
+**What is left.** S has what the device dissipated. What is booked is the least that may have come in: by the hand's
+force or speed, or by the damping for a hand of which nothing is known (`for_any`).
+
+**In debt** (the budget is below zero) there may be no torque that meets it. Then a torque is sent only as far as it
+takes energy in by itself, its tail included, at any older torques (`takes_in`).
+"""
+
+from math import inf, sqrt
+
+from canhaptic.control.certificates.late_reach import LateMotion, by_reach_of_late
+from canhaptic.control.certificates.scalar_bounds import DisplacementResponse, next_displacement, tail_reach
 from canhaptic.control.certificates.torque_bound import (
     BoundMemory,
     Declared,
     TorqueBound,
     acted,
+    for_any,
     hand_along,
-    may_act,
     outward,
 )
-from canhaptic.kernels import Buffer, new
+from canhaptic.kernels import new
+
+_ANY, _SENT, _HELD_ON = 0, 1, 2
 
 
-class LateMotion(NamedTuple):
-    """How far the axis can have moved along the torque by the end of a hold, and what acts in it."""
-
-    displacement: float  # in that hold [m or rad]
-    counted: float  # torque that counts as held in it, >= 0 [N or N*m]
-    highest: float  # torque along that acts at its end at most, >= 0 [N or N*m]
-    lowest: float  # at least, >= 0; 0 where one acts against
-
-
-def motion_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> LateMotion:
+def motion_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hand: float) -> LateMotion:
     """Returns the motion along `sign` in the hold that ended."""
     highest, lowest = (bound.highest, bound.lowest) if sign > 0.0 else (-bound.lowest, -bound.highest)
-    displacement = outward(declared, bound, memory, sign)
+    displacement = outward(declared, bound, memory, sign) if hand < inf else inf
     counted = max(0.0, acted(declared, bound, sign))
     return new(LateMotion, (displacement, counted, max(0.0, highest), max(0.0, lowest)))
 
 
 def pass_hold(
-    declared: Declared, hand: float, motion: LateMotion, torque: float, least: float
-) -> tuple[LateMotion, float, float]:
-    """Returns the motion in the next hold, and the most energy that older torques and its own give out in it [J].
+    declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float
+) -> tuple[LateMotion, float]:
+    """Returns the motion in the next hold, and the most that it takes beyond what the device dissipates [J].
 
     Args:
-        declared: Of the axis.
-        hand: Displacement by the hand [m or rad].
+        declared: Of axis and hand.
+        hand: Displacement by it [m or rad]; infinite: not known.
+        speed: Of it; 0: not known [m/s or rad/s].
         motion: Of the hold before.
-        torque: Along, held in the next one; one against counts as 0 [N or N*m].
-        least: The least that may be held in its place, >= 0 [N or N*m].
+        most: Largest torque along that may be held in the next one, >= 0 [N or N*m].
+        least: Smallest, >= 0 [N or N*m].
     """
-    response, early, own = declared.response, 0.0, 0.0
+    response = declared.response
     displacement, before, highest, lowest = motion
-    acting = torque if torque > 0.0 else 0.0
-    counted = newest = acting
-    excess, lacking, oldest = highest - acting, acting - lowest, acting
-    if excess > 0.0:
-        counted += response.late * excess
-        newest += declared.left * excess
+    counted, newest, oldest, following = most, most, least, inf
+    if highest > most:
+        counted += response.late * (highest - most)
+        newest += declared.left * (highest - most)
+    if least > lowest:
+        oldest -= declared.left * (least - lowest)
+    if hand < inf:
+        following = next_displacement(displacement, before, counted, response, hand)
+    taken = taken_in_hold(declared, hand, speed, motion, most, least, following)
+    return new(LateMotion, (following, counted, newest, oldest)), taken
+
+
+def taken_in_hold(
+    declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float, following: float
+) -> float:
+    """Returns the least of A to D for a hold [J]; `following` is its displacement, for the rest see `pass_hold`."""
+    friction, hold, late, taken = declared.friction, declared.sample_time, declared.late, inf
+    net = most - friction if most > friction else 0.0
+    older = motion.highest - friction if motion.highest > friction else 0.0
+    if hand < inf:
+        reach = tail_reach(motion.displacement, motion.counted, max(most, motion.highest), declared.response, hand)
+        taken = along_reach(declared.response, motion, 0.0, most, least, following, reach)
+        if friction > 0.0:
+            taken = min(taken, along_reach(declared.response, motion, friction, most, least, following, reach))
+    if net == 0.0 and older == 0.0:
+        taken = min(taken, 0.0)
+    elif declared.damping > 0.0:
+        squares = net * net * hold
+        if older > net:
+            squares += late * (older * older - net * net)
+        taken = min(taken, squares / (4.0 * declared.damping))
+    if speed > 0.0:
+        taken = min(taken, speed * (net * hold + late * (older - net if older > net else 0.0)))
+    return taken
+
+
+def along_reach(
+    response: DisplacementResponse,
+    motion: LateMotion,
+    friction: float,
+    most: float,
+    least: float,
+    following: float,
+    reach: float,
+) -> float:
+    """Returns what torques give out in a hold along the farthest motion [J]: A, or with friction B."""
+    most, least = max(0.0, most - friction), max(0.0, least - friction)
+    highest, lowest = max(0.0, motion.highest - friction), max(0.0, motion.lowest - friction)
+    taken = (most if following > 0.0 else least) * following
     if highest > least:
-        early = (highest - least) * tail_reach(displacement, before, highest, response, hand)
-    following = next_displacement(displacement, before, counted, response, hand)
-    if acting > 0.0:
-        own = acting * following
-    if lacking > 0.0:
-        oldest -= declared.left * lacking
-        if displacement < 0.0:
-            own -= lacking * response.behind * displacement
-    return new(LateMotion, (following, counted, newest, oldest)), early, own
+        taken += (highest - least) * reach
+    if most > lowest and motion.displacement < 0.0:
+        taken -= (most - lowest) * response.behind * motion.displacement
+    return taken
 
 
-def tail_of(declared: Declared, hand: float, motion: LateMotion) -> float:
-    """Returns the most energy that the torques along give out after a hold that is the last of all [J]."""
-    if motion.highest == 0.0:
+def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -> float:
+    """Returns the most that the torques along take after a hold that is the last of all [J]."""
+    net = motion.highest - declared.friction
+    if declared.late == 0.0 or net <= 0.0:
         return 0.0
-    return motion.highest * tail_reach(motion.displacement, motion.counted, motion.highest, declared.response, hand)
+    taken = inf
+    if hand < inf:
+        taken = net * tail_reach(motion.displacement, motion.counted, motion.highest, declared.response, hand)
+    if declared.damping > 0.0:
+        taken = min(taken, declared.late * net * net / (4.0 * declared.damping))
+    return min(taken, speed * declared.late * net) if speed > 0.0 else taken
 
 
-def worst_out_late(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, torques: Buffer, first: int, count: int
-) -> float:
-    """Returns `worst_out`, with the tail of the last torque [J]."""
-    motion, hand = motion_along(declared, bound, memory, sign), hand_along(declared, bound, sign)
-    acts = motion.highest > 0.0
-    for place in range(first, first + count):
-        if sign * torques[place] > 0.0:
-            acts = True
-    if not acts:
-        return 0.0
-    worst = total = 0.0
-    for place in range(first, first + count):
-        along = sign * torques[place]
-        motion, early, own = pass_hold(declared, hand, motion, along, max(0.0, along))
-        total += early + own
-        worst = max(worst, total)
-    return max(worst, total + tail_of(declared, hand, motion))
+def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
+    """Returns the largest torque along `sign` that may act in one of the next holds [N or N*m], >= 0.
+
+    Any torque sent may stay for the declared losses.
+    """
+    most = 0.0
+    for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
+        torque = sign * (memory.under_way[bound.first + place - 1] if place else bound.torque)
+        if torque > most:
+            most = torque
+    return most
 
 
-def by_hand_force_late(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, torques: Buffer, first: int
-) -> float:
-    """Returns `by_hand_force` where torques come late [N or N*m]."""
-    motion, hand = motion_along(declared, bound, memory, sign), hand_along(declared, bound, sign)
-    energy -= worst_out_late(declared, bound, memory, -sign, torques, first, declared.delay)
-    for place in range(first, first + declared.delay):
-        along = sign * torques[place]
-        motion, early, own = pass_hold(declared, hand, motion, along, max(0.0, along))
-        energy -= early + own
-    largest = above_older(declared, hand, motion, energy)
-    if largest >= motion.highest:
-        return largest
-    return min(motion.highest, below_older(declared, hand, motion, energy))
+def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
+    """Returns the smallest torque along `sign` that may act in one of the next holds [N or N*m], >= 0."""
+    least = inf
+    for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
+        torque = sign * (memory.under_way[bound.first + place - 1] if place else bound.torque)
+        if torque < least:
+            least = torque
+    return least if 0.0 < least < inf else 0.0
 
 
-def above_older(declared: Declared, hand: float, motion: LateMotion, energy: float) -> float:
-    """Returns the largest torque as if it were no smaller than the older ones [N or N*m].
-
-    It gives out F D + (F - l) x and its tail F X, with D = base + during F the displacement in its hold.
+def taken_under_way(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float, holds: int, which: int
+) -> tuple[float, float, LateMotion]:
+    """Returns what torques under way along `sign` take together, at worst with the tail [J], and the last motion.
 
     Args:
-        declared: Of the axis.
-        hand: Displacement by the hand [m or rad].
-        motion: Of the hold before.
-        energy: That may be taken out [J].
+        declared: Of axis and hand.
+        bound: Of the axis.
+        memory: Of the bound.
+        sign: 1 or -1.
+        speed: Of the hand; 0: it does not count [m/s or rad/s].
+        holds: In which they act.
+        which: `_ANY` that may act, or of the next hold alone the torque as it was sent, or the one before it held on.
     """
-    response, displacement = declared.response, motion.displacement
-    base = next_displacement(displacement, motion.counted, 0.0, response, hand)
-    late = -response.behind * displacement if displacement < 0.0 else 0.0
-    start = base + late + response.tail_hand * hand
-    gain = response.during + response.tail_before + response.tail_during
-    energy += motion.lowest * late
-    share = response.share
-    largest = hand_force_bound(energy, start + share * base, gain + share * response.during)
-    return largest if base >= 0.0 else min(largest, hand_force_bound(energy, start, gain))
-
-
-def below_older(declared: Declared, hand: float, motion: LateMotion, energy: float) -> float:
-    """Returns the largest torque as if it were smaller than the older ones [N or N*m].
-
-    With g the largest of these it gives out F D + (g - F) X_0 + (F - l) x and the tail G X, where
-    D = base + during (late g + (1 - late) F), G = c g + (1 - c) F, and (F - l) x is at most F (g - l) x / g.
-    All is convex in F and joins `above_older` at F = g. Arguments as there.
-    """
-    response, left = declared.response, declared.left
-    displacement, before, highest, lowest = motion
-    early = tail_reach(displacement, before, highest, response, hand)
-    base = next_displacement(displacement, before, response.late * highest, response, hand)
-    gain = response.during * (1.0 - response.late)
-    late = 0.0
-    if displacement < 0.0:
-        late = -response.behind * displacement * ((highest - lowest) / highest)
-    rest = left * highest
-    ahead = response.tail_before * response.late * highest + response.tail_during * rest + response.tail_hand * hand
-    rise = response.tail_before * (1.0 - response.late) + response.tail_during * (1.0 - left)
-    largest = -1.0
-    for share in (0.0, response.share):  # of the displacement in the tail: counts where it is outward
-        tail, more = ahead + share * base, rise + share * gain
-        start = base - early + late + (1.0 - left) * tail + rest * more
-        found = hand_force_bound(energy - highest * early - rest * tail, start, gain + (1.0 - left) * more)
-        if largest < 0.0 or found < largest:
-            largest = found
-    return largest
-
-
-def any_late(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, holds: int
-) -> tuple[float, LateMotion]:
-    """Returns what any mix of torques along `sign` may give out in so many holds [J], and the motion in the last.
-
-    What one of them would take in is not counted: another, or none, may act in its place.
-    """
-    motion, hand = motion_along(declared, bound, memory, sign), hand_along(declared, bound, sign)
-    total = 0.0
+    hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
+    motion, total, worst = motion_along(declared, bound, memory, sign, hand), 0.0, 0.0
     for hold in range(1, holds + 1):
-        motion = new(LateMotion, (motion.displacement, motion.counted, motion.highest, 0.0))
-        along = may_act(declared, bound, memory, sign, hold)
-        motion, early, own = pass_hold(declared, hand, motion, along, 0.0)
-        total += early
-        if own > 0.0:
-            total += own
-    return total, motion
+        if which == _ANY:
+            most = may_act(declared, bound, memory, sign, hold)
+            least = most if declared.losses == 0 else smallest_acting(declared, bound, memory, sign, hold)
+        else:
+            most = least = max(0.0, sign * (memory.under_way[bound.first] if which == _SENT else bound.torque))
+        motion, taken = pass_hold(declared, hand, speed, motion, most, least)
+        total += taken
+        worst = max(worst, total)
+    return total, max(worst, total + tail_of(declared, hand, speed, motion)), motion
 
 
-def given_by_any_late(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, holds: int
-) -> tuple[float, float]:
-    """Returns `given_by_any` with the tail of the last torque; the base is that of no torque after it."""
-    given, motion = any_late(declared, bound, memory, sign, holds)
-    hand = hand_along(declared, bound, sign)
-    base = next_displacement(motion.displacement, motion.counted, 0.0, declared.response, hand)
-    return given + tail_of(declared, hand, motion), base
+def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float, holds: int) -> float:
+    """Returns what is left of an energy after all torques under way, for a hand of which nothing is known [J].
 
-
-def largest_of_any(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
-    """Returns the largest torque along `sign` where frames may be lost and torques come late [N or N*m].
-
-    F acts in 1, 2, ... holds until another arrives. With D_i the displacements in them, g the older torques and X as
-    in `hold_timing`, it gives out F sum(D_i) + g X_1 + c g sum(X_i) + F x and its tail (F + c g) X; each X_i after the
-    first is at most that of the sum of all outward displacements. Where F is lost, the older torques stay: they were
-    certified for that.
+    The integral of (u - f_c)+^2 is at most the sum of n_k^2 (T + theta), u being a mean of the torques.
     """
-    response, left, hand = declared.response, declared.left, hand_along(declared, bound, sign)
-    given, motion = any_late(declared, bound, memory, sign, declared.delay)
-    energy -= given + given_by_any_late(declared, bound, memory, -sign, declared.delay + declared.losses + 1)[0]
-    displacement, before, older, _ = motion
-    late = -response.behind * displacement if displacement < 0.0 else 0.0
-    early = older * tail_reach(displacement, before, older, response, hand)
-    base = next_displacement(displacement, before, response.late * older, response, hand)
-    inward, largest = max(0.0, -base), -1.0
-    for holds in range(1, declared.losses + 2):
-        friction = (1.0 - response.retained) * inward
-        start, gain, ahead = held_on_late(response, base, response.during, hand, friction, holds)
-        reach = response.share * ahead + (response.tail_before + response.tail_during) * older
-        reach += response.tail_hand * hand
-        more = response.share * gain + response.tail_before + response.tail_during
-        tail = left * older * holds
-        start += late + left * (holds - 1) * response.behind * inward
-        start += reach + older * response.tail_during + tail * more
-        found = hand_force_bound(energy - early - tail * reach, start, gain + more)
-        if largest < 0.0 or found < largest:
-            largest = found
-    return largest
+    older = max(bound.highest, -bound.lowest) - declared.friction
+    squares = declared.late * older * older if older > 0.0 else 0.0
+    for hold in range(1, holds + 1):
+        most = max(may_act(declared, bound, memory, 1.0, hold), may_act(declared, bound, memory, -1.0, hold))
+        if most > declared.friction:
+            squares += (declared.sample_time + declared.late) * (most - declared.friction) ** 2
+    if squares == 0.0:
+        return energy
+    return energy - squares / (4.0 * declared.damping) if declared.damping > 0.0 else -inf
 
 
-def held_on_late(
-    response: DisplacementResponse, base: float, gain: float, hand: float, friction: float, holds: int
+def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
+    """Returns how much of `energy`, with what the device dissipated, the torques under way do not need [J]."""
+    holds, known = declared.delay + declared.losses, energy + max(0.0, bound.dissipated)
+    free = 0.0
+    if declared.by_hand_force or declared.hand_speed > 0.0:
+        free = known - taken_under_way(declared, bound, memory, 1.0, declared.hand_speed, holds, _ANY)[1]
+        free -= taken_under_way(declared, bound, memory, -1.0, declared.hand_speed, holds, _ANY)[1]
+    if declared.damping > 0.0 or declared.friction > 0.0:
+        free = max(free, for_every_hand(declared, bound, memory, energy + for_any(bound), holds))
+    return free if free > 0.0 else 0.0
+
+
+def largest_of_late(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Returns the sum of the displacements in so many holds of one torque.
+    """Returns the largest torque along `sign`: by all certificates, for every hand, without the hand speed [N or N*m].
+
+    Args as of `largest_in_sum`.
+    """
+    longest = (declared.sample_time + declared.late) * (declared.losses + 1)
+    for_all = declared.friction
+    left = for_every_hand(declared, bound, memory, energy + for_any(bound), declared.delay)
+    if left > 0.0 and declared.damping > 0.0:
+        for_all += sqrt(4.0 * declared.damping * left / longest)
+    known = energy + max(0.0, bound.dissipated)
+    by_force = for_all
+    if declared.by_hand_force:
+        by_force = max(for_all, largest_of_known(declared, bound, memory, sign, known, 0.0))
+    if declared.hand_speed == 0.0:
+        return by_force, for_all, by_force
+    largest = largest_of_known(declared, bound, memory, sign, known, declared.hand_speed)
+    return max(by_force, largest), for_all, by_force
+
+
+def largest_of_known(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
+) -> float:
+    """Returns the largest torque along `sign` for a hand of bounded force, speed, or both [N or N*m].
 
     Args:
-        response: Of the axis.
-        base: Displacement in the first hold without the torque [m or rad].
-        gain: In the first hold per torque.
-        hand: Displacement by the hand in two holds [m or rad].
-        friction: What friction adds to an inward displacement in a hold at most [m or rad].
-        holds: How many.
-
-    Returns:
-        Without the torque, per torque, and of the first only what is outward [m or rad, m/N or rad/(N*m), m or rad].
+        declared: Of axis and hand.
+        bound: Of the axis.
+        memory: Of the bound.
+        sign: 1 or -1.
+        energy: That may be taken out, with what the device dissipated [J].
+        speed: Of the hand; 0: it does not count [m/s or rad/s].
     """
-    start, more, ahead = base, gain, max(0.0, base)
-    for _ in range(1, holds):
-        if base > 0.0:
-            base *= response.growth
-        base += hand + friction
-        gain = response.growth * gain + response.before + response.during
-        start += base
-        more += gain
-        if base > 0.0:
-            ahead += base
-    return start, more, ahead
+    losses, delay = declared.losses, declared.delay
+    holds = delay + losses + 1 if losses and declared.late > 0.0 else delay
+    energy -= taken_under_way(declared, bound, memory, -sign, speed, holds, _ANY)[1]
+    if losses == 0 or delay != 1:
+        return largest_after(declared, bound, memory, sign, energy, speed, _ANY)
+    sent = largest_after(declared, bound, memory, sign, energy, speed, _SENT)
+    return min(sent, largest_after(declared, bound, memory, sign, energy, speed, _HELD_ON))
+
+
+def largest_after(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float, which: int
+) -> float:
+    """Returns `largest_of_known` after some torques of `taken_under_way`, less what those against it take."""
+    given, _, motion = taken_under_way(declared, bound, memory, sign, speed, declared.delay, which)
+    budget, friction, losses = energy - given, declared.friction, declared.losses
+    hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
+    largest = friction
+    if hand < inf:
+        largest = max(largest, by_reach_of_late(declared, hand, motion, 0.0, budget))
+        if friction > 0.0:
+            largest = max(largest, friction + by_reach_of_late(declared, hand, motion, friction, budget))
+    if budget <= 0.0:
+        return largest
+    older = max(0.0, motion.highest - friction)
+    longest = (declared.sample_time + declared.late) * (losses + 1)
+    if declared.damping > 0.0:
+        squares = 4.0 * declared.damping * budget - declared.late * older * older
+        if squares > 0.0:
+            largest = max(largest, friction + sqrt(squares / longest))
+    if speed > 0.0:
+        largest = max(largest, friction + (budget / speed - declared.late * older) / longest)
+    return largest

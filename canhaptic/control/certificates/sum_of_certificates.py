@@ -41,6 +41,7 @@ from canhaptic.control.certificates.torque_bound import (
     BoundMemory,
     Declared,
     TorqueBound,
+    for_any,
     hand_along,
     outward,
 )
@@ -67,14 +68,17 @@ def taken(declared: Declared, torque: float, reach: float) -> float:
     return reach * (net - damped * reach)
 
 
-def taken_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> tuple[float, float, float]:
+def taken_along(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float
+) -> tuple[float, float, float]:
     """Returns what the torques under way along `sign` take together, and at worst [J], and the base of the next one.
 
     The base is the largest displacement in the next hold without a torque; infinite where the hand is not known.
+    `speed` is that of the hand [m/s or rad/s]; 0: it does not count.
     """
     response, torques, first = declared.response, memory.under_way, bound.first
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
-    fastest = declared.hand_speed * declared.sample_time if declared.hand_speed > 0.0 else inf
+    fastest = speed * declared.sample_time if speed > 0.0 else inf
     displacement, before = inf, sign * bound.torque
     if hand < inf:
         if declared.encoder_count > 0.0:
@@ -98,9 +102,10 @@ def taken_along(declared: Declared, bound: TorqueBound, memory: BoundMemory, sig
 
 def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
     """Returns how much of `energy`, with what the device dissipated, the torques under way do not need [J]."""
-    free = energy + bound.dissipated
+    free, speed = energy + bound.dissipated, declared.hand_speed
     if declared.delay:
-        free -= taken_along(declared, bound, memory, 1.0)[1] + taken_along(declared, bound, memory, -1.0)[1]
+        free -= taken_along(declared, bound, memory, 1.0, speed)[1]
+        free -= taken_along(declared, bound, memory, -1.0, speed)[1]
     return free if free > 0.0 else 0.0
 
 
@@ -116,20 +121,42 @@ def largest_in_sum(
         sign: 1 or -1.
         energy: That may be taken out, without what the device dissipated [J].
     """
-    given, _, base = taken_along(declared, bound, memory, sign)
-    budget = energy + bound.dissipated - given
+    for_all = for_any_hand(declared, energy + for_any(bound) - taken_by_any(declared, bound, memory))
+    energy += bound.dissipated
+    by_force = for_all
+    if declared.by_hand_force:
+        budget, base = left_under_way(declared, bound, memory, sign, energy, 0.0)
+        any_hand = for_any_hand(declared, budget)
+        by_force = max(for_all, any_hand, by_reach(declared, budget, base, any_hand))
+    if declared.hand_speed == 0.0:
+        return by_force, for_all, by_force
+    budget, base = left_under_way(declared, bound, memory, sign, energy, declared.hand_speed)
+    any_hand = for_any_hand(declared, budget)
+    largest = max(by_force, any_hand, by_reach(declared, budget, base, any_hand))
+    if budget > 0.0:
+        largest = max(largest, by_fastest(declared, budget, declared.hand_speed * declared.sample_time, any_hand))
+    return largest, for_all, by_force
+
+
+def left_under_way(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
+) -> tuple[float, float]:
+    """Returns what the torques under way leave of an energy [J], and the base of `taken_along` [m or rad]."""
+    given, _, base = taken_along(declared, bound, memory, sign, speed)
+    energy -= given
     for place in range(bound.first, bound.first + declared.delay):
         if sign * memory.under_way[place] < 0.0:
-            budget -= taken_along(declared, bound, memory, -sign)[1]
+            energy -= taken_along(declared, bound, memory, -sign, speed)[1]
             break
-    for_all = for_any_hand(declared, budget)
-    by_force = for_all
-    if base < inf:
-        by_force = max(for_all, by_reach(declared, budget, base, for_all))
-    largest = by_force
-    if declared.hand_speed > 0.0 and budget > 0.0:
-        largest = max(largest, by_fastest(declared, budget, declared.hand_speed * declared.sample_time, for_all))
-    return largest, for_all, by_force
+    return energy, base
+
+
+def taken_by_any(declared: Declared, bound: TorqueBound, memory: BoundMemory) -> float:
+    """Returns the most that the torques under way take for a hand of which nothing is known [J]."""
+    total = 0.0
+    for place in range(bound.first, bound.first + declared.delay):
+        total += taken(declared, abs(memory.under_way[place]), inf)
+    return total
 
 
 def for_any_hand(declared: Declared, budget: float) -> float:
@@ -140,7 +167,9 @@ def for_any_hand(declared: Declared, budget: float) -> float:
 
 
 def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> float:
-    """Returns the largest torque by the reach of the hand force [N or N*m]; see `largest_in_sum`."""
+    """Returns the largest torque by the reach of the hand force [N or N*m]; 0 where that is infinite."""
+    if base == inf:
+        return 0.0
     friction, gain = declared.friction, declared.response.during
     damped = declared.damping / declared.sample_time
     if budget < 0.0 or (friction == 0.0 and damped == 0.0):

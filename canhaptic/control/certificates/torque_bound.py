@@ -37,6 +37,7 @@ class TorqueBound:
     changes: float = 0.0  # energy that the encoder leaves unsure, up to the last change of torque [J]
     unsure: float = 0.0  # how much less than booked may have come in so far [J]: encoder counts and lost samples
     dissipated: float = 0.0  # by the device for certain, and not forgotten [J]
+    certain: float = 0.0  # the same, less what more is in doubt for a hand of which nothing is known [J]
     slack: float = 0.0  # of the laziest motion that the encoder's positions leave open, behind them [m or rad]
     kept: int = 0  # holds in the history
     newest: int = 0  # their newest place
@@ -59,15 +60,13 @@ class BoundMemory(NamedTuple):
     torques: Buffer  # held in them; where torques come late, what counts along + [N or N*m]
     against: Buffer  # what counts along -, where torques come late
     under_way: Buffer  # torques sent, the ring of `Commands` [N or N*m]
-    held_on: Buffer  # torques that may act instead where frames are lost, shape (losses + delay,) [N or N*m]
 
 
 def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer) -> BoundMemory:
     """Returns the buffers of a bound on the torque under way."""
     window = WINDOW if declared.encoder_count > 0.0 else 0
-    held_on = declared.losses + declared.delay if declared.losses else 0
     against = window if declared.late > 0.0 else 0
-    return BoundMemory(make_buffer(window), make_buffer(window), make_buffer(against), under_way, make_buffer(held_on))
+    return BoundMemory(make_buffer(window), make_buffer(window), make_buffer(against), under_way)
 
 
 def turn(declared: Declared, bound: TorqueBound, out: float) -> None:
@@ -106,9 +105,9 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
     if declared.damping > 0.0:
         certain = abs(displacement) - count
         if certain > 0.0:
-            bound.dissipated += declared.damping / declared.sample_time * certain * certain
+            dissipate(bound, declared.damping / declared.sample_time * certain * certain)
     if declared.friction > 0.0:
-        bound.dissipated += declared.friction * certain_path(bound, displacement, count)
+        dissipate(bound, declared.friction * certain_path(bound, displacement, count))
     if declared.late > 0.0:
         doubt = doubt_of_late(declared, bound, displacement, torque)
         take_late(declared, bound, torque)
@@ -133,6 +132,17 @@ def end_hold(declared: Declared, bound: TorqueBound, memory: BoundMemory, displa
     if bound.turning:
         bound.turning -= 1
     return doubt
+
+
+def dissipate(bound: TorqueBound, energy: float) -> None:
+    """Takes an energy [J] that the device dissipated for certain."""
+    bound.dissipated += energy
+    bound.certain += energy
+
+
+def for_any(bound: TorqueBound) -> float:
+    """Returns what the device dissipated beyond what is in doubt for a hand of which nothing is known [J]."""
+    return min(bound.certain, bound.dissipated)
 
 
 def certain_path(bound: TorqueBound, displacement: float, count: float) -> float:
@@ -169,7 +179,7 @@ def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
     if declared.damping > 0.0:  # the mean speed is known, and its square is no more than the mean of the squares
         certain = abs(bound.displacement) * lasted - declared.encoder_count
         if certain > 0.0:
-            bound.dissipated -= declared.damping / declared.sample_time * certain * certain * (1.0 - 1.0 / lasted)
+            dissipate(bound, -declared.damping / declared.sample_time * certain * certain * (1.0 - 1.0 / lasted))
 
 
 def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
@@ -219,7 +229,7 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
         return damped
     bound.resolution += less + more
     if declared.damping > 0.0:  # what is promised to every hand rests on no hand
-        bound.dissipated += less - damped
+        bound.certain += less - damped
     return less
 
 
@@ -273,7 +283,7 @@ def end_gap(
         largest: Size of the torques sent for them [N or N*m].
         apart: Largest difference of one of those from the last [N or N*m].
     """
-    count, missed, further = declared.encoder_count, holds - 1, 1.0
+    count, missed, further, damped = declared.encoder_count, holds - 1, 1.0, 0.0
     if declared.losses:
         largest, apart = max(largest, abs(bound.torque)), max(apart, abs(bound.torque - torque))
     if declared.late > 0.0:  # older torques act in the last hold as well
@@ -285,6 +295,11 @@ def end_gap(
         bound.highest, bound.lowest = largest, -largest
     bound.kept = 0
     bound.upward = bound.downward = nan
+    if declared.damping > 0.0:  # for every hand; see `lost_samples`
+        stiffness, certain = declared.damping / declared.sample_time, abs(displacement) - count
+        if certain > 0.0:
+            dissipate(bound, stiffness * certain * certain / holds)
+        damped = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
     if declared.by_hand_force:
         response = declared.response
         hand = response.push if response.push < inf else response.hand
@@ -299,11 +314,10 @@ def end_gap(
         doubt = missed * apart * excursion
     elif declared.hand_speed > 0.0:
         doubt = missed * apart * declared.hand_speed * declared.sample_time
-    else:  # damping alone; see `lost_samples`
-        stiffness, certain = declared.damping / declared.sample_time, abs(displacement) - count
-        if certain > 0.0:
-            bound.dissipated += stiffness * certain * certain / holds
-        doubt = missed * apart * ((abs(displacement) + count) / holds + apart / (4.0 * stiffness))
+    else:
+        doubt = damped
+    if declared.damping > 0.0:  # what is promised to every hand rests on no hand
+        bound.certain += doubt - damped
     bound.resolution += 2.0 * doubt
     bound.changes += holds * count * largest
     bound.unsure = bound.changes + 0.5 * count * abs(torque)
@@ -372,16 +386,3 @@ def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemo
             break
         later = push
     return least
-
-
-def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
-    """Returns the largest torque along `sign` that may act in one of the next holds [N or N*m], >= 0.
-
-    Any torque sent may stay for the declared losses.
-    """
-    most = 0.0
-    for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
-        torque = sign * (memory.under_way[bound.first + place - 1] if place else bound.torque)
-        if torque > most:
-            most = torque
-    return most

@@ -5,7 +5,7 @@ from typing import Final
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.certificates.certified_torque import largest_torques
-from canhaptic.control.certificates.torque_bound import TorqueBound, keep
+from canhaptic.control.certificates.torque_bound import TorqueBound, for_any, keep
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.guarded_account import GuardedState, Memory, fade
 from canhaptic.control.passivity.guarded_settings import GuardedSettings
@@ -192,17 +192,16 @@ def energy_permitted(
         energy: That may be taken out [J].
         ceiling: Energy stored at the true state [J].
     """
-    stiffness, enough = settings.calm_stiffness, settings.earned
+    enough = settings.earned
     if settings.damped_stiffness > 0.0:
         enough = max(enough, 0.5 * (whole * whole) / settings.damped_stiffness)
-        stiffness = max(stiffness, settings.damped_stiffness)
     keep(bound, energy, ceiling + enough)
-    covered = 2.0 * stiffness * (energy + bound.dissipated)
-    if bound.dissipated < 0.0:  # what late torques left open counts against the device's damping alone
-        covered = 2.0 * max(settings.calm_stiffness * energy, settings.damped_stiffness * (energy + bound.dissipated))
+    covered = settings.calm_stiffness * (energy + bound.dissipated)
+    covered = 2.0 * max(covered, settings.damped_stiffness * (energy + for_any(bound)))
     held = settings.declared.friction + (sqrt(covered) if covered > 0.0 else 0.0)
+    energy += max(0.0, bound.dissipated)
     if settings.path > 0.0 and energy > 0.0:
-        held = max(held, energy / settings.path)
+        held = max(held, settings.declared.friction + energy / settings.path)
     return held * held
 
 

@@ -1,0 +1,171 @@
+"""How large a torque may be after torques that come late, by the reach of the hand's force; see `late_torque`.
+
+n is the part of a torque above f_c, which friction pays for: f_c is 0 for A, and that of the device for B.
+"""
+
+from typing import NamedTuple
+
+from canhaptic.control.certificates.scalar_bounds import (
+    DisplacementResponse,
+    hand_force_bound,
+    next_displacement,
+    tail_reach,
+)
+from canhaptic.control.certificates.torque_bound import Declared
+
+
+class LateMotion(NamedTuple):
+    """How far the axis can have moved along the torque by the end of a hold, and what acts in it."""
+
+    displacement: float  # in that hold; infinite: nothing is known of the hand [m or rad]
+    counted: float  # torque that counts as held in it, >= 0 [N or N*m]
+    highest: float  # torque along that acts at its end at most, >= 0 [N or N*m]
+    lowest: float  # at least, >= 0; 0 where one acts against
+
+
+def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Returns the largest part of a torque above `friction` by A, or B where that is not 0 [N or N*m].
+
+    Args:
+        declared: Of the axis.
+        hand: Displacement by the hand [m or rad].
+        motion: Of the last hold under way.
+        friction: That pays for the rest of every torque [N or N*m].
+        energy: That may be taken out [J].
+    """
+    if declared.losses:
+        return if_held_on(declared, hand, motion, friction, energy)
+    largest = above_older(declared, hand, motion, friction, energy)
+    older = motion.highest - friction
+    if largest < older:
+        largest = min(older, below_older(declared, hand, motion, friction, energy))
+    return min(largest, takes_in(declared, hand, motion, friction, energy)) if energy < 0.0 else largest
+
+
+def own_share(
+    declared: Declared, hand: float, motion: LateMotion, friction: float
+) -> tuple[float, float, float, float]:
+    """Returns start and gain of n (start + gain n), what a torque takes by itself, its base, and what comes late of it.
+
+    It takes n D + (n - l) x and its tail n X, with D = base + during F the displacement in its hold and F = n + f_c.
+    The tail counts the displacement where it is outward: `start` is without that.
+    """
+    response, displacement = declared.response, motion.displacement
+    base = next_displacement(displacement, motion.counted, 0.0, response, hand) + response.during * friction
+    late = -response.behind * displacement if displacement < 0.0 else 0.0
+    gain = response.during + response.tail_before + response.tail_during
+    start = base + late + response.tail_hand * hand + (response.tail_before + response.tail_during) * friction
+    return start, gain, base, late
+
+
+def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Returns the largest n that takes energy in by itself, as far as a debt asks for it [N or N*m].
+
+    Older torques push the axis while it acts: as if all of `late` of them were held, and `left` of them after the hold.
+    """
+    response, share = declared.response, declared.response.share
+    start, gain, base, _ = own_share(declared, hand, motion, friction)
+    pushed = response.during * response.late * motion.highest
+    ahead = response.tail_before * response.late * motion.highest
+    ahead += response.tail_during * declared.left * motion.highest
+    start, base = start + pushed + ahead, base + pushed
+    outside = hand_force_bound(energy, start + share * base, gain + share * response.during)
+    return min(outside, hand_force_bound(energy, start, gain))
+
+
+def above_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Returns the largest n as if it were no smaller than the older ones; arguments of `by_reach_of_late`."""
+    start, gain, base, late = own_share(declared, hand, motion, friction)
+    energy += max(0.0, motion.lowest - friction) * late
+    share = declared.response.share
+    largest = hand_force_bound(energy, start + share * base, gain + share * declared.response.during)
+    return largest if base >= 0.0 else min(largest, hand_force_bound(energy, start, gain))
+
+
+def below_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Returns the largest n as if it were smaller than the older ones.
+
+    With g the largest of these above f_c it takes n D + (g - n) X_0 + (n - l) x and the tail G X, where
+    D = base + during (late g + (1 - late) F), G = c g + (1 - c) n, and (n - l) x is at most n x (g - l) / g.
+    All is convex in n and joins `above_older` at n = g. Arguments of `by_reach_of_late`.
+    """
+    response, left = declared.response, declared.left
+    displacement, before, highest, lowest = motion
+    older = highest - friction
+    early = tail_reach(displacement, before, highest, response, hand)
+    gain = response.during * (1.0 - response.late)
+    base = next_displacement(displacement, before, response.late * highest, response, hand) + gain * friction
+    late = 0.0
+    if displacement < 0.0:
+        late = -response.behind * displacement * ((older - max(0.0, lowest - friction)) / older)
+    rest = left * older
+    rise = response.tail_before * (1.0 - response.late) + response.tail_during * (1.0 - left)
+    ahead = response.tail_before * response.late * highest + response.tail_during * left * highest
+    ahead += response.tail_hand * hand + rise * friction
+    largest = -1.0
+    for share in (0.0, response.share):  # of the displacement in the tail: counts where it is outward
+        tail, more = ahead + share * base, rise + share * gain
+        start = base - early + late + (1.0 - left) * tail + rest * more
+        found = hand_force_bound(energy - older * early - rest * tail, start, gain + (1.0 - left) * more)
+        if largest < 0.0 or found < largest:
+            largest = found
+    return largest
+
+
+def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Returns the largest n of a torque that may act in 1, 2, ... holds until another arrives.
+
+    With D_i the displacements in them, g the older torques above f_c and X as in `hold_timing`, it takes n sum(D_i) +
+    g X_1 + c g sum(X_i) + n x and its tail (n + c g) X; each X_i after the first is at most that of the sum of all
+    outward displacements. Where it is lost, the older torques stay: they were certified for that. Arguments of
+    `by_reach_of_late`.
+    """
+    response, left = declared.response, declared.left
+    displacement, before, highest, _ = motion
+    older = max(0.0, highest - friction)
+    late = -response.behind * displacement if displacement < 0.0 else 0.0
+    early = older * (tail_reach(displacement, before, highest, response, hand) + response.tail_during * friction)
+    base = next_displacement(displacement, before, response.late * highest, response, hand)
+    inward, largest = max(0.0, -base), -1.0
+    for holds in range(1, declared.losses + 2):
+        lost = (1.0 - response.retained) * inward
+        start, gain, ahead = sum_of_displacements(response, base, response.during, hand, lost, holds)
+        reach = response.share * ahead + (response.tail_before + response.tail_during) * highest
+        reach += response.tail_hand * hand
+        more = response.share * gain + response.tail_before + response.tail_during
+        tail = left * older * holds
+        start += late + left * (holds - 1) * response.behind * inward
+        start += reach + older * response.tail_during + tail * more + (gain + more) * friction
+        found = hand_force_bound(energy - early - tail * (reach + more * friction), start, gain + more)
+        if largest < 0.0 or found < largest:
+            largest = found
+    return largest
+
+
+def sum_of_displacements(
+    response: DisplacementResponse, base: float, gain: float, hand: float, friction: float, holds: int
+) -> tuple[float, float, float]:
+    """Returns the sum of the displacements in so many holds of one torque.
+
+    Args:
+        response: Of the axis.
+        base: Displacement in the first hold without the torque [m or rad].
+        gain: In the first hold per torque.
+        hand: Displacement by the hand in two holds [m or rad].
+        friction: What friction adds to an inward displacement in a hold at most [m or rad].
+        holds: How many.
+
+    Returns:
+        Without the torque, per torque, and of the first only what is outward [m or rad, m/N or rad/(N*m), m or rad].
+    """
+    start, more, ahead = base, gain, max(0.0, base)
+    for _ in range(1, holds):
+        if base > 0.0:
+            base *= response.growth
+        base += hand + friction
+        gain = response.growth * gain + response.before + response.during
+        start += base
+        more += gain
+        if base > 0.0:
+            ahead += base
+    return start, more, ahead
