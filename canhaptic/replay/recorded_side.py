@@ -28,7 +28,7 @@ class _Departure(NamedTuple):
 
 
 class RecordedSide:
-    """Plays the frames that the master did not send (a `FarSide`), and compares what it sends but its heartbeats.
+    """Plays the frames that the master did not send (a `SimulatedPeer`), and compares what it sends but its heartbeats.
 
     Order is that of the recording: a frame comes once the master has sent everything that was recorded before it, and
     as long after the last of those as then. What the recording has from the drives before a frame of the master, the

@@ -2,7 +2,7 @@
 
 A profile is a YAML file with keys of an axis, in `configs/drives/` or, given as a path that ends in .yaml, next to the
 scene. The axis's own keys win, key by key. What belongs to the rig and not to the make (name, node ID, dictionary,
-scale, limits) cannot be in a profile. Where a drive is simulated, its twin has the same deviations (`twins`).
+scale, limits) cannot be in a profile. Where a drive is simulated, it has the same deviations (`simulated_defaults`).
 """
 
 from pathlib import Path

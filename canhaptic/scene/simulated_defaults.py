@@ -1,4 +1,4 @@
-"""The twin of each quirk: what the simulated drive does where the scene says that the real one deviates.
+"""What the simulated drive does where the scene says that the real one deviates, by the name of the quirk.
 
 A simulated drive takes its axis's quirks over, so that a scene for a real drive shows on the virtual bus what that
 drive will do; any key of `simulation.drive` wins.

@@ -185,7 +185,7 @@ class Watch:
         clock._far_sides = (*clock._far_sides, self)  # noqa: SLF001 - asked after the drive at each instant
 
     def next_due(self) -> int:
-        """Has nothing to do by itself (a `FarSide`)."""
+        """Has nothing to do by itself (a `SimulatedPeer`)."""
         return NEVER
 
     def process(self, now: int) -> None:

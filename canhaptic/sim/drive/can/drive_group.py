@@ -13,7 +13,7 @@ from canhaptic.sim.drive.timers import NEVER
 
 
 class Drives(Protocol):
-    """Simulated drives of a rig, on one bus or several (a `FarSide`)."""
+    """Simulated drives of a rig, on one bus or several (a `SimulatedPeer`)."""
 
     drives: tuple[SimulatedDrive, ...]
 
@@ -25,7 +25,7 @@ class Drives(Protocol):
 
 
 class DriveGroup:
-    """Drives that share a bus connection (a `FarSide`); they do not receive each other's frames, as no drive needs to.
+    """Drives that share a bus connection (a `SimulatedPeer`); they do not receive each other's frames, as no drive needs to.
 
     Args:
         bus: The connection that the drives were made with.
@@ -80,7 +80,7 @@ class DriveGroup:
 
 
 class DriveGroups:
-    """The drives of several buses (a `FarSide`).
+    """The drives of several buses (a `SimulatedPeer`).
 
     Args:
         groups: One per bus.

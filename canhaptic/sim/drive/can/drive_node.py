@@ -57,7 +57,7 @@ def _servo(store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameter
 
 
 class SimulatedDrive:
-    """One CiA 402 servo drive with its motor, driven by the master's clock (a `FarSide`).
+    """One CiA 402 servo drive with its motor, driven by the master's clock (a `SimulatedPeer`).
 
     Args:
         bus: Its connection to the bus.
