@@ -46,7 +46,8 @@ def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | Non
     Args:
         dictionary: Of the drive.
         mode: `velocity` or `position`.
-        force_object: Object that shows the force; by default a known analog input of the drive, else a sensor with a node of its own.
+        force_object: Object that shows the force; by default a known analog input of the drive, else a
+            sensor with a node of its own.
 
     Raises:
         pydantic.ValidationError: `force_object` is no place of an object.

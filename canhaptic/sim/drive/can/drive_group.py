@@ -25,7 +25,7 @@ class Drives(Protocol):
 
 
 class DriveGroup:
-    """Drives that share a bus connection (a `SimulatedPeer`); they do not receive each other's frames, as no drive needs to.
+    """Drives that share a bus connection (a `SimulatedPeer`) and do not receive each other's frames: no drive needs to.
 
     Args:
         bus: The connection that the drives were made with.
