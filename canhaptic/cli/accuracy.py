@@ -11,7 +11,8 @@ from canhaptic.cli.arguments import (
 from canhaptic.cli.output import note_file, write_file, write_json
 from canhaptic.cli.progress import run_progress
 from canhaptic.cli.stop_signal import StopSignal
-from canhaptic.scene.display_checks import refuse_displays
+from canhaptic.errors import InputError
+from canhaptic.scene.models import Scene
 from canhaptic.study.accuracy.study import UNITS, AccuracyStudy
 from canhaptic.view.energy_table import make_console
 
@@ -23,7 +24,8 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an axis or a file that cannot be used.
     """
     scene = scene_of(arguments, beyond_bus=arguments.beyond_bus)
-    refuse_displays(scene, "accuracy")
+    if _is_of_display(scene, arguments.axis):
+        return _study_display(scene, arguments)
     if arguments.png is not None:
         check_picture(arguments.png)
     if arguments.html is not None:
@@ -43,6 +45,27 @@ def execute(arguments: argparse.Namespace) -> int:
         )
         result = study.run()
     _report(result, arguments)
+    return stop.exit_status
+
+
+def _is_of_display(scene: Scene, name: str | None) -> bool:
+    """Whether an axis or group, the first by default, is an admittance display, or has some."""
+    axis = next((of for of in scene.axes if name in (None, of.parameters.name, of.group)), None)
+    return axis is not None and axis.parameters.admittance is not None
+
+
+def _study_display(scene: Scene, arguments: argparse.Namespace) -> int:
+    from canhaptic.study.displays.display_accuracy import display_accuracy_report, study_display
+
+    given = {"--png": arguments.png, "--html": arguments.html, "--markdown": arguments.markdown}
+    if names := ", ".join(name for name, value in given.items() if value is not None):
+        raise InputError(f"{names}: of impedance displays; the study of an admittance display is a table, or --json")
+    with StopSignal() as stop:
+        result = study_display(scene, arguments.axis, arguments.duration, stop.requested)
+    if arguments.json:
+        write_json(result)
+    else:
+        make_console().print(display_accuracy_report(result))
     return stop.exit_status
 
 

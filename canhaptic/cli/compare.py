@@ -25,10 +25,10 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an algorithm or a picture that cannot be used.
     """
     scene = scene_of(arguments)
-    if scene.groups:
-        return _compare_groups(scene, arguments)
     if all(axis.parameters.admittance is not None for axis in scene.axes):
         return _compare_displays(scene, arguments)
+    if scene.groups:
+        return _compare_groups(scene, arguments)
     algorithms = chosen_algorithms(arguments.algorithms, own_algorithms(scene))
     if arguments.png is not None:
         check_picture(arguments.png)

@@ -26,6 +26,8 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     known, rendered = (part.parameters for part in chosen)
     if isinstance(known, GuardedDisplayParameters):
         asked = getattr(rendered, "inertia", getattr(rendered, "mass", None))
+        if group is not None and group.kinematics.name != "identity":
+            asked = None  # in task space, which is not that of the axis
         hints += _of_guard(axis, known, speed_unit, asked)
         hints += _of_faults(axis, known, scene)
     return hints

@@ -170,13 +170,11 @@ def _build_display_group(scene: Scene, group: GroupScene) -> GroupController:
         raise ParameterError(
             f"group {group.name!r} has admittance displays and {', '.join(others)}, which is none; expected one kind"
         )
-    if group.kinematics.name != "identity":
-        raise ParameterError(
-            f"group {group.name!r}: kinematics {group.kinematics.name!r}: expected identity; the certificate of the "
-            "velocity loops is in the coordinates of the motors"
-        )
-    properties = [display_properties(axis) for axis in axes]
-    return build_display_group(group.network.parameters, group.passivity.name, group.passivity.parameters, properties)
+    check_group(scene, group)
+    properties, kinematics = [display_properties(axis) for axis in axes], cast(Kinematics, group.kinematics.parameters)
+    return build_display_group(
+        group.network.parameters, group.passivity.name, group.passivity.parameters, properties, kinematics
+    )
 
 
 def build_mechanism(of: MechanismScene, sample_time_ns: int) -> Mechanism:

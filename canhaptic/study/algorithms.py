@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import ParameterError
@@ -94,6 +94,17 @@ def display_under(axis: AxisScene, name: str) -> AxisScene:
         raise ParameterError(
             f"{name}: needs parameters that the scene does not give; compare a scene with it"
         ) from error
+
+
+def display_group_under(group: GroupScene, name: str) -> GroupScene:
+    """Returns a group of admittance displays under another algorithm; see `display_under`."""
+    if group.passivity.name == name:
+        return group
+    model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm of several admittance displays").parameters_type
+    try:
+        return replace(group, passivity=ComponentSpec(name, model()))
+    except ValueError as error:
+        raise ParameterError(f"{name}: needs parameters that the scene does not give; study a scene with it") from error
 
 
 def _with_known_plant(axis: AxisScene) -> _AbleAxis:

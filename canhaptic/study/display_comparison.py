@@ -7,11 +7,11 @@ from typing import Any, Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.scene.models import Scene
 from canhaptic.study.accounts_over_can import accounts_over_can, heading_of, known_algorithms
-from canhaptic.study.algorithms import display_under
-from canhaptic.study.scenes import cycles_of
+from canhaptic.study.algorithms import display_group_under, display_under
+from canhaptic.study.scenes import cycles_of, parts_of
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 
@@ -39,11 +39,11 @@ def compare_displays(
     duration: float | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> dict[str, Any]:
-    """Returns the account of every axis under each algorithm, as plain values.
+    """Returns the account of every axis, and of every group, under each algorithm, as plain values.
 
     Args:
         scene: Whose axes are admittance displays, with drives simulated in this process.
-        algorithms: Names of `DISPLAY_ALGORITHMS`; all of them by default.
+        algorithms: Names of `DISPLAY_ALGORITHMS`; by default all, where there are only groups those of groups.
         duration: [s]; by default the scene's.
         progress: Called with the number of cycles done so far, of all runs together.
 
@@ -52,8 +52,10 @@ def compare_displays(
         ParameterError: An unknown algorithm.
     """
     names, cycles = display_algorithms(algorithms), cycles_of(scene, duration)
+    if algorithms is None and all(axis.group for axis in scene.axes):
+        names = list(DISPLAY_GROUP_ALGORITHMS)
     runs = accounts_over_can(scene, names, cycles, _scene_under, progress)
-    axes = [axis.parameters.name for axis in scene.axes]
+    axes = list(parts_of(scene))
     return {
         **heading_of(scene, cycles),
         "axes": {axis: {name: _of_axis(axis, found) for name, found in runs.items()} for axis in axes},
@@ -61,7 +63,9 @@ def compare_displays(
 
 
 def _scene_under(scene: Scene, name: str) -> Scene:
-    return replace(scene, axes=tuple(display_under(axis, name) for axis in scene.axes))
+    groups = tuple(display_group_under(group, name) for group in scene.groups)
+    axes = tuple(axis if axis.group else display_under(axis, name) for axis in scene.axes)
+    return replace(scene, axes=axes, groups=groups)
 
 
 def _of_axis(axis: str, found: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,6 +88,8 @@ def display_comparison_report(result: Mapping[str, Any]) -> RenderableType:
         for label, cell in _ROWS:
             table.add_row(label, *(_cell(cell, of) for of in found.values()))
         parts.append(table)
+        refused = {name: of["remark"] for name, of in found.items() if "account" not in of}
+        parts += [Text(f" {name}: {remark}") for name, remark in refused.items()]
     return Group(*parts)
 
 
@@ -91,4 +97,4 @@ def _cell(cell: Callable[[Mapping[str, Any]], str], of: Mapping[str, Any]) -> st
     try:
         return cell(of)
     except KeyError:
-        return str(of.get("remark", "-"))[:60]
+        return "-"

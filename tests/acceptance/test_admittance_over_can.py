@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
 from canhaptic.drive.profile.link_policy import StopReason
@@ -271,10 +271,21 @@ def test_every_algorithm_is_compared_over_can(capsys: pytest.CaptureFixture[str]
     assert {found["status"] for found in compared.values()} == {"completed"}
 
 
-@pytest.mark.parametrize("command", ["accuracy"])
-def test_what_is_made_for_impedance_displays_refuses_in_words(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([command, str(SCENE)]) == 2
-    assert "impedance displays" in capsys.readouterr().err
+def test_an_arm_of_two_displays_renders_a_mass_in_the_plane(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = SCENE.with_name("two_link_arm.yaml")
+    with build(load_scene(scene)) as experiment:
+        run(experiment.cycle, 1000)
+        account = experiment_account(experiment, "completed", 1.0)
+        places = [[sample.position for sample in record.samples] for record in experiment.rig.records]
+    port, truth = account["ports"]["handle"], account["truth"]["handle"]
+    assert port["certificate"] in ("velocity_loop", "exact")
+    assert truth["interaction"] > 0.1
+    assert truth["least_interaction"] >= -1e-3
+    reach = [0.3 * math.cos(a) + 0.3 * math.cos(a + b) for a, b in places]
+    assert max(reach) < 0.602  # the wall at x = 0.6 m, in task space
+    assert main(["compare", str(scene), "--duration", "0.2", "--json"]) == 0
+    compared = json.loads(capsys.readouterr().out)["axes"]["handle"]
+    assert set(compared) == set(DISPLAY_GROUP_ALGORITHMS)
 
 
 @pytest.mark.parametrize(("dictionary", "analog"), [("maxon_epos4.dcf", "0x3160.1"), ("elmo_gold.dcf", "0x2205.1")])

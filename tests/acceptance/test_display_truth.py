@@ -6,7 +6,7 @@ import pytest
 
 from canhaptic.errors import ControlError
 from tools.displays.direct import run
-from tools.displays.group import false_group_claims, random_group, with_true_group_bounds
+from tools.displays.group import false_group_claims, on_an_arm, random_group, with_true_group_bounds
 from tools.displays.judge import false_claims
 from tools.displays.random_display import random_display, with_true_bounds
 
@@ -32,6 +32,18 @@ def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
     assert at_torque_limit is not None
     assert not false_group_claims(*at_torque_limit)
     assert exchanged < -0.1  # one axis alone gave out what came in by the other
+
+
+def test_no_account_of_an_arm_of_two_displays_claims_what_their_plants_deny() -> None:
+    judged = moved = 0
+    for seed in range(700, 712):
+        found = with_true_group_bounds(on_an_arm(random_group(seed)), 200)
+        if found is not None:
+            assert not false_group_claims(*found), seed
+            judged += 1
+            moved += max(axis.travel for axis in found[1].axes) > 0.01
+    assert judged >= 10
+    assert moved >= 6
 
 
 def test_the_guard_says_yes_where_it_is_due() -> None:

@@ -7,6 +7,8 @@ from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.balance import Certificate
+from canhaptic.control.mechanisms.kinematics import Kinematics
+from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 from tools.displays.direct import Display, Outcome, watch
 from tools.displays.judge import ROUNDING
@@ -23,6 +25,7 @@ class DisplayGroup:
     axes: tuple[Display, ...]
     environment: GroupMass
     parameters: GuardedDisplayParameters
+    kinematics: Kinematics | None = None  # None: the axes are the coordinates of what is rendered
 
 
 @dataclass
@@ -65,6 +68,24 @@ def random_group(seed: int) -> DisplayGroup:
     return DisplayGroup((first, other), environment, known.model_copy(update={"largest_hand_force": 0.0}))
 
 
+def on_an_arm(group: DisplayGroup) -> DisplayGroup:
+    """Returns a group whose axes are the joints of an arm of two links [rad], around a pose that is not singular."""
+    random = Random(group.axes[0].seed)
+    arm = Planar2R(first=random.uniform(0.2, 0.5), second=random.uniform(0.2, 0.5))
+    places = random.uniform(-3.0, 3.0), random.choice([-1.0, 1.0]) * random.uniform(0.6, 2.2)
+    axes = []
+    for axis, place in zip(group.axes, places, strict=True):
+        plant = axis.plant.model_copy(update={"initial_position": place})
+        user = None if axis.user is None else axis.user.model_copy(update={"rest": place})
+        axes.append(replace(axis, plant=plant, user=user))
+    mass, damping = random.choice([1.0, 10.0, 50.0]), random.choice([0.0, 20.0])
+    environment = GroupMass(mass=mass, damping=damping)
+    if random.random() < 0.5:
+        x, y = arm.forward(places)
+        environment = GroupMass(mass=mass, damping=damping, lower=(x - 0.01, y - 1.0), upper=(x + 1.0, y + 0.01))
+    return replace(group, axes=tuple(axes), environment=environment, kinematics=arm)
+
+
 def _with_means(display: Display) -> Display:
     """Returns a display whose sensor shows means in place of a running impulse."""
     sensor = display.simulation.sensor.model_copy(update={"sampling": "mean"})
@@ -78,7 +99,7 @@ def run_group(group: DisplayGroup, cycles: int) -> GroupOutcome:
     """Returns what so many SYNCs came to."""
     axes, random = group.axes, Random(group.axes[0].seed)
     properties, period = [axis.properties for axis in axes], round(axes[0].properties.sample_time * 1e9)
-    controller = build_display_group(group.environment, "guarded", group.parameters, properties)
+    controller = build_display_group(group.environment, "guarded", group.parameters, properties, group.kinematics)
     plants = [AdmittancePlant(a.plant, a.simulation, a.user, a.effects, period, a.seed) for a in axes]
     found = GroupOutcome([Outcome() for _ in axes])
     queue, acting, rows = [[0.0] * len(axes) for _ in range(properties[0].delay)], [0.0] * len(axes), [0] * len(axes)

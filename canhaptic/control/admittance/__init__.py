@@ -3,7 +3,11 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
 from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.task_environment import TaskEnvironment
+from canhaptic.control.mechanisms.identity import Identity
+from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_controller import GroupController
 from canhaptic.control.passivity.controller import Controller
 from canhaptic.registry import load
@@ -35,6 +39,9 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
 """The same of what several displays render together."""
 
 DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
+    "unprotected": f"{_HERE}.sampled_group:UnprotectedDisplayGroup",
+    "passivity_observer": f"{_HERE}.sampled_group:ObservedDisplayGroup",
+    "energy_tank": f"{_HERE}.sampled_group:TankDisplayGroup",
     "guarded": f"{_HERE}.display_group:GuardedDisplayGroup",
 }
 """The same of the algorithms of several displays; every class takes (environment, parameters, properties of each)."""
@@ -60,7 +67,11 @@ def build_display_controller(
 
 
 def build_display_group(
-    environment: Any, algorithm_name: str, parameters: Parameters, properties: Sequence[DisplayProperties]
+    environment: Any,
+    algorithm_name: str,
+    parameters: Parameters,
+    properties: Sequence[DisplayProperties],
+    kinematics: Kinematics | None = None,
 ) -> GroupController:
     """Returns the controller of several admittance displays with one account, at rest.
 
@@ -69,10 +80,17 @@ def build_display_group(
         algorithm_name: A name of `DISPLAY_GROUP_ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`.
         properties: Of each axis.
+        kinematics: Between the axes and what is rendered; None where they are its coordinates.
 
     Raises:
         ParameterError: Unknown name, or parts that do not fit together.
     """
     algorithm = load(DISPLAY_GROUP_ALGORITHMS, algorithm_name, "algorithm of several admittance displays")
+    if kinematics is not None and not isinstance(kinematics, Identity):
+        lag = 0.0
+        if isinstance(parameters, GuardedDisplayParameters):
+            lag = parameters.drive_mass / (parameters.loop_gain * (1.0 - parameters.spread))
+        ahead = (properties[0].delay + properties[0].latency) * properties[0].sample_time + lag
+        environment = TaskEnvironment(environment, kinematics, ahead)
     controller: GroupController = algorithm(environment, parameters, properties)
     return controller

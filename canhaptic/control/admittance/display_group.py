@@ -7,10 +7,9 @@ a larger one that fits.
 """
 
 from collections.abc import Sequence
-from math import isfinite, sqrt
+from math import sqrt
 from typing import ClassVar, Final
 
-from canhaptic.control.admittance.group_environment import GroupMass
 from canhaptic.control.admittance.late_margin import LateMargin, fall, margin_memory, oldest, rise
 from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters, loop_settings
 from canhaptic.control.admittance.motion import (
@@ -24,6 +23,7 @@ from canhaptic.control.admittance.motion import (
 )
 from canhaptic.control.admittance.port import BookedHold, Port, begin_port, book, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.sampled_group import GroupMotion, require_alike, require_finite
 from canhaptic.control.admittance.velocity_loop import (
     LoopState,
     gained,
@@ -47,7 +47,7 @@ class _GroupAxis:
     """What one axis of a group knows and remembers."""
 
     def __init__(
-        self, environment: GroupMass, place: int, parameters: GuardedDisplayParameters, properties: DisplayProperties
+        self, environment: GroupMotion, place: int, parameters: GuardedDisplayParameters, properties: DisplayProperties
     ) -> None:
         self.loop_settings = loop_settings(parameters, properties)
         lag = self.loop_settings.mass / self.loop_settings.gain_least
@@ -109,12 +109,9 @@ class GuardedDisplayGroup:
     is_certified: ClassVar[bool] = True
 
     def __init__(
-        self, environment: GroupMass, parameters: GuardedDisplayParameters, properties: Sequence[DisplayProperties]
+        self, environment: GroupMotion, parameters: GuardedDisplayParameters, properties: Sequence[DisplayProperties]
     ) -> None:
-        if len({(p.sample_time, p.delay, p.latency) for p in properties}) > 1:
-            raise ParameterError(
-                "got axes that differ in sample time, delay or force.latency, expected the same for all"
-            )
+        require_alike(properties)
         if parameters.largest_hand_force:
             raise ParameterError(
                 f"guarded: largest_hand_force: got {parameters.largest_hand_force:g}, expected 0 for several axes: "
@@ -164,13 +161,11 @@ class GuardedDisplayGroup:
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
         """Accounts for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
-        if not len(positions) == len(torques_applied) == self.axes or not isfinite(sum((*positions, *torques_applied))):
+        try:
+            require_finite(positions, torques_applied, self.axes)
+        except ControlError:
             self.reset()
-            raise ControlError(
-                f"group controller: got positions {tuple(positions)} and applied forces {tuple(torques_applied)}, "
-                f"expected {self.axes} finite numbers each; the velocities are zero and the controller is to be reset, "
-                "check encoders and force sensors"
-            )
+            raise
         forces = [-torque for torque in torques_applied]
         if not self._started:
             self._started = True

@@ -56,6 +56,8 @@ class DisplayRun:
     uncertified: int = 0
     certificate: int = Certificate.EXACT.value  # weakest, in the order of `WEAKEST_LAST`
     motion: list[float] = field(default_factory=list)  # position, velocity, force of each axis, by SYNC
+    held: list[float] = field(default_factory=list)  # velocity that acted in the hold before each SYNC, of each axis
+    energies: list[float] = field(default_factory=list)  # true interaction at each SYNC [J]
     axes: int = 1
 
     def columns(self) -> Array:
@@ -165,6 +167,7 @@ def _walk(motors: list[_Motor], step: _Step, scene: Scene, cycles: int, found: D
                 found.ended = f"{motor.name}: the position moved faster than the speed limit"
             found.diverged |= not -FURTHEST < now < FURTHEST
         commands, account = step(positions, forces)
+        found.held += held
         _take(motors, commands, account, found)
         if ranks[account.certificate] > ranks[found.certificate]:
             found.certificate = account.certificate
@@ -189,6 +192,7 @@ def _take(motors: list[_Motor], commands: list[float], account: EnergyBalance, f
         true -= plant.energy().motor
         found.motion.extend((plant.position, plant.velocity, plant.force))
     found.cycles += 1
+    found.energies.append(true)
     found.interaction, found.least_interaction = true, min(found.least_interaction, true)
     found.believed += account.h_i
     found.least_believed = min(found.least_believed, found.believed)

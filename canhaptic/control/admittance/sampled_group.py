@@ -1,0 +1,236 @@
+"""Several admittance displays with one account and without a certificate: `unprotected`, observer, tank.
+
+What sampling, the drives and the doubt of the account create is booked as `gen`, what they lose as `leak`, as on one
+axis (`sampled_mass`). Observer and tank count the sum of F u T over all axes.
+"""
+
+from collections.abc import Sequence
+from math import isfinite, sqrt
+from typing import Any, ClassVar, Protocol
+
+from canhaptic.control.admittance.display_mass import DisplayMass
+from canhaptic.control.admittance.motion import (
+    DisplayMotion,
+    display_memory,
+    limited,
+    motion_settings,
+    send,
+    whole,
+)
+from canhaptic.control.admittance.port import BookedHold, Port, begin_port, book, port_settings
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.sampled_mass import NothingToChoose
+from canhaptic.control.admittance.tank_display import TankDisplayParameters
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
+from canhaptic.errors import ControlError, ParameterError
+from canhaptic.kernels import list_of_zeros
+from canhaptic.units import Parameters
+
+_Vector = list[float]
+
+
+class GroupMotion(Protocol):
+    """What a group of displays renders, in motor axes; see `GroupMass`."""
+
+    damping: float
+
+    def require(self, axes: int) -> None:
+        """Makes sure that it fits a number of axes; raises ParameterError."""
+
+    def of_axis(self, axis: int, /) -> DisplayMass:
+        """Returns what moves on one axis, with its walls."""
+
+    def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
+        """Returns the speeds after another hold under the forces of the hand [m/s or rad/s]."""
+
+    def stored(self, speeds: _Vector) -> float:
+        """Returns the energy of the mass [J]."""
+
+    def lost(self, speeds: _Vector, time: float) -> float:
+        """Returns what its damper takes in a time [J]."""
+
+
+def require_alike(properties: Sequence[DisplayProperties]) -> None:
+    """Makes sure that the axes of a group share their clock.
+
+    Raises:
+        ParameterError: They do not.
+    """
+    if len({(p.sample_time, p.delay, p.latency) for p in properties}) > 1:
+        raise ParameterError("got axes that differ in sample time, delay or force.latency, expected the same for all")
+
+
+def require_finite(positions: Sequence[float], torques: Sequence[float], axes: int) -> None:
+    """Makes sure that a sample of every axis came.
+
+    Raises:
+        ControlError: It did not, or is not finite.
+    """
+    if not len(positions) == len(torques) == axes or not isfinite(sum((*positions, *torques))):
+        raise ControlError(
+            f"group controller: got positions {tuple(positions)} and applied forces {tuple(torques)}, "
+            f"expected {axes} finite numbers each; the velocities are zero and the controller is to be reset, "
+            "check encoders and force sensors"
+        )
+
+
+class _SampledAxis:
+    """What one axis remembers."""
+
+    def __init__(self, environment: GroupMotion, place: int, properties: DisplayProperties) -> None:
+        self.port_settings = port_settings(properties)
+        self.motion_settings = motion_settings(environment.of_axis(place), properties)
+        self.port, self.motion = Port(), DisplayMotion()
+        self.memory = display_memory(self.port_settings, self.motion_settings, properties.delay + 1, list_of_zeros)
+
+    def send(self, wish: float, position: float, velocity: float) -> float:
+        """Sends the nearest command that the limits of the axis allow; returns it [m/s or rad/s]."""
+        commands = self.memory.commands
+        wish = limited(self.motion_settings, self.motion, commands, wish, position, velocity)
+        send(self.motion, commands, whole(self.motion_settings, wish))
+        return self.motion.speed
+
+
+class UnprotectedDisplayGroup:
+    """A mass on several axes as it is; a `GroupController`.
+
+    Args:
+        environment: What is rendered.
+        parameters: Of the algorithm.
+        properties: Of each axis; sample time, delay and latency are the same for all.
+
+    Attributes:
+        axes: How many.
+        energy_resolution: Sum of what was unsure in the energy of all axes, which the account has taken off [J].
+
+    Raises:
+        ParameterError: Parts do not fit together.
+    """
+
+    parameters_type: ClassVar[type[Parameters]] = NothingToChoose
+    is_certified: ClassVar[bool] = False
+
+    def __init__(self, environment: GroupMotion, parameters: Any, properties: Sequence[DisplayProperties]) -> None:
+        require_alike(properties)
+        environment.require(len(properties))
+        self.axes = len(properties)
+        self._environment, self._properties, self._time = environment, tuple(properties), properties[0].sample_time
+        self._parameters = parameters
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything; see `GroupController`."""
+        self._each = [_SampledAxis(self._environment, place, of) for place, of in enumerate(self._properties)]
+        self._slips, self._h_s, self._energy, self._started = [0.0] * self.axes, 0.0, self._begin(), False
+        self._last = group_at_rest(self.axes)
+
+    def _begin(self) -> float:
+        """Returns the energy of the algorithm's own at first [J]."""
+        return 0.0
+
+    @property
+    def energy_resolution(self) -> float:
+        """Sum of what was unsure in the energy of all axes [J]."""
+        return sum(axis.port.doubt for axis in self._each)
+
+    def hold(self) -> GroupBalance:
+        """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+        speeds = (0.0,) * self.axes
+        if self._started:
+            for axis in self._each:
+                axis.port.missed += 1
+                send(axis.motion, axis.memory.commands, 0.0)
+            self._slips = [0.0] * self.axes
+        last = self._last.account
+        return GroupBalance(speeds, AT_REST._replace(h_s=last.h_s, branch=Branch.HELD.value), speeds)
+
+    def lasted(self, periods: float) -> None:
+        """Counts the SYNCs that were skipped as samples that were lost."""
+        for _ in range(round(periods) - 1):
+            self.hold()
+
+    def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
+        """Accounts for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
+        try:
+            require_finite(positions, torques_applied, self.axes)
+        except ControlError:
+            self.reset()
+            raise
+        forces, time = [-torque for torque in torques_applied], self._time
+        if not self._started:
+            self._started = True
+            for axis, position, force in zip(self._each, positions, forces, strict=True):
+                begin_port(axis.port, axis.memory.positions, position, force)
+            return self._last
+        holds = [
+            book(axis.port_settings, axis.port, axis.memory.positions, position, force)
+            for axis, position, force in zip(self._each, positions, forces, strict=True)
+        ]
+        before = [axis.motion.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
+        h_pas = sum(force * slip for force, slip in zip(forces, self._slips, strict=True)) * holds[0].elapsed
+        self._observe(sum(force * axis.motion.speed for force, axis in zip(forces, self._each, strict=True)) * time)
+        wish = self._environment.speeds_after(before, forces, list(positions), time)
+        wish, slips = self._protected(wish, forces)
+        self._slips = []
+        for place, (axis, hold) in enumerate(zip(self._each, holds, strict=True)):
+            asked = wish[place] + slips[place]
+            sent = axis.send(asked, positions[place], hold.moved / hold.elapsed)
+            self._slips.append(slips[place] if abs(sent - asked) < abs(slips[place]) else 0.0)
+        self._last = self._closed(holds, h_pas, before)
+        return self._last
+
+    def _observe(self, energy: float) -> None:
+        """Takes what came in by force and command in the hold that ended [J]."""
+
+    def _protected(self, wish: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
+        """Returns (the speeds of the mass, speeds besides that dissipate) [m/s or rad/s]."""
+        return wish, [0.0] * self.axes
+
+    def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector) -> GroupBalance:
+        """Returns the commands with the account of the hold."""
+        environment, energy = self._environment, sum(hold.energy for hold in holds)
+        commands = tuple(axis.motion.speed for axis in self._each)
+        own = [speed - slip for speed, slip in zip(commands, self._slips, strict=True)]
+        h_s, h_r = environment.stored(own), environment.lost(before, holds[0].elapsed)
+        rest = self._h_s + energy - h_pas - h_r - h_s
+        self._h_s = h_s
+        branch = Branch.EXACT if any(commands) or any(before) else Branch.FREE
+        norm = sqrt(sum(speed * speed for speed in commands))
+        account = EnergyBalance(
+            norm, energy, h_pas, energy - h_pas, h_r, h_s, 0.0, max(0.0, -rest), 0.0, max(0.0, rest), 0.0, branch.value,
+            environment.damping, Certificate.NONE.value, 0.0,
+        )  # fmt: skip
+        return GroupBalance(commands, account, tuple(hold.energy for hold in holds))
+
+
+class ObservedDisplayGroup(UnprotectedDisplayGroup):
+    """The same with a slip along the force whenever the observed energy falls below zero; see `observed_display`."""
+
+    def _observe(self, energy: float) -> None:
+        self._energy += energy
+
+    def _protected(self, wish: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
+        square = sum(force * force for force in forces)
+        if self._energy >= 0.0 or square == 0.0:
+            return wish, [0.0] * self.axes
+        part = -self._energy / (square * self._time)
+        return wish, [part * force for force in forces]
+
+
+class TankDisplayGroup(UnprotectedDisplayGroup):
+    """The same with a tank that a command must not overdraw: all axes are scaled by one factor; see `tank_display`."""
+
+    parameters_type: ClassVar[type[Parameters]] = TankDisplayParameters
+
+    def _begin(self) -> float:
+        return float(self._parameters.initial)
+
+    def _observe(self, energy: float) -> None:
+        self._energy = min(self._parameters.capacity, self._energy + energy)
+
+    def _protected(self, wish: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
+        taken = -sum(force * speed for force, speed in zip(forces, wish, strict=True)) * self._time
+        if taken > 0.0 and taken > self._energy:
+            wish = [speed * max(0.0, self._energy) / taken for speed in wish]
+        return wish, [0.0] * self.axes

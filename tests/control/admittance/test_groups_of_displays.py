@@ -1,0 +1,123 @@
+"""Groups of admittance displays: in the task space of a mechanism, and without a certificate."""
+
+import math
+from typing import Any
+
+import pytest
+
+from canhaptic.control.admittance import DISPLAY_GROUP_ALGORITHMS, build_display_group
+from canhaptic.control.admittance.group_environment import GroupMass
+from canhaptic.control.admittance.properties import DisplayProperties
+from canhaptic.control.admittance.task_environment import TaskEnvironment
+from canhaptic.control.balance import residual
+from canhaptic.control.mechanisms.planar_2r import Planar2R
+from canhaptic.errors import ControlError, ParameterError
+from canhaptic.registry import load
+
+ARM = Planar2R(first=0.3, second=0.4)
+POSE = (0.3, 1.1)
+TIME = 1e-3
+
+
+def properties(**values: Any) -> DisplayProperties:
+    return DisplayProperties(
+        sample_time=TIME, delay=1, sampling="mean", force_slew=1e3, handle_acceleration=50.0, speed_limit=10.0,
+        acceleration_limit=1e4, **values,
+    )  # fmt: skip
+
+
+def in_task_space(speeds: list[float]) -> list[float]:
+    return [sum(a * b for a, b in zip(row, speeds, strict=True)) for row in ARM.pose(POSE).jacobian]
+
+
+def torques_of(force: list[float]) -> list[float]:
+    return [sum(row[k] * f for row, f in zip(ARM.pose(POSE).jacobian, force, strict=True)) for k in range(2)]
+
+
+def test_a_force_along_x_moves_the_handle_along_x_as_the_mass_says() -> None:
+    task = TaskEnvironment(GroupMass(mass=2.0, damping=3.0), ARM, 0.0)
+    task.require(2)
+    speeds = task.speeds_after([0.0, 0.0], torques_of([5.0, 0.0]), list(POSE), TIME)
+    assert in_task_space(speeds) == pytest.approx([5.0 * TIME / (2.0 + 3.0 * TIME), 0.0], abs=1e-12)
+    moving = task.speeds_after(speeds, [0.0, 0.0], list(POSE), TIME)
+    assert in_task_space(moving)[0] == pytest.approx(2.0 / (2.0 + 3.0 * TIME) * in_task_space(speeds)[0])
+    assert task.stored(speeds) == pytest.approx(0.5 * 2.0 * in_task_space(speeds)[0] ** 2)
+    assert task.lost(speeds, TIME) == pytest.approx(3.0 * in_task_space(speeds)[0] ** 2 * TIME)
+
+
+def test_a_wall_in_task_space_lets_nothing_through_and_holds_nothing_back() -> None:
+    x, _ = ARM.forward(POSE)
+    task = TaskEnvironment(GroupMass(mass=1.0, lower=(-9.0, -9.0), upper=(x + 1e-4, 9.0)), ARM, 2e-3)
+    fast = [10.0 * s for s in task.speeds_after([0.0, 0.0], torques_of([1000.0, 0.0]), list(POSE), TIME)]
+    pushed = task.speeds_after(fast, torques_of([50.0, 20.0]), list(POSE), TIME)
+    assert in_task_space(pushed)[0] == pytest.approx(0.0, abs=1e-12)  # its way under way fills what is left
+    assert in_task_space(pushed)[1] == pytest.approx(20.0 * TIME)
+    away = task.speeds_after([0.0, 0.0], torques_of([-50.0, 0.0]), list(POSE), TIME)
+    assert in_task_space(away)[0] == pytest.approx(-50.0 * TIME)
+
+
+def test_a_singular_pose_commands_nothing() -> None:
+    task = TaskEnvironment(GroupMass(mass=1.0), ARM, 0.0)
+    assert task.speeds_after([1.0, 1.0], [5.0, 5.0], [0.3, 0.0], TIME) == [0.0, 0.0]
+    assert task.stored([1.0, 1.0]) == 0.0
+
+
+def test_a_mechanism_with_more_axes_than_coordinates_is_refused() -> None:
+    class Redundant(Planar2R):
+        axes = 3
+
+    with pytest.raises(ParameterError, match="3 motor axes and 2 task coordinates"):
+        TaskEnvironment(GroupMass(mass=1.0), Redundant(first=1.0, second=1.0), 0.0)
+
+
+def run(name: str, cycles: int, damping: float = 1.0, turn: float = 0.03) -> tuple[Any, list[Any]]:
+    """A group of two axes that a force turns in a circle, the handle following the command of two SYNCs before."""
+    network, given = GroupMass(mass=1.0, damping=damping), [properties(), properties()]
+    parameters = {"initial": 1e-3} if name == "energy_tank" else {}
+    model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm").parameters_type
+    controller = build_display_group(network, name, model(**parameters), given)
+    waiting: list[tuple[float, ...]] = [(0.0, 0.0)] * 2
+    place, found = [0.0, 0.0], []
+    for k in range(cycles):
+        force = [3.0 * math.cos(turn * k), 3.0 * math.sin(turn * k)]
+        found.append(controller.step(place, [-f for f in force]))
+        waiting.append(found[-1].torques)
+        place = [p + TIME * v for p, v in zip(place, waiting.pop(0), strict=True)]
+    return controller, found
+
+
+@pytest.mark.parametrize("name", ["unprotected", "passivity_observer", "energy_tank"])
+def test_the_account_of_a_group_without_a_certificate_closes(name: str) -> None:
+    controller, found = run(name, 400)
+    assert not controller.is_certified
+    stored = 0.0
+    for balance in found:
+        account = balance.account
+        assert abs(residual(account, stored)) < 1e-12
+        assert account.h_i == pytest.approx(sum(balance.interactions), abs=1e-15)
+        stored = account.h_s
+    assert max(abs(speed) for balance in found for speed in balance.torques) > 0.05
+
+
+def test_the_observer_slips_along_the_force_when_it_sees_energy_go_out() -> None:
+    _, free = run("unprotected", 400, 0.0, 0.8)
+    _, observed = run("passivity_observer", 400, 0.0, 0.8)
+    assert [balance.torques for balance in free] != [balance.torques for balance in observed]
+    assert sum(balance.account.h_pas for balance in observed) > 0.0
+    assert sum(balance.account.h_pas for balance in free) == 0.0
+
+
+def test_the_tank_holds_back_what_it_does_not_hold() -> None:
+    _, free = run("unprotected", 400, 0.0, 0.8)
+    _, tank = run("energy_tank", 400, 0.0, 0.8)
+    ways = [sum(abs(v) for balance in found for v in balance.torques) for found in (free, tank)]
+    assert ways[1] < ways[0]
+
+
+def test_a_sample_that_was_lost_commands_nothing_and_a_wrong_one_ends_it() -> None:
+    controller, _ = run("unprotected", 50)
+    assert controller.hold().torques == (0.0, 0.0)
+    controller.lasted(3.0)
+    with pytest.raises(ControlError, match="expected 2 finite numbers"):
+        controller.step([0.0, float("nan")], [0.0, 0.0])
+    assert controller.step([0.0, 0.0], [0.0, 0.0]).torques == (0.0, 0.0)

@@ -1,0 +1,63 @@
+"""`canhaptic accuracy` of admittance displays: the plant against a solver, the loop against an ideal display."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canhaptic.cli.main import main
+from canhaptic.scene.accuracy_choice import simulation_of
+from canhaptic.scene.load import load_scene
+from canhaptic.study.displays.display_accuracy import study_display
+from canhaptic.study.displays.display_equations import integrate, why_no_equations
+from canhaptic.study.displays.display_loop import run_display
+
+SCENES = Path(__file__).parents[3] / "configs" / "admittance"
+NODE = SCENES / "force_node.yaml"
+
+
+@pytest.mark.parametrize("name", ["virtual_mass", "wall"])  # without and with the integral of the loop
+def test_the_plant_is_that_of_a_solver_which_shares_nothing_with_it(name: str) -> None:
+    scene = load_scene(SCENES / f"{name}.yaml")
+    run, simulation = run_display(scene, 60), simulation_of(scene.axes[0])
+    exact = integrate(simulation, run.held, scene.bus.sample_time)
+    assert np.abs(run.columns()[:, 0, 0] - exact[:, 0]).max() < 1e-12
+    assert np.abs(np.array(run.energies) - exact[:, 1]).max() < 1e-10
+    assert max(run.energies) > 1e-4
+    other = scene.axes[0].simulation
+    assert other is not None
+    lighter = load_scene(SCENES / f"{name}.yaml", ["simulation.plant.mass=1.9 kg"])
+    wrong = integrate(simulation_of(lighter.axes[0]), run.held, scene.bus.sample_time)
+    assert np.abs(run.columns()[:, 0, 0] - wrong[:, 0]).max() > 1e-7
+
+
+def test_a_finer_loop_is_nearer_to_the_ideal_display(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["accuracy", str(NODE), "--duration", "0.3", "--json", "--set", "passivity={algorithm: unprotected}"]
+    assert main([*words, "--set", "simulation.admittance.sensor.noise=0 N"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    rates = {row["to"]: row["position_error"] for row in found["loop"] if row["changed"] == "rate"}
+    scene = next(row["position_error"] for row in found["loop"] if row["changed"] == "the scene")
+    assert rates["2000 Hz"] < scene < rates["500 Hz"]
+    assert found["reference"]["apart"] < 0.2 * scene
+    assert found["plant"][0]["position_error"] < 1e-12
+    assert {"algorithm", "sampling", "sensor", "encoder"} <= {row["changed"] for row in found["loop"]}
+
+
+def test_a_group_and_what_has_no_equations_are_studied_as_far_as_they_go() -> None:
+    friction = ["simulation.effects=[{type: coulomb_friction, kinetic: 2 N, static: 3 N}]", "duration=0.1"]
+    scene = load_scene(SCENES / "guided_path.yaml", friction)
+    assert why_no_equations(simulation_of(scene.axes[0])) == "effect coulomb_friction"
+    found = study_display(scene, "stage", None, lambda: False)
+    assert "no equations" in found["plant"][0]["status"]
+    assert found["loop"][0]["status"] == "ok"
+    stopped = study_display(scene, None, None, lambda: True)
+    assert (stopped["status"], stopped["loop"]) == ("stopped", [])
+
+
+@pytest.mark.parametrize(
+    ("words", "text"), [(["--png", "a.png"], "--png: of impedance displays"), (["--axis", "nobody"], "expected one of")]
+)
+def test_what_the_study_cannot_do_is_refused(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["accuracy", str(NODE), *words]) == 2
+    assert text in capsys.readouterr().err
