@@ -32,14 +32,17 @@ def test_the_plant_is_that_of_a_solver_which_shares_nothing_with_it(name: str) -
     assert np.abs(run.columns()[:, 0, 0] - wrong[:, 0]).max() > 1e-7
 
 
-def test_a_finer_loop_is_nearer_to_the_ideal_display(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_loop_is_near_the_ideal_display_and_a_coarser_one_is_further_off(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     words = ["accuracy", str(NODE), "--duration", "0.3", "--json", "--set", "passivity={algorithm: unprotected}"]
     assert main([*words, "--set", "simulation.admittance.sensor.noise=0 N"]) == 0
     found = json.loads(capsys.readouterr().out)
     rates = {row["to"]: row["position_error"] for row in found["loop"] if row["changed"] == "rate"}
     scene = next(row["position_error"] for row in found["loop"] if row["changed"] == "the scene")
-    assert rates["2000 Hz"] < scene < rates["500 Hz"]
-    assert found["reference"]["apart"] < 0.2 * scene
+    assert scene < rates["500 Hz"]
+    assert max(rates.values()) < 0.05 * found["reference"]["travel"]
+    assert found["reference"]["apart"] < 0.5 * min(scene, *rates.values())
     assert found["plant"][0]["position_error"] < 1e-12
     assert {"algorithm", "sampling", "sensor", "encoder"} <= {row["changed"] for row in found["loop"]}
 
