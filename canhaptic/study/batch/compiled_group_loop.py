@@ -12,11 +12,12 @@ from canhaptic.kernels.compiler import compiled
 from canhaptic.kernels.records import Records, record_of, records_of
 from canhaptic.study.batch.group_case import GroupCase
 from canhaptic.study.batch.group_closed_loop import GroupMeter, run_group, step
+from canhaptic.study.batch.group_events import EventMotorsPlan, event_replacements
 
 
 def run_records(
     world: World, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
-    motors: Records, room: Records, followed: Records, meters: Records, cycles: int,
+    motors: Any, room: Records, followed: Records, meters: Records, cycles: int,
 ) -> None:  # fmt: skip
     """Calls `run_group` with what lies in records of shape (1,)."""
     whole = World(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
@@ -26,9 +27,10 @@ def run_records(
 
 
 @lru_cache(maxsize=16)
-def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...]) -> Any:
+def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], *, has_events: bool) -> Any:
     """Returns `run_records` compiled once in a process for each size of group."""
-    return compiled(run_records, {step: kernel.step}, keep=True, parts=parts)
+    instead = {step: kernel.step, **(event_replacements() if has_events else {})}
+    return compiled(run_records, instead, keep=True, parts=parts)
 
 
 def compiled_meter(case: GroupCase, cycles: int) -> GroupMeter:
@@ -39,11 +41,14 @@ def compiled_meter(case: GroupCase, cycles: int) -> GroupMeter:
     """
     world = case.world
     bare, tables = compiled_world(world)
-    run = _compiled_loop(case.kernel, (type(world.mechanism), type(world.geometry), type(world.functions)))
+    plan = case.motors if isinstance(case.motors, EventMotorsPlan) else None
+    parts = type(world.mechanism), type(world.geometry), type(world.functions)
+    run = _compiled_loop(case.kernel, parts, has_events=plan is not None)
+    motors: Any = (plan.made(listed=False),) if plan else record_of(case.motors)
     meters = records_of([GroupMeter()])
     run(
         bare, tables, record_of(case.settings), records_of([case.kernel.state()]),
-        record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), record_of(case.motors),
+        record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), motors,
         record_of(case.room()), records_of([GroupMotion()]), meters, cycles,
     )  # fmt: skip
     found = GroupMeter()

@@ -25,7 +25,8 @@ def run_event_plants(
         listed: Whether Python runs the loops.
     """
     for number in np.unique(which).tolist():
-        modes = EventModes(plants[int(number)], listed=listed)
+        plant = plants[int(number)]
+        modes = EventModes(plant.scene(), plant.simulation.accuracy, listed=listed)
         some = np.flatnonzero(which == number).tolist()
         loops.run(
             some, modes.plants([EventState()] if listed else records_of([EventState()])), _going_on(modes, stopped)

@@ -107,8 +107,13 @@ def events_at(plants: EventPlants, row: int) -> EventPlant:
 
 def move_events(plant: EventPlant, torque: float, cycle: int) -> int:
     """Moves a plant to a SYNC under a constant torque [N or N*m]; returns MOVED, INCOMPLETE or STOPPED."""
-    state, counts, now = plant.state, plant.counts, plant.now[0]
-    state[len(state) - 2] = torque
+    plant.state[len(plant.state) - 2] = torque
+    return move_held(plant, cycle)
+
+
+def move_held(plant: EventPlant, cycle: int) -> int:
+    """The same under what is held in its state."""
+    counts, now = plant.counts, plant.now[0]
     keep(plant)
     end = cycle * TICKS
     tick, left = end - TICKS, 0

@@ -81,12 +81,13 @@ class EventModes:
     """The modes of one plant, and where it starts.
 
     Args:
-        values: Of the plant.
+        scene: What it consists of.
+        accuracy: The defaults when None.
         listed: Whether Python runs the loop, on lists.
     """
 
-    def __init__(self, values: PlantValues, *, listed: bool) -> None:
-        accuracy, scene = values.simulation.accuracy or AccuracyParameters(), values.scene()
+    def __init__(self, scene: PlantModel, accuracy: AccuracyParameters | None, *, listed: bool) -> None:
+        accuracy = accuracy or AccuracyParameters()
         self._machine = machine = HybridAutomaton(scene, accuracy.max_events, accuracy.event_bits)
         self._settings = StepperSettings(accuracy.max_events, accuracy.event_bits, machine.tick_time)
         self._start, self._first = machine.state.copy(), machine.modes.index(machine.mode)
@@ -118,6 +119,17 @@ class EventModes:
             form(self._start.copy()), *self._efforts(), TICKS // self._substeps, *self._places,
         )  # fmt: skip
         return EventPlants(plant, form(self._start), self._first)
+
+    def complete(self) -> None:
+        """Compiles every mode that can be entered."""
+        machine, mode = self._machine, 0
+        while mode < len(machine.modes):
+            for guard, target in enumerate(list(machine.targets[mode])):
+                if target == NONE:
+                    machine.connect(mode, guard)
+            for (_, part, part_mode), targets in zip(self._changes, self._change_targets, strict=True):
+                targets[mode] = machine.number_with(mode, part, part_mode)
+            mode += 1
 
     def completed(self, plants: EventPlants) -> EventPlants:
         """Returns the same plant with the mode compiled that interrupted its loop."""
@@ -162,6 +174,11 @@ class EventModes:
         return self._form(np.zeros(width)), self._form(np.zeros(width))
 
 
+def by_its_way() -> dict[Any, Any]:
+    """Returns what a loop calls in the place of other functions where the motor's work is its torque times the way."""
+    return {**_PRODUCTS, stepper.book: book_nothing}
+
+
 def is_booked(scene: PlantModel) -> bool:
     """Returns whether the motor's work is more than its torque times the way: by a current loop, or a ripple."""
     return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
@@ -174,11 +191,11 @@ def replacements(scene: PlantModel) -> dict[Any, Any]:
         scene: One of the plants.
     """
     found: dict[Any, Any] = {
-        **_PRODUCTS, closed_loop.move_plant: move_events, closed_loop.begin_plant: begin_events,
+        **by_its_way(), closed_loop.move_plant: move_events, closed_loop.begin_plant: begin_events,
         closed_loop.plant_at: events_at,
     }  # fmt: skip
     if scene.efforts:
         found |= {event_plant.run_ticks: run_substeps, splitting.residual: residual_of_plant}
     if is_booked(scene):
         return found | {stepper.book: book_motor, closed_loop.work_in: booked_work}
-    return found | {stepper.book: book_nothing}
+    return found

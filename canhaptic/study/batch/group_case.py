@@ -23,8 +23,9 @@ from canhaptic.study.batch.group_closed_loop import (
     GroupRoom,
     LinearMotors,
 )
+from canhaptic.study.batch.group_events import EventMotorsPlan
 from canhaptic.study.batch.group_loop import Motors, loop_of, motors_of
-from canhaptic.study.batch.group_motors import linear_motors
+from canhaptic.study.batch.group_motors import event_motors, linear_motors
 from canhaptic.study.loop import FURTHEST
 
 
@@ -35,11 +36,12 @@ class GroupCase(NamedTuple):
     world: World
     settings: Any
     rig: GroupRig
-    motors: LinearMotors | Motors
+    motors: LinearMotors | EventMotorsPlan | Motors
     period: int  # [ns]
+    why_not: str = ""  # reason by name why its loop cannot be compiled; "" where it can
 
     @property
-    def moves_by_flow(self) -> bool:
+    def is_compilable(self) -> bool:
         """Whether its loop can be compiled."""
         return not isinstance(self.motors, Motors)
 
@@ -76,5 +78,7 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
         scene.bus.delay, [loop_of(axis, scene.bus.delay) for axis in axes],
         [(axis.loop.device_damping or 0.0) / time for axis in axes], FURTHEST, explains, motion_settings(world, exact),
     )  # fmt: skip
-    motors = linear_motors(scene, axes) or motors_of(scene, axes)
+    motors = linear_motors(scene, axes) or event_motors(scene, axes)
+    if isinstance(motors, str):
+        return GroupCase(kernel, world, settings, rig, motors_of(scene, axes), scene.bus.sample_time_ns, motors)
     return GroupCase(kernel, world, settings, rig, motors, scene.bus.sample_time_ns)

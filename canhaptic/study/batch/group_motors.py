@@ -11,7 +11,9 @@ from canhaptic.scene.parts import build_mechanism, build_plant
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.study.batch.event_plants import PlantValues
 from canhaptic.study.batch.group_closed_loop import LinearMotors
+from canhaptic.study.batch.group_events import EventMotorsPlan, why_not_events
 from canhaptic.study.batch.plants import is_linear
 from canhaptic.study.batch.signal_effects import SIGNAL_EFFECTS
 from canhaptic.study.scenes import mechanism_of_group
@@ -38,6 +40,35 @@ def linear_motors(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | Non
     if not all(is_linear(simulation) for simulation in simulations) or not set(effects).isdisjoint(SIGNAL_EFFECTS):
         return None
     return _side_by_side([build_plant(simulation, scene.bus.sample_time_ns) for simulation in simulations])
+
+
+def event_motors(scene: Scene, axes: Sequence[AxisScene]) -> EventMotorsPlan | str:
+    """Returns the motors of a group whose plants have events; the reason by name where they cannot move in its loop.
+
+    Args:
+        scene: Of the group alone.
+        axes: Of the group.
+
+    Raises:
+        InputError: The motors of the group are not simulated, or move with others.
+    """
+    of, names = mechanism_of_group(scene), [axis.parameters.name for axis in axes]
+    if of is not None:
+        moving: Any = build_mechanism(of, scene.bus.sample_time_ns)
+        if not isinstance(moving, XYMotion):
+            return f"a {of.mechanism.name} moves by equations that are solved at every hold"
+        order = [of.axes.index(name) for name in names]
+        reason = why_not_events(moving.model())
+        places = [[part[at] for at in order] for part in (moving.force_places, moving.position_places)]
+        return reason or EventMotorsPlan([moving.model], [None], [0] * len(axes), *places)
+    values = [PlantValues(simulation_of(axis), scene.bus.sample_time_ns) for axis in axes]
+    every = [why_not_events(one.scene()) for one in values]
+    forces = [len(one.scene().names) - 2 for one in values]
+    plan = EventMotorsPlan(
+        [one.scene for one in values], [one.simulation.accuracy for one in values], list(range(len(axes))), forces,
+        [0] * len(axes),
+    )  # fmt: skip
+    return next(filter(None, every), "") or plan
 
 
 def _side_by_side(plants: Sequence[Plant]) -> LinearMotors:

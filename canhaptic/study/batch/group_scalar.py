@@ -8,7 +8,7 @@ a group has no position.
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import nan
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from canhaptic.study.batch.group_closed_loop import (
     run_group,
     step,
 )
+from canhaptic.study.batch.group_events import EventMotorsPlan, event_replacements
 from canhaptic.study.batch.group_loop import Motors
 from canhaptic.study.figures import CONTINUOUS, METRICS, metrics_of, sums_of
 
@@ -39,18 +40,20 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
     """Returns the sums of a loop after its cycles, or when it diverged.
 
     Args:
-        case: Of motors that are linear, where it is compiled.
+        case: Which is compiled where it can be.
         cycles: SYNCs.
-        engine: Python takes motors that are not linear, too.
+        engine: Python takes every case.
     """
-    if engine == "numba" and case.moves_by_flow:
+    if engine == "numba" and case.is_compilable:
         from canhaptic.study.batch.compiled_group_loop import compiled_meter
 
         return compiled_meter(case, cycles)
     meter, memory = GroupMeter(), with_quick_fields(case.kernel.memory(case.world, case.settings))
-    run, motors = _python_loop(case.kernel), case.motors
+    motors: Any = case.motors
     if isinstance(motors, LinearMotors):
-        motors = motors._replace(state=list(motors.state))
+        run, motors = _python_loop(case.kernel), motors._replace(state=list(motors.state))
+    elif isinstance(motors, EventMotorsPlan):
+        run, motors = _python_loop(case.kernel, has_events=True), motors.made(listed=True)
     else:
         run = bound(run_group, {step: case.kernel.step, move_motors: _Moved(motors, case.period)})
     fixed = (with_quick_fields(part) for part in (case.world, case.settings))
@@ -62,8 +65,8 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
 
 
 @lru_cache(maxsize=16)
-def _python_loop(kernel: GroupKernel) -> Callable[..., None]:
-    found: Callable[..., None] = bound(run_group, {step: kernel.step})
+def _python_loop(kernel: GroupKernel, *, has_events: bool = False) -> Callable[..., None]:
+    found: Callable[..., None] = bound(run_group, {step: kernel.step, **(event_replacements() if has_events else {})})
     return found
 
 

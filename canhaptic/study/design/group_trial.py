@@ -82,7 +82,7 @@ class GroupTrial:
         self._stroke = _stroke_time(scene)
         self._leaning = self._with_hands_at_rest()
         self._chosen: ChosenEngine = chosen_engine(engine, pays=True)
-        self.is_quick = self._chosen == "numba" and group_case(scene).moves_by_flow
+        self.is_quick = self._chosen == "numba" and group_case(scene).is_compilable
         self.engine, self.walls, self.remark = "numba" if self.is_quick else "python", 0, ""
         self._allowance = float(getattr(group.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)

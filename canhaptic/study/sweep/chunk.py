@@ -233,12 +233,14 @@ class _Chunk:
             for name in self._recipe.axes:
                 scene = seeded(self._recipe, _alone(built, name), self._start + row)
                 try:
-                    figures, is_compiled = _figures_alone(self._recipe, scene, asked)
+                    figures, is_compiled, why_not = _figures_alone(self._recipe, scene, asked)
                 except CanHapticError as error:
                     status, remark = _FAILED, str(error).splitlines()[0]
                     continue
                 if is_compiled:
                     engine, remark = ENGINES.index("numba"), built.remark
+                elif why_not:
+                    remark = _joined(f"not compiled: {why_not}", built.remark)
                 for metric in asked:
                     self._figures[f"{name}/{metric}"][row] = figures[metric]
             self._note(row, status, engine, remark)
@@ -273,16 +275,16 @@ def _alone(built: Built, name: str) -> Scene:
     return parts_of(built.permitted())[name]
 
 
-def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[Mapping[str, float], bool]:
-    """Returns the figures of one axis or group, and whether its loop was compiled."""
+def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[Mapping[str, float], bool, str]:
+    """Returns the figures of one axis or group, whether its loop was compiled, and why a group's could not be."""
     cycles = cycles_in(recipe, scene)
     if is_display(scene):
-        return display_figures(scene, cycles, asked), False
+        return display_figures(scene, cycles, asked), False, ""
     if not scene.groups:
-        return run_scalar(scene, cycles, asked), False
+        return run_scalar(scene, cycles, asked), False, ""
     case = group_case(scene)
-    is_compiled = recipe.engine == "numba" and case.moves_by_flow
-    return group_figures(group_meter(case, cycles, recipe.engine), asked), is_compiled
+    is_compiled = recipe.engine == "numba" and case.is_compilable
+    return group_figures(group_meter(case, cycles, recipe.engine), asked), is_compiled, case.why_not
 
 
 def _joined(*remarks: str) -> str:

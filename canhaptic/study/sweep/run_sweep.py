@@ -189,7 +189,7 @@ def _pays(scene: Scene, scenes: int, batches: int, cycles: int) -> bool:
     """Returns whether compiling takes less time than it saves."""
     if scene.groups:
         parts = [part for part in parts_of(scene).values() if part.groups]
-        return scenes * cycles >= WORTH_COMPILING_GROUPS and any(group_case(part).moves_by_flow for part in parts)
+        return scenes * cycles >= WORTH_COMPILING_GROUPS and any(group_case(part).is_compilable for part in parts)
     return scenes * cycles >= WORTH_COMPILING or batches * cycles >= _WORTH_COMPILING
 
 

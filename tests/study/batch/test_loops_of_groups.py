@@ -9,6 +9,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.study.batch.group_case import group_case
 from canhaptic.study.batch.group_closed_loop import GroupMeter, LinearMotors, shares
+from canhaptic.study.batch.group_events import EventMotorsPlan
 from canhaptic.study.batch.group_loop import motors_of
 from canhaptic.study.batch.group_scalar import group_meter
 from canhaptic.study.sweep import sweep
@@ -42,11 +43,49 @@ def random_scene(name: str, seed: int) -> Scene:
     return scene_of(name, *overrides, f"groups.0.passivity.moving_mass={random.uniform(0.05, 0.2)!r}")
 
 
+STAGE = "simulation.mechanisms.0"
+FRICTION = "{kinetic: 0.4, static: 0.6}"
+STOP = "{type: hard_stop, side: upper, position: 0.004, stiffness: 2e4, damping: 20}"
+WITH_EVENTS = {
+    "stage with friction": ("xy_box", f"{STAGE}.friction_x={FRICTION}", f"{STAGE}.friction_y={FRICTION}"),
+    "friction in x": ("xy_box", f"{STAGE}.friction_x={FRICTION}"),
+    "handles with stops": (
+        "two_handles",
+        f"simulation.axes.first.effects=[{STOP}, {{type: coulomb_friction, kinetic: 0.2, static: 0.3}}]",
+        f"simulation.axes.second.effects=[{STOP}]",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", WITH_EVENTS)
+def test_motors_with_events_do_what_the_plants_do(kind: str) -> None:
+    scene = scene_of(*WITH_EVENTS[kind])
+    case = group_case(scene, explains=True)
+    assert isinstance(case.motors, EventMotorsPlan)
+    axes = [scene.axis(axis) for axis in scene.groups[0].axes]
+    by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 300))
+    in_loop = values_of(group_meter(case, 300))
+    assert in_loop == pytest.approx(by_plants, rel=1e-6, abs=1e-10)
+    without = values_of(group_meter(group_case(scene_of(scene_name(kind))), 300))
+    assert in_loop["interaction"] != pytest.approx(without["interaction"], rel=1e-3)
+
+
+def scene_name(kind: str) -> str:
+    return WITH_EVENTS[kind][0]
+
+
+def test_what_a_group_cannot_compile_is_named() -> None:
+    assert "five_bar" in group_case(scene_of("five_bar_sphere")).why_not
+    lag = "simulation.axes.first.effects=[{type: current_loop, time_constant: 300 us}]"
+    assert "current loop" in group_case(scene_of("two_handles", lag)).why_not
+    assert group_case(scene_of("xy_box")).why_not == ""
+
+
 @pytest.mark.parametrize(("name", "seed"), [("xy_box", 1), ("xy_box", 2), ("two_handles", 2)])
 def test_motors_as_one_flow_do_what_the_plants_do(name: str, seed: int) -> None:
     scene = random_scene(name, seed)
     case = group_case(scene, explains=True)
-    assert case.moves_by_flow
+    assert case.is_compilable
     axes = [scene.axis(axis) for axis in scene.groups[0].axes]
     by_plants = values_of(group_meter(case._replace(motors=motors_of(scene, axes)), 300))
     by_flow = values_of(group_meter(case, 300))
@@ -83,6 +122,18 @@ def test_compiled_it_has_the_same_bits(name: str) -> None:
         case = group_case(random_scene(name, seed), explains=True)
         expected, found = (values_of(group_meter(case, 500, engine)) for engine in ("python", "numba"))
         assert repr(found) == repr(expected), seed
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("kind", ["stage with friction", "handles with stops"])
+def test_compiled_motors_with_events_have_the_same_bits(kind: str) -> None:
+    pytest.importorskip("numba")
+    name, *overrides = WITH_EVENTS[kind]
+    for stiffness in (300.0, 3000.0):
+        case = group_case(scene_of(name, *overrides, f"groups.0.network.stiffness={stiffness}"), explains=True)
+        expected, found = (values_of(group_meter(case, 500, engine)) for engine in ("python", "numba"))
+        assert repr(found) == repr(expected)
 
 
 @pytest.mark.slow

@@ -71,7 +71,8 @@ class XYMotion:
 
     def __init__(self, stage: XYStage, hand: TaskHand | None, sample_time_ns: int) -> None:
         self._clock = SampleClock(sample_time_ns)
-        self._scene = scene = _scene(stage, hand, sample_time_ns * 1e-9)
+        self._parts = stage, hand, sample_time_ns * 1e-9
+        self._scene = scene = self.model()
         self._machine = machine = HybridAutomaton(scene, _MAX_EVENTS, LEVELS)
         self.is_linear = not any(part.has_guards for part in scene.parts)
         self._run = machine.run_free if self.is_linear else machine.run
@@ -99,6 +100,10 @@ class XYMotion:
     def state(self) -> Array:
         """A copy of its state, in the order of `state_names`."""
         return self._machine.state.copy()
+
+    def model(self) -> PlantModel:
+        """Returns what it consists of."""
+        return _scene(*self._parts)
 
     def whole_flow(self) -> Array:
         """Returns the flow of the first mode over one sample time, shape (n, n)."""
