@@ -1,6 +1,7 @@
 """Time of a recording: it advances only when the master waits, and then moves to the next recorded frame.
 
-A SYNC that was late in the recording is as late in the replay, so that a deadline skipped then is skipped now.
+The master sends each frame when it was sent in the recording, however long it computes today and whatever deadline it
+waits for. So a SYNC that was late then is as late now, and the same deadlines are skipped.
 """
 
 import can
@@ -39,14 +40,14 @@ class RecordedClock:
         side = self._side
         while True:
             side.process(self._now)
-            message = bus.recv(0.0)
-            if message is not None or self._now >= deadline:
+            self._move(side.reached)
+            if (message := bus.recv(0.0)) is not None:
                 return message
             due, command = side.next_due(), side.next_command()
-            if due != NEVER:  # recorded before the master's next frame, so it comes before it, however late it was
-                self._move(due)
-            else:
-                self._move(max(deadline, command) if command != NEVER else deadline)
+            if due == NEVER:
+                self._move(command if command != NEVER else deadline)
+                return None
+            self._move(due)  # recorded before the master's next frame, so it comes before it, however late it was
 
     def _move(self, now: int) -> None:
         if now > self._now:

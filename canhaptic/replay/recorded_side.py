@@ -30,9 +30,9 @@ class _Departure(NamedTuple):
 class RecordedSide:
     """Plays the frames that the master did not send (a `SimulatedPeer`), and compares what it sends but its heartbeats.
 
-    Order is that of the recording: a frame comes once the master has sent everything that was recorded before it, and
-    as long after the last of those as then. What the recording has from the drives before a frame of the master, the
-    master has received when it sends it.
+    Order and times are those of the recording: a frame comes once the master has sent everything that was recorded
+    before it. What the recording has from the drives before a frame of the master, the master has received when it
+    sends it.
 
     Args:
         buses: Its connections to the buses, in the order of the scene.
@@ -42,6 +42,7 @@ class RecordedSide:
     Attributes:
         compared: Frames of the master found equal so far.
         played: Frames of the drives sent so far.
+        reached: When the master's last frame was sent in the recording [ns]; what it computed before took that long.
         departure: The first difference; None while there is none.
     """
 
@@ -54,10 +55,10 @@ class RecordedSide:
         self._left_out = recording.heartbeat
         self._end = len(recording.frames)
         self._next = first
-        self._offset = 0
         self._is_over = False
         self.compared = 0
         self.played = 0
+        self.reached = 0
         self.departure: _Departure | None = None
 
     def _collect(self) -> None:
@@ -76,7 +77,7 @@ class RecordedSide:
             raise ReplayOverError
         self._collect()
         while any(self._sent):
-            self._compare(now)
+            self._compare()
         while self.next_due() <= now:
             self._play()
 
@@ -84,13 +85,13 @@ class RecordedSide:
         """Returns when the next frame of the drives is due [ns]; never while the master has to send first."""
         if self._next == self._end or self._is_master[self._next]:
             return NEVER
-        return self._frames[self._next].timestamp_ns + self._offset
+        return self._frames[self._next].timestamp_ns
 
     def next_command(self) -> int:
         """Returns when the master sent its next frame, if nothing comes from the drives before [ns]."""
         if self._next == self._end or not self._is_master[self._next]:
             return NEVER
-        return self._frames[self._next].timestamp_ns + self._offset
+        return self._frames[self._next].timestamp_ns
 
     @property
     def unsent(self) -> int:
@@ -103,14 +104,14 @@ class RecordedSide:
         self.played += 1
         bus.send(
             can.Message(
-                timestamp=(frame.timestamp_ns + self._offset) * 1e-9,
+                timestamp=frame.timestamp_ns * 1e-9,
                 arbitration_id=frame.can_id,
                 is_extended_id=frame.can_id > 0x7FF,
                 data=frame.data,
             )
         )
 
-    def _compare(self, now: int) -> None:
+    def _compare(self) -> None:
         """Compares one frame: that of the bus on which one is recorded next, of another only where there is none."""
         while self._next < self._end and not self._is_master[self._next]:
             self._play()
@@ -122,7 +123,7 @@ class RecordedSide:
         if bus != place or message.arbitration_id != frame.can_id or message.data != frame.data:
             self.departure = _Departure(self._next, bus, message.arbitration_id, bytes(message.data))
             raise self._over()
-        self._offset = now - frame.timestamp_ns
+        self.reached = frame.timestamp_ns
         self._next += 1
         self.compared += 1
 

@@ -60,7 +60,7 @@ class Exchange:
         self.periods = 1
         self.uneven = self.skipped = 0
         self._since_heartbeat = self.beat_cycles
-        self._next = self.deadline = self.woken = self.heard = self._synced = self.clock.now()
+        self._next = self.deadline = self.woken = self.heard = self._synced = self._logged = self.clock.now()
 
     def sync(self) -> None:
         """Waits for the deadline, sends SYNC on every bus and takes the TPDOs until all came or their time is over.
@@ -70,22 +70,22 @@ class Exchange:
         """
         clock = self.clock
         failure: LinkError | None = None
-        self.woken = self._wait()
+        synced = self.woken = self._wait()
         for link, window, group in self._buses:
             window.is_open = True
             window.pending = len(group)
             for drive in group:
                 drive.expect_tpdos()
             try:
-                link.send(SYNC_FRAME_COB_ID, b"")
+                synced = link.send(SYNC_FRAME_COB_ID, b"")  # a replay knows this time, and no other
             except LinkError as error:
                 failure, window.pending = error, 0
                 for drive in group:
                     drive.refuse_tpdos()
-        synced = clock.now()
-        self.periods = (synced - self._synced + self._latest) // self._period or 1
+        logged = synced - synced % 1000  # to the microsecond, as a bus log keeps it: a replay counts the same periods
+        self.periods = (logged - self._logged + self._latest) // self._period or 1
         self.uneven = abs(synced - self._synced - self.periods * self._period)
-        self._synced = synced
+        self._synced, self._logged = synced, logged
         end = synced + self._window_ns
         for link, window, group in self._buses:
             while window.pending and link.poll(end):

@@ -81,8 +81,11 @@ class Link:
         """Counts frames of this COB-ID as foreign again."""
         self._handlers.pop(can_id, None)
 
-    def send(self, can_id: int, data: bytes) -> None:
+    def send(self, can_id: int, data: bytes) -> int:
         """Sends one data frame.
+
+        Returns:
+            The time that the bus log gives it [ns].
 
         Raises:
             LinkError: The interface refused it, at once and once more (a full queue, ENOBUFS, bus-off).
@@ -105,6 +108,7 @@ class Link:
         record = self._recorder
         if record is not None:
             record(now, can_id, data, False)
+        return now
 
     def _send_again(self, message: can.Message) -> None:
         self.statistics.send_failures += 1
