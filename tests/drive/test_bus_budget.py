@@ -69,6 +69,12 @@ def test_a_map_without_read_back_is_offered_when_it_alone_fits() -> None:
     require_budget(bus, maps(2, read_back="none"))
 
 
+def test_what_is_not_read_back_is_not_offered_to_be_left_out() -> None:
+    with pytest.raises(BusBudgetError) as refused:
+        require_budget(BusParameters(rate=1400.0, compute_latency=60e-6), maps(2, read_back="none"))
+    assert "read_back" not in str(refused.value)
+
+
 @pytest.mark.parametrize("bitrate", [125_000, 250_000, 500_000, 800_000, 1_000_000])
 @pytest.mark.parametrize("axes", [1, 2, 3, 6])
 def test_the_offered_rate_fits(bitrate: int, axes: int) -> None:

@@ -1,4 +1,5 @@
 import os
+import signal
 from itertools import pairwise
 from pathlib import Path
 
@@ -31,6 +32,19 @@ def write(path: Path, frames: list[tuple[int, int, bytes, bool]]) -> None:
     for frame in frames:
         log(*frame)
     log.close()
+
+
+def test_a_full_ring_at_real_pace_drops_and_counts_without_waiting(tmp_path: Path) -> None:
+    log = BusLogWriter(tmp_path / "full.log", "can0", pace="real")
+    os.kill(log.writer_pid, signal.SIGSTOP)  # the disk stalls
+    try:
+        room = FRAME_RING.capacity
+        for number in range(room + 3):
+            log(number, 0x181, b"12345678", True)
+        assert log.dropped == 3
+    finally:
+        os.kill(log.writer_pid, signal.SIGCONT)
+        log.close()
 
 
 def test_frames_are_candump_lines_byte_for_byte(tmp_path: Path) -> None:

@@ -50,6 +50,19 @@ def test_the_sync_counter_is_set_while_the_cycle_period_is_0_and_to_what_cia_301
         assert rig.write(0x1019, 0, 2, 1) == "08000022"
 
 
+@pytest.mark.parametrize(("data_type", "size"), [("0x10", 3), ("0x12", 5), ("0x13", 6), ("0x14", 7), ("0x16", 3)])
+def test_integers_of_unusual_sizes_have_their_size(tmp_path: Path, data_type: str, size: int) -> None:
+    entries = f"DataType={data_type}\nAccessType=rw\nDefaultValue=5"
+    path = tmp_path / "odd.eds"
+    path.write_text(OUR_EDS.read_text(encoding="utf-8") + SECTION.format(name="2100", kind="0x7", entries=entries))
+    with Rig(path) as rig:
+        entry = rig.drive.store.find(0x2100)
+        assert entry is not None
+        assert entry.size == size
+        expected = "ok" if size <= 4 else "06070013"  # too short
+        assert rig.write(0x2100, 0, 5, min(size, 4)) == expected
+
+
 def test_node_guarding_is_not_served_and_so_not_listed(listing: Path) -> None:
     with Rig(listing) as rig:
         assert [rig.read(index) for index in (0x100C, 0x100D)] == ["06020000", "06020000"]
