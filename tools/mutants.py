@@ -60,6 +60,17 @@ EQUIVALENT: Final[dict[str, str]] = {
     "DataType.BOOLEAN else ''": "BOOLEAN is the lowest data type",
     "canhaptic/logs/bus_reader.py: module: _LATEST: Final = 4000000000000000000 => _LATEST: Final = "
     "4000000000000000002": "2 ns of 127 years",
+    "canhaptic/logs/sdo_decoder.py: SdoDecoder._write: size = f\", {int.from_bytes(data[4:], 'little')} bytes\" if "
+    "data[0] & 1 else '' => size = f\", {int.from_bytes(data[4:], 'little')} bytes\" if data[0] & 129 else ''": (
+        "bit 7 of the command of a write is 0"
+    ),
+    "canhaptic/drive/profile/rig_start.py: _check_positions: for drive, bring_up in zip(exchange.drives, bring_ups, "
+    "strict=True): => for drive, bring_up in zip(exchange.drives, bring_ups, strict=False):": "one for each drive",
+    "canhaptic/sim/plant/effort_forces.py: module: DETENT, RIPPLE, FALLING, BRISTLE = (0, 1, 2, 3) => DETENT, RIPPLE, "
+    "FALLING, BRISTLE = (0, 129, 2, 3)": "four numbers that differ",
+    "canhaptic/drive/can/servo_drive.py: ServoDrive.reset: self._stage = [0, 0, 0] => self._stage = [64, 0, 0]": (
+        "every map has a statusword, which is staged anew before it is read"
+    ),
     "canhaptic/view/series.py: module: _BUCKETS: Final = 400 => _BUCKETS: Final = 402": "points of a drawing",
     "canhaptic/view/html_panels.py: module: _WORST_SPAN: Final = 0.25 => _WORST_SPAN: Final = 1.25": (
         "seconds that a button of a page shows"

@@ -128,6 +128,7 @@ def test_segments_belong_to_the_object_whose_transfer_they_continue(decoder: Bus
     words(decoder, 0x605, "4008100000000000")
     words(decoder, 0x585, "4108100009000000")
     assert words(decoder, 0x605, "6000000000000000")[2] == f"read next segment of {name}"
+    assert words(decoder, 0x585, "1061626364656667")[2] == f"segment of {name}: 61 62 63 64 65 66 67"  # toggled
     assert words(decoder, 0x585, "0061626364656667")[2] == f"segment of {name}: 61 62 63 64 65 66 67"
     assert words(decoder, 0x585, "1D68000000000000")[2] == f"segment of {name}: 68, last"
     words(decoder, 0x605, "2109100002000000")
