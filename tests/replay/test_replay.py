@@ -70,7 +70,7 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
         ("bound_device_friction", "certificates.sum_of_certificates.for_any_hand"),
         ("bound_sum", "certificates.sum_of_certificates.by_reach"),
         ("bound_drag", "certificates.certified_torque.hand_force_bound"),
-        ("bound_group", "multi_axis.group_shares.hand_force_bound"),
+        ("bound_group", "multi_axis.per_axis_certificates.hand_force_bound"),
         ("bound_late_group", "multi_axis.group_shares.by_hand_force"),
         ("bound_lossy_group", "multi_axis.per_axis_certificates.largest_share"),
         ("bound_group_of_handles", "multi_axis.per_axis_certificates.hand_force_bound"),

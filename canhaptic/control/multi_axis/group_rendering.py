@@ -6,11 +6,11 @@ from typing import Final, NamedTuple
 from canhaptic.control.balance import Certificate
 from canhaptic.control.certificates.torque_bound import keep
 from canhaptic.control.multi_axis.group_account import certain_energy, fade, quotient
-from canhaptic.control.multi_axis.group_commands import GroupCommands, next_place, send_nothing, take_applied
+from canhaptic.control.multi_axis.group_commands import next_place, send_nothing, take_applied
 from canhaptic.control.multi_axis.group_motion import World, write_efforts
 from canhaptic.control.multi_axis.group_shares import UnderWay, shares
 from canhaptic.control.multi_axis.guarded_state import GuardedGroupMemory, GuardedGroupSettings, GuardedGroupState
-from canhaptic.control.multi_axis.per_axis_certificates import raise_inward
+from canhaptic.control.multi_axis.per_axis_certificates import inward_first
 from canhaptic.control.passivity.in_flight import towards_zero
 from canhaptic.control.recovery import modulated_damping
 from canhaptic.kernels import Buffer, new
@@ -54,13 +54,13 @@ def render(
         torques[i] = -(share * wish.spring[i] + lead_share * wish.lead[i] + damper[i] + modulated[i])
     most = within_limits(settings, state, memory)
     factor, certificate = certify(settings, state, memory, under_way, energy, most, covered)
-    sent, splits = memory.sent, settings.account.apart.losses > 0 and factor < 1.0
+    sent, splits = memory.sent, settings.account.apart.is_apart and settings.account.axes.by_hand and factor < 1.0
     for i in range(len(torques)):
         commands.torques[place][i] = torques[i] if splits else sent[i]
         commands.dampers[place][i] = damper[i] if splits else factor * damper[i]
         commands.modulated[place][i] = modulated[i] if splits else factor * modulated[i]
     if splits:
-        split(settings, memory, commands, place, factor, most, energy)
+        certificate = split(settings, memory, place, most, energy, certificate)
     group.oldest = next_place(commands, place)
     return new(Rendering, (factor * rendered, certificate))
 
@@ -68,27 +68,26 @@ def render(
 def split(
     settings: GuardedGroupSettings,
     memory: GuardedGroupMemory,
-    commands: GroupCommands,
     place: int,
-    factor: float,
     most: float,
     energy: float,
-) -> None:
-    """Makes the command at a place one of which axes that take energy in have more than the certified share of all.
+    certificate: int,
+) -> int:
+    """Makes the command at a place the one that brings more of the torques asked for: a share, or first what comes in.
 
-    What the drives leave of it by their grid is a part of what was certified, axis by axis.
+    Returns:
+        Its certificate.
     """
-    account, found = settings.account, memory.sent
-    share = factor / most if most > 0.0 else 0.0  # no share at all of torques that are no numbers
+    account, commands, together, found = settings.account, memory.group.commands, memory.sent, memory.scaled
     for i in range(len(found)):
-        memory.scaled[i] = most * memory.torques[i]
-        found[i] = share * memory.scaled[i]
-    if account.axes.by_hand:
-        apart, coming = memory.account.apart, memory.account.coming
-        raise_inward(account.axes, account.apart, apart, coming, memory.scaled, share, energy, found)
+        memory.asked[i] = most * memory.torques[i]
+    apart, coming = memory.account.apart, memory.account.coming
+    inward_first(account.axes, account.apart, apart, coming, memory.asked, settings.quanta, energy, found)
+    more = 0.0
     for i in range(len(found)):
-        found[i] = towards_zero(found[i], settings.quanta[i])
-    take_applied(commands, place, found)
+        more += (found[i] - together[i]) * memory.asked[i] * account.apart.responses[i]
+    take_applied(commands, place, found if more > 0.0 else together)
+    return _BY_FORCE if more > 0.0 else certificate
 
 
 def within_limits(settings: GuardedGroupSettings, state: GuardedGroupState, memory: GuardedGroupMemory) -> float:

@@ -105,7 +105,7 @@ def free_energy(
 ) -> float:
     """Returns how much of `energy` [J] is not needed by the certificates of the torques under way."""
     axes = settings.axes
-    if settings.apart.losses:
+    if settings.apart.is_apart:
         return free_if_apart(settings, account, memory, under_way, energy)
     if under_way.holds == 0 and axes.timing.is_ideal:
         return energy + account.dissipated
@@ -141,7 +141,7 @@ def shares(
         energy: That may be taken out [J].
     """
     axes = settings.axes
-    if settings.apart.losses:
+    if settings.apart.is_apart:
         return shares_if_apart(settings, account, memory, under_way, torques, energy)
     by_force = by_damping = by_speed = moved = 0.0
     if settings.moves:

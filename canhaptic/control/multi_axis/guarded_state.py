@@ -32,8 +32,10 @@ class GuardedGroupParameters(Parameters):
     prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
     """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Consecutive cycles in which any axis may be without a new torque, or hold a part of it (`apart`); each costs
-    stiffness. 0: all axes always apply together what was sent."""
+    """Consecutive cycles in which any axis may be without a new torque; each costs stiffness. 0: all axes always apply
+    together what was sent."""
+    may_cut: bool = False
+    """Whether a drive may cut the torque of one axis by itself, to any part of it; costs stiffness as well."""
     compiled: bool = False
     """Whether the whole step runs compiled by numba (the extra `fast`); half a minute the first time, kept on disk."""
 
@@ -72,6 +74,7 @@ class GuardedGroupMemory(NamedTuple):
     modulated: Buffer
     torques: Buffer  # asked for
     sent: Buffer
+    asked: Buffer  # as far as no limiter cuts them
     scaled: Buffer
 
 
@@ -98,7 +101,7 @@ def settings_of(
             "certificate"
         )
     loop = group_loop(world, loops)
-    limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses)
+    limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses, may_cut=parameters.may_cut)
     quanta = [loop.torque_quantum for loop in loops]
     return GuardedGroupSettings(
         loop,
@@ -120,5 +123,5 @@ def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemor
     return GuardedGroupMemory(
         group_memory(world, settings.loop, 0), account_memory(limits),
         RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
-        one(axes), one(axes), one(axes), one(axes), one(axes),
+        one(axes), one(axes), one(axes), one(axes), one(axes), one(axes),
     )  # fmt: skip

@@ -1,38 +1,51 @@
-"""The certificates for axes that may act apart: each holds its new torque, an older one, or a part of either.
+"""The certificates axis by axis: each holds its new torque or an older one.
 
-`bound` holds for torques that act together. Where a frame is lost, a link policy ramps, or a limiter or drive cuts one
-axis alone, the group's torque turns, and energy that one axis was to bring in is missing while another still gives it
-out. With `max_consecutive_losses` = L declared, the energy is certified axis by axis: in every hold from now on, axis i
-may have any torque between 0 and one of those sent for it, each of which may stay for L more holds. With D_ij the
-displacement of axis i in hold j, counted along such a torque f,
+`group_certificates` holds for torques that act together. Where a frame is lost the group's torque turns: one axis still
+has an older torque, and energy that it was to bring in with the new one may be missing. Declared is
+`max_consecutive_losses` = L: axis i has in hold j from now one of the torques sent for it that are no more than L holds
+older than the newest. With s_q those torques, W the new one, d the delay and D_ij the displacement of axis i in hold j,
+they give out no more than
 
-    energy out <= sum over holds and axes of max over f of max(0, f D_ij),
+    sum over axes of max over e of sum over j <= e of max over q of s_q D_ij,       d + 1 <= e <= d + 1 + L:         (1)
+
+until hold d + 1 some of them acts in every hold, and energy that it takes in counts; after it a later torque may have
+replaced them in any hold e + 1, which pays for itself. Counted along a torque,
+
     D_ij <= D_i0 + j sqrt(r_i) (N + h),        r_i = T^2 / m_i,
 
 N the largest |f|_r of all torques that may act, h that of the hand: for any inertia M >= diag(m) one axis answers to
-the torques of all with no more than this (Cauchy-Schwarz). f D_ij grows with f where it is positive, so that the ends
-of the interval are enough. With the new torques scaled by l <= 1, N <= N_0 + l N_1 with
-N_1^2 = sum(r_i max(0, W_i^2 - f_i^2)), f_i the largest sent before. Every term is a parabola in l, their sum convex,
-and the largest l within the budget is found by solving for the terms that count at the last one, from l = 1 down.
+the torques of all with no more than this (Cauchy-Schwarz). Friction takes a share of an inward D_i0 in every hold.
+(1) is kept from SYNC to SYNC: after a hold the rest of it, of the true displacement, is no more than (1) less what came
+out, for every term grows with D_ij; and a torque of 0, which replaces all, adds nothing. So what is certified once can
+be followed. A ramp of the commands to zero after hold d + 1 is a mean of replacements, and covered.
+
+With the new torques scaled by l <= 1, N <= N_0 + l N_1 with N_1^2 = sum(r_i max(0, W_i^2 - f_i^2)), f_i the largest
+sent before. Every term is a parabola in l, (1) convex, and the largest l within the budget is found by solving for the
+terms that count at the last one, from l = 1 down. Without losses, e = d + 1, (1) serves groups as well: it lets axes
+that bring energy in go first (`inward_first`).
+
+**Torques that are cut.** Where a drive may cut the torque of one axis by itself (`may_cut`), no energy that an axis
+takes in is certain, and no term of (1) counts below 0.
 
 **Torques that come late** (`hold_timing`). In a hold, axis i may then have any course between 0 and the torques of that
-hold, and gives out no more than the largest times the way V that it goes along it: for an axis that gains a T in the
-hold, V = D_ij where it begins outward, and V <= (D_ij + a T^2 / 2) / 2 where it turns inside the hold and
-D_ij <= a T^2 / 2. What an older torque has beyond all of those acts for theta alone (`write_tail`), and all of them,
-once more, in the hold after the last. A mover that gives energy gives it to the torque that is held, which may be
+hold; no term counts below 0. It gives out no more than the largest times the way V that it goes along it: for an axis
+that gains a T in the hold, V = D_ij where it begins outward, and V <= (D_ij + a T^2 / 2) / 2 where it turns inside the
+hold and D_ij <= a T^2 / 2. What an older torque has beyond all of those acts for theta alone (`write_tail`), and all of
+them, once more, in the hold after the last. A mover that gives energy gives it to the torque that is held, which may be
 none.
 
 A mover's motion, known in advance, is taken off D_ij (`bound`). The hand counts axis by axis as well: a force across
 the torque of the group that pulls one axis along its own torque is part of the declared force.
 """
 
-from math import sqrt
+from math import inf, sqrt
 from typing import Final
 
 from canhaptic.control.certificates.scalar_bounds import hand_force_bound
 from canhaptic.control.multi_axis.group_certificates import Acting, AxisLimits
 from canhaptic.control.multi_axis.late_cells import write_late_cells, write_parabolas
 from canhaptic.control.multi_axis.per_axis_memory import PerAxisLimits, PerAxisMemory
+from canhaptic.control.passivity.in_flight import towards_zero
 from canhaptic.kernels import Buffer, Matrix
 
 _PASSES: Final = 24
@@ -113,7 +126,7 @@ def end_of(limits: PerAxisLimits, hold: int) -> int:
 def write_cells(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, fixed: Buffer
 ) -> None:
-    """Writes what each axis may give out in each hold: the largest of some parabolas, and of 0.
+    """Writes what each axis may give out in each hold: the largest of some parabolas; axis by axis, hold by hold.
 
     Args:
         axes: What the certificates know of the motor axes.
@@ -129,65 +142,115 @@ def write_cells(
         sent = max(largest, abs(fixed[i]))
         total += response * sent * sent
         added += response * max(0.0, torque * torque - sent * sent)
-    norm, more = sqrt(total) + axes.hand, sqrt(added)
-    cell = place = 0
-    for index in range(limits.holds):
-        mine = index - limits.delay
-        grown = more * (mine + limits.first) if mine >= 0 else 0.0
-        for i in range(len(torques)):
-            root, sign = limits.roots[i], 1.0
-            for side in range(2):
-                pace = memory.lost[i][side] + root * norm
-                base = memory.starts[i][side] + (index + 1) * pace
-                if limits.is_ideal or sign * coming[index][i] < 0.0:
-                    base -= sign * coming[index][i]
-                slope, new = root * grown, sign * torques[i]
-                old = memory.along[index][i] if side == 0 else memory.against[index][i]
-                if mine >= 0:
-                    old = max(old, sign * fixed[i])
-                if mine < 0:
-                    new = 0.0
-                place = write_parabolas(memory, place, old, new, base, slope)
-                if not limits.is_ideal:  # it may turn inside the hold
-                    base, slope = 0.5 * base + 0.25 * pace, 0.5 * slope + 0.25 * root * more
-                    place = write_parabolas(memory, place, old, new, base, slope)
-                sign = -1.0
-            memory.ends[cell] = place
-            cell += 1
-    if not limits.is_ideal:
+    norm, more, place = sqrt(total) + axes.hand, sqrt(added), 0
+    for i in range(len(torques)):
+        if limits.is_late:
+            place = write_courses(limits, memory, coming, torques[i], fixed[i], norm, more, i, place)
+        else:
+            place = write_options(axes, limits, memory, coming, torques[i], fixed[i], norm, more, i, place)
+    if limits.is_late:
         write_late_cells(axes, limits, memory, torques, fixed, norm, more, place)
+
+
+def write_options(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torque: float, fixed: float,
+    norm: float, more: float, axis: int, place: int,
+) -> int:  # fmt: skip
+    """Writes what an axis gives out with each torque that may be held in each hold; returns the next place."""
+    root, kept = limits.roots[axis], 1.0 - axes.lost[axis]
+    along, against = memory.starts[axis][0], memory.starts[axis][1]
+    for index in range(limits.holds):
+        along, against = along * kept if along < 0.0 else along, against * kept if against < 0.0 else against
+        mine, reach, moved = index - limits.delay, (index + 1) * (root * norm), coming[index][axis]
+        slope = root * more * (mine + limits.first) if mine >= 0 else 0.0
+        for option in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+            held = memory.sent[option][axis]
+            base = reach + (along - moved if held > 0.0 else against + moved)
+            held = abs(held)
+            memory.constant[place], memory.linear[place], memory.square[place] = held * base, held * slope, 0.0
+            place += 1
+        if mine >= 0:
+            base = reach + (along - moved if fixed + torque > 0.0 else against + moved)
+            held, whole = abs(fixed), abs(torque)
+            memory.constant[place], memory.square[place] = held * base, whole * slope
+            memory.linear[place] = held * slope + whole * base
+            place += 1
+        memory.ends[axis * limits.holds + index] = place
+    return place
+
+
+def write_courses(
+    limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torque: float, fixed: float, norm: float, more: float,
+    axis: int, place: int,
+) -> int:  # fmt: skip
+    """Writes what an axis gives out with any course between 0 and the torques of each hold; returns the next place."""
+    root = limits.roots[axis]
+    for index in range(limits.holds):
+        mine, sign, moved = index - limits.delay, 1.0, coming[index][axis]
+        slope = root * more * (mine + limits.first) if mine >= 0 else 0.0
+        for side in range(2):
+            pace = memory.lost[axis][side] + root * norm
+            base = memory.starts[axis][side] + (index + 1) * pace
+            if sign * moved < 0.0:
+                base -= sign * moved
+            old, asked = memory.along[index][axis] if side == 0 else memory.against[index][axis], 0.0
+            if mine >= 0:
+                old, asked = max(old, sign * fixed), sign * torque
+            place = write_parabolas(memory, place, old, asked, base, slope)  # it may turn inside the hold
+            base, slope_turned = 0.5 * base + 0.25 * pace, 0.5 * slope + 0.25 * root * more
+            place = write_parabolas(memory, place, old, asked, base, slope_turned)
+            sign = -1.0
+        memory.ends[axis * limits.holds + index] = place
+    return place
+
+
+def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: float) -> tuple[int, float]:
+    """Returns which of some parabolas is the largest at a share, and its value [J]; -1 where none is above `least`."""
+    active, largest = -1, least
+    for place in range(first, end):
+        given = memory.constant[place] + share * (memory.linear[place] + share * memory.square[place])
+        if given > largest:
+            active, largest = place, given
+    return active, largest
+
+
+def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) -> tuple[float, float, float]:
+    """Returns the parabola A + B l + C l^2 that at a share l is the most that all axes may give out [J]."""
+    least = 0.0 if limits.is_late or limits.may_cut else -inf
+    fixed = linear = square = 0.0
+    cell = place = 0
+    for _ in range(len(memory.largest)):
+        value = a = b = c = 0.0
+        most = worst_a = worst_b = worst_c = 0.0
+        for index in range(limits.holds):
+            active, largest = worst_of(memory, place, memory.ends[cell], share, least)
+            if active >= 0:
+                value += largest
+                a, b, c = a + memory.constant[active], b + memory.linear[active], c + memory.square[active]
+            if index == limits.delay or (index > limits.delay and value > most):
+                most, worst_a, worst_b, worst_c = value, a, b, c
+            place, cell = memory.ends[cell], cell + 1
+        fixed, linear, square = fixed + worst_a, linear + worst_b, square + worst_c
+    while cell < len(memory.ends):
+        active, _ = worst_of(memory, place, memory.ends[cell], share, 0.0)
+        if active >= 0:
+            fixed, linear = fixed + memory.constant[active], linear + memory.linear[active]
+            square += memory.square[active]
+        place, cell = memory.ends[cell], cell + 1
+    return fixed, linear, square
 
 
 def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix) -> float:
     """Returns the most energy [J] that the torques under way may give out to a hand within its declared force."""
     write_cells(axes, limits, memory, coming, memory.nothing, memory.nothing)
-    total, place = 0.0, 0
-    for cell in range(len(memory.ends)):
-        most = 0.0
-        while place < memory.ends[cell]:
-            most = max(most, memory.constant[place])
-            place += 1
-        total += most
-    return total
+    return given_at_most(limits, memory, 0.0)[0]
 
 
-def largest_share(memory: PerAxisMemory, budget: float) -> float:
-    """Returns the largest l <= 1 at which the cells, each the largest of its parabolas and 0, sum to the budget [J]."""
+def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -> float:
+    """Returns the largest l <= 1 at which the cells sum to no more than the budget [J]; 0 where none is found."""
     share = 1.0
     for _ in range(_PASSES):
-        fixed = linear = square = 0.0
-        place = 0
-        for cell in range(len(memory.ends)):
-            most, active = 0.0, -1
-            while place < memory.ends[cell]:
-                value = memory.constant[place] + share * (memory.linear[place] + share * memory.square[place])
-                if value > most:
-                    most, active = value, place
-                place += 1
-            if active >= 0:
-                fixed += memory.constant[active]
-                linear += memory.linear[active]
-                square += memory.square[active]
+        fixed, linear, square = given_at_most(limits, memory, share)
         size = abs(fixed) + share * (abs(linear) + share * square)
         if fixed + share * (linear + share * square) <= budget + _ROUNDING * size:
             return share
@@ -212,14 +275,14 @@ def share_by_hand(
         budget: [J].
     """
     write_cells(axes, limits, memory, coming, torques, memory.nothing)
-    return largest_share(memory, budget)
+    return largest_share(limits, memory, budget)
 
 
-def raise_inward(
-    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, share: float,
+def inward_first(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, coming: Matrix, torques: Buffer, quanta: Buffer,
     budget: float, found: Buffer,
 ) -> None:  # fmt: skip
-    """Writes torques of which axes that move against theirs get more than the share of all.
+    """Writes torques: of axes that move against theirs as much as they can have, of the others a share of the rest.
 
     Such an axis takes energy in, independent of the others; without it no group would begin from an empty account, as
     the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of a group turns by it while the account
@@ -231,28 +294,34 @@ def raise_inward(
         memory: After `take_sent`.
         coming: Motion of a mover in the holds to come, (holds, axes) [m or rad].
         torques: W, (axes,) [N*m or N].
-        share: That all axes may have.
+        quanta: Of the drives, to which torques are rounded towards 0, (axes,).
         budget: [J].
-        found: Written, (axes,).
+        found: Written, (axes,); certified as rounded.
     """
     count = len(torques)
     for i in range(count):
-        found[i] = share * torques[i]
+        memory.others[i] = found[i] = 0.0
         memory.new[i] = memory.starts[i][0 if torques[i] > 0.0 else 1] * abs(torques[i])
-    budget = max(budget, needed_by_hand(axes, limits, memory, coming))
+        memory.rest[i] = torques[i] if not memory.new[i] < 0.0 else 0.0
+    reserve = max(budget, needed_by_hand(axes, limits, memory, coming))
     for _ in range(count):  # the axis that brings in most first
         axis = 0
         for i in range(1, count):
             if memory.new[i] < memory.new[axis]:
                 axis = i
         if not memory.new[axis] < 0.0:
-            return
+            break
         memory.new[axis] = 0.0
         for i in range(count):
             memory.alone[i] = torques[i] if i == axis else 0.0
-            memory.others[i] = 0.0 if i == axis else found[i]
         write_cells(axes, limits, memory, coming, memory.alone, memory.others)
-        found[axis] = max(share, largest_share(memory, budget)) * torques[axis]
+        found[axis] = towards_zero(largest_share(limits, memory, reserve) * torques[axis], quanta[axis])
+        memory.others[axis] = found[axis]
+    write_cells(axes, limits, memory, coming, memory.rest, memory.others)
+    share = largest_share(limits, memory, budget)
+    for i in range(count):
+        if memory.rest[i] != 0.0:
+            found[i] = towards_zero(share * torques[i], quanta[i])
 
 
 def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, squared: bool) -> None:

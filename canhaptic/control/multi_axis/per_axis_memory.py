@@ -15,6 +15,9 @@ class PerAxisLimits(NamedTuple):
     holds: int  # in which the next torque may act, counted from now
     first: float  # share of a whole response that a torque has in its first hold
     is_ideal: bool  # whether every hold is exact, and no torque late
+    is_apart: bool  # whether axes are certified one by one
+    is_late: bool  # whether any torque comes late
+    may_cut: bool  # whether a drive may cut the torque of one axis by itself
     responses: Buffer  # T^2 / m of each axis
     roots: Buffer  # of these
 
@@ -37,27 +40,33 @@ class PerAxisMemory(NamedTuple):
     nothing: Buffer  # zeros, (axes,)
     alone: Buffer  # a torque of one axis, (axes,)
     others: Buffer  # of all others
+    rest: Buffer  # of all that take no energy in
     older: Acting  # range of all torques at the last SYNC, (axes,) [N*m or N]
 
 
-def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
+def per_axis_limits(axes: AxisLimits, delay: int, losses: int, *, may_cut: bool = False) -> PerAxisLimits:
     """Returns what is fixed for a run."""
     whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
     first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
+    is_late = any(axes.timing.share)
+    is_apart = losses > 0 or may_cut or (len(whole) > 1 and not is_late)
     return PerAxisLimits(
-        delay, losses, delay + 1 + losses, first, axes.timing.is_ideal, whole, [sqrt(r) for r in whole]
-    )
+        delay, losses, delay + 1 + losses, first, axes.timing.is_ideal, is_apart, is_late, may_cut, whole,
+        [sqrt(r) for r in whole],
+    )  # fmt: skip
 
 
 def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
     """Returns empty buffers."""
     axes, one = len(limits.roots), list_of_zeros
-    cells = limits.holds * axes if limits.losses else 0
-    ends, pieces = (
-        (cells, 4 * cells) if limits.is_ideal or not cells else (2 * cells + axes, 8 * cells + 8 * (cells + axes))
-    )
+    cells, pieces = limits.holds * axes, (limits.delay + 2) * limits.holds * axes
+    if limits.is_late:
+        pieces = 8 * cells + 8 * (cells + axes)
+    ends = 2 * cells + axes if limits.is_late else cells
+    if not limits.is_apart:
+        ends = pieces = 0
     return PerAxisMemory(
         zeros(limits.delay + 1, axes), one(axes), zeros(axes, 2), zeros(axes, 2), zeros(limits.holds, axes),
         zeros(limits.holds, axes), [0] * ends, one(pieces), one(pieces), one(pieces), one(axes), one(axes), one(axes),
-        one(axes), one(axes), Acting(one(axes), one(axes)),
+        one(axes), one(axes), one(axes), Acting(one(axes), one(axes)),
     )  # fmt: skip

@@ -8,7 +8,7 @@ from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_certificates import Acting
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
-from canhaptic.control.multi_axis.per_axis_certificates import needed_by_hand, raise_inward, share_by_hand, take_sent
+from canhaptic.control.multi_axis.per_axis_certificates import inward_first, needed_by_hand, share_by_hand, take_sent
 from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits, per_axis_memory
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, QuadraticForm, Spring
@@ -58,9 +58,9 @@ class AxesApart:
     def needed_by_hand(self):
         return needed_by_hand(self.axes, self.limits, self.memory, self.coming)
 
-    def raised(self, torques, share, budget):
-        found = [0.0] * len(torques)
-        raise_inward(self.axes, self.limits, self.memory, self.coming, torques, share, budget, found)
+    def inward_first(self, torques, budget):
+        found, ideal = [0.0] * len(torques), [0.0] * len(torques)
+        inward_first(self.axes, self.limits, self.memory, self.coming, torques, ideal, budget, found)
         return tuple(found)
 
 

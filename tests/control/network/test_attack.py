@@ -32,7 +32,10 @@ LOSSES = {"lost_commands": 0.3, "lost_samples": 0.1}
 KINDS = {
     "together": {},
     "counts, quanta and known limits": {"count": 1e-5, "quantum": 0.01, "limits": (0.5, 5.0)},
-    "a limiter cuts one axis": {"cuts": (0.3, 1e9), "max_consecutive_losses": 1},
+    "a limiter cuts one axis": {"cuts": (0.3, 1e9), "own": {"may_cut": True}},
+    "a limiter cuts one axis, frames lost": {
+        **LOSSES, "cuts": (0.3, 1e9), "max_consecutive_losses": 1, "own": {"may_cut": True},
+    },
     "commands of one axis lost": {"lost_commands": 0.3, "max_consecutive_losses": 1},
     "samples lost": {"lost_samples": 0.2, "max_consecutive_losses": 1},
     "any frame lost": {**LOSSES, "max_consecutive_losses": 1, "delay": 1},
@@ -135,9 +138,13 @@ def test_axes_that_act_apart_give_out_energy_unless_that_is_declared(apart):
     for seed in range(12):
         rng = random.Random(seed)
         velocity = -rng.uniform(0.5, 3.0), rng.uniform(-2.0, 2.0)
-        for max_consecutive_losses in least:
-            attack = replace(SLIDING, velocity=velocity, max_consecutive_losses=max_consecutive_losses, **apart)
-            least[max_consecutive_losses] = min(least[max_consecutive_losses], run(attack, rng)[0])
+        for declared in least:
+            attack = replace(SLIDING, velocity=velocity, **apart)
+            if "cuts" in apart:
+                attack = replace(attack, own={"may_cut": bool(declared)})
+            else:
+                attack = replace(attack, max_consecutive_losses=declared)
+            least[declared] = min(least[declared], run(attack, rng)[0])
         if seed >= 3 and least[0] < -1e-4:
             break
     assert least[0] < -1e-4

@@ -84,7 +84,7 @@ def test_the_account_of_a_guarded_group_is_that_of_guarded(
 ):
     wall, plane = pair(stiffness, damping)
     loop = LoopProperties(sample_time=1e-3, delay=delay, **{"moving_mass": 0.25, "device_damping_bound": 0.0, **known})
-    push = {"hand_push": own.get("hand_force", 0.0), "prediction_holds": 0.5}
+    push = {"hand_push": own.get("hand_force", 0.0), "prediction_holds": 0.5, "earned_energy": 0.0}
     one = Guarded(wall, GuardedParameters(**push, **own), loop)
     group = build_group_controller(plane, Identity(axes=1), "guarded", GuardedGroupParameters(**own), [loop])
     strongest = richest = worst_torque = worst_energy = 0.0
