@@ -9,6 +9,11 @@ with D_i of the holds under way and the next one (`scalar_bounds`). Undamped the
 delay 0 and 3 T^2 / m at delay 1, so that E = (h F_h)^2 / 4 a with a = 1 / 2k - h. A faster contact needs less: its own
 inward motion brings energy in. A drag f earns f times the way, in
 motion above the speed of `start_speed`: slower, the hand may turn within the holds under way and pull the drag along.
+
+For every hand, whatever its force, what the device dissipates permits a torque: with b and f_c certain a torque F at
+rest needs (1 + delay) (F - f_c)^2 T / 4b to be there (`sum_of_certificates`), of which the wall has F^2 / 2k and the
+friction on the way in f_c F / k. The rest is to be there before (`energy_for_any_hand`); friction earns it over
+rest / f_c of any motion, without a drag.
 """
 
 import math
@@ -43,3 +48,21 @@ def _given_out(response: DisplacementResponse, delay: int, torque: float) -> flo
         displacement = next_displacement(displacement, torque, torque, response, response.hand)
         energy += torque * displacement
     return energy + torque * tail_reach(displacement, torque, torque, response, response.hand)
+
+
+def energy_for_any_hand(
+    damping: float, friction: float, sample_time: float, delay: int, stiffness: float, push: float
+) -> float:
+    """Returns the energy [J] that a wall needs before a contact, so that it holds every hand up to a push; >= 0.
+
+    Args:
+        damping: Certain viscous damping of the device, > 0 [N*s/m or N*m*s/rad].
+        friction: Certain dry friction of it [N or N*m].
+        sample_time: [s].
+        delay: In holds.
+        stiffness: [N/m or N*m/rad].
+        push: Largest force at rest [N or N*m].
+    """
+    net = max(0.0, push - friction)
+    needed = (1 + delay) * net * net * sample_time / (4.0 * damping)
+    return max(0.0, needed - push * push / (2.0 * stiffness) - friction * push / stiffness)

@@ -28,10 +28,16 @@ if the displacement at its root is below n T / 2b, and is the end for any hand i
 displacement that the hand would not choose, its root never the smaller one. For q >= 1/2 the device damping counts in
 the end for any hand alone.
 
-Each certificate alone is the same with the others left out, and none has a larger end. By friction alone no larger
-torque than f_c has a proof for every hand: with f > f_c and b = 0 one that moves by D > S' / (f - f_c) within the hold
-takes out more than there is. With b it is f_c + sqrt(4 b S' / T): energy that friction took on the way to the wall
-counts in S'.
+Each certificate alone is the same with the others left out, and none has a larger end.
+
+**For every hand no law sends more.** A hand of which nothing is known may place the axis anywhere at each SYNC: it can
+take (1) with R infinite in every hold under way and in the next one, so that at any larger torque there is a hand that
+brings S below 0. With b = 0 the end is f_c: at f > f_c a hand that moves by D > S' / (f - f_c) within the hold takes
+out more than there is. With b it is f_c + sqrt(4 b S' / T), and what friction took on the way to the wall counts in S'.
+So a wall k is held at a force F for every hand if (1 + delay) (F - f_c)^2 T / 4b is no more than F^2 / 2k + f_c F / k
+and what was there before the contact (`start_energy`). k <= 2 f_c / (v T) (Diolaiti 2006) is for hands up to a speed v,
+and b > k T / 2 with k <= 2 f_c / count (Abbott and Okamura 2005) pays for the encoder's quanta with f_c: neither is a
+promise for every hand by f_c alone. With `hand_speed` v the end is f_c + S' / v T.
 """
 
 from math import inf, sqrt

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response
-from canhaptic.control.certificates.start_energy import start_energy
+from canhaptic.control.certificates.start_energy import energy_for_any_hand, start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.guided_hand import GuidedHand
@@ -17,6 +17,7 @@ from canhaptic.study.felt.guided import GuidedPlant, Leg
 from canhaptic.study.felt.held import Bench, Leaning, held, largest_held, settling_time
 from canhaptic.study.felt.slow_hand import SlowHand, certified_rest, enter
 from tools.bench.feel import largest_rise
+from tools.bench.feel_best import best_from_nothing, bound_from_nothing, depths_of
 from tools.bench.standard_cases import standard_case
 
 MS = 1_000_000
@@ -135,3 +136,26 @@ def test_with_the_energy_of_a_start_a_hand_of_any_speed_is_held(
 def test_no_energy_is_enough_for_a_wall_beyond_the_certificate() -> None:
     assert start_energy(displacement_response(1e-3, 0.25, 5.0), 0, 0.26 / 2e-6) == math.inf
     assert start_energy(displacement_response(1e-3, 0.25, 0.0), 0, 1e9) == 0.0
+
+
+def test_from_nothing_no_law_holds_what_the_certificate_holds_at_rest_under_a_hand_that_may_pull() -> None:
+    leaning = Leaning()
+    bound = bound_from_nothing(1e-3, 1, 0.25, 20.0, leaning)
+    assert 4900.0 < bound < 4960.0
+    whole = np.ones((1, 12))
+    for hand_force in (5.0, 20.0):
+        of = (0.025, 0, 0.25, hand_force, leaning)
+        greedy = leaning.push / float(depths_of(whole, *of)[0]) / 0.95
+        best = best_from_nothing(*of)
+        assert greedy <= best < bound_from_nothing(*of)
+        found = largest_held(device("guarded", 40.0, 0.1, hand_force), Leaning(duration=10.0), 10.0, 200.0)
+        assert 0.7 * best < found.stiffness < best
+
+
+def test_friction_and_damping_hold_a_wall_for_every_hand_with_what_friction_took_before() -> None:
+    """At the force for which it is asked the energies are equal; none is needed for what friction holds alone."""
+    damping, friction, stiffness, push = 0.5, 0.5, 2500.0, 8.0
+    energy = energy_for_any_hand(damping, friction, 1e-3, 1, stiffness, push)
+    stored = energy + push**2 / 2.0 / stiffness + friction * push / stiffness
+    assert friction + math.sqrt(4.0 * damping * stored / 1e-3 / 2.0) == pytest.approx(push)
+    assert energy_for_any_hand(damping, friction, 1e-3, 1, stiffness, friction) == 0.0
