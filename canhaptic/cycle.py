@@ -111,7 +111,8 @@ class Cycle:
         self._log = log
         self._truths = truths
         self._loss_meters = tuple(loss_meters)
-        self._jitters = None if jitters is None else [round(part * rig.bus.sample_time_ns) + 1 for part in jitters]
+        self._period = rig.bus.sample_time_ns
+        self._jitters = None if jitters is None else [round(part * self._period) + 1 for part in jitters]
         self._least_jitter = min(self._jitters or [0])
         self._frozen_after = max(_FEWEST_UNCHANGED, round(1.0 / rig.bus.sample_time))
 
@@ -169,7 +170,7 @@ class Cycle:
         for meter in self._loss_meters:
             if not meter.take(samples):
                 continue
-            unsure = sum(self.meters.measured(axis).energy_resolution for axis in meter.axes)
+            unsure = sum(self.meters.of_axes[axis].measured().energy_resolution for axis in meter.axes)
             supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
             if meter.energy + supplied + unsure < meter.floor:
                 limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
@@ -190,25 +191,24 @@ class Cycle:
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
     ) -> None:
         """Everything that may happen after the torque is on its way."""
-        index, deadline = samples[0].sync_index, self.rig.deadline_index
+        rig, log = self.rig, self._log
+        index, deadline, timing = rig.sync_index, rig.deadline_index, rig.timing
         for axis in self._axes:
             self.ledgers[axis].add(balances[axis], index, deadline)
         if self.judge is not None and truths is not None:
-            self.judge.compare(self.ledgers, truths, [balance.branch != _HELD for balance in balances])
+            self.judge.compare(self.ledgers, truths, balances)
         if self.groups:
             samples, balances, truths = self._account_groups(samples, balances, truths)
-        timing = self.rig.timing
-        meters = self.meters
-        late = timing.wakeup_lateness / self.rig.bus.sample_time_ns if timing.wakeup_lateness else 0.0
-        meters.take(samples, balances, self._ledgers, deadline, late)
+        late = timing[0]  # of the SYNC
+        measured = self.meters.take(samples, balances, self._ledgers, deadline, late / self._period if late else 0.0)
         if self._is_timed:
             for histogram, duration in zip(self.timing.values(), timing, strict=True):
                 histogram.add(duration)
-        if self._log is not None:
-            self._log.append(index, samples, balances, timing, truths, deadline, meters.all_measured())
-            for drive in self.rig.drives:
+        if log is not None:
+            log.append(index, samples, balances, timing, truths, deadline, measured)
+            for drive in rig.drives:
                 if drive.unchanged == self._frozen_after:
-                    self._log.event(index, "unchanged", drive.axis.name, _UNCHANGED)
+                    log.event(index, "unchanged", drive.axis.name, _UNCHANGED)
         self.cycles += 1
 
     def _account_groups(
@@ -267,22 +267,23 @@ class EnergyAudit:
         self._axes = tuple(range(axes))
         self._groups = [(axes + place, tuple(members)) for place, members in enumerate(groups)]
 
-    def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], booked: Sequence[bool]) -> None:
+    def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], balances: Sequence[EnergyBalance]) -> None:
         """Takes the truth of the SYNC whose balances the ledgers have just taken.
 
         Args:
             ledgers: Of each axis.
             truths: Of each axis.
-            booked: Whether the hold of an axis was booked; where its position was lost, belief waits for the next.
+            balances: Of each axis; where its position was lost, nothing was booked and belief waits for the next.
         """
         for axis in self._axes:
-            energy = truths[axis].energy
-            self._take(axis, -energy.motor, energy.dissipated, ledgers[axis].interaction, booked[axis])
+            motor, _, dissipated, _ = truths[axis].energy
+            booked = balances[axis].branch != _HELD
+            self._take(axis, -motor, dissipated, ledgers[axis].interaction, booked)
         for place, axes in self._groups:
             true = -sum([truths[axis].energy.motor for axis in axes])
             dissipated = sum([truths[axis].energy.dissipated for axis in axes])
             believed = sum([ledgers[axis].interaction for axis in axes])
-            self._take(place, true, dissipated, believed, booked[axes[0]])
+            self._take(place, true, dissipated, believed, balances[axes[0]].branch != _HELD)
 
     def _take(self, place: int, true: float, dissipated: float, believed: float, booked: bool) -> None:
         self.interaction[place] = true

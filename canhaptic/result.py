@@ -90,18 +90,19 @@ def _accounts(cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float
             "limits": dict(group.limits),
         }
     for name, place in zip(accounts, range(len(accounts)), strict=True):
-        gap = max(drive.longest_gap for drive in cycle.meters.drives_of(place))
+        gap = max(drive.longest_gap for drive in cycle.meters.ports[place].drives)
         withdraw_certificates(accounts[name], longest_gap=gap)
     return with_groups(accounts, {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups})
 
 
 def _measured(meters: RunMeters, place: int, promise: Promise) -> dict[str, Any]:
     """Returns what is known of a port in addition to its ledger."""
-    measured, least = meters.measured(place), meters.least_at_handle[place]
+    port = meters.ports[place]
+    measured, least = port.measured(), port.least_at_handle
     return {
         "energy_resolution": measured.energy_resolution,
         **({} if least is None else {"least_at_handle": least, "device_dissipated": measured.device_dissipated}),
-        "contact": {"holds": meters.contacts[place], "without_torque": meters.silent[place]},
+        "contact": {"holds": port.contacts, "without_torque": port.silent},
         "longest_hold": measured.longest_hold,
         "uncommanded_cycles": measured.uncommanded,
         **promise._asdict(),
@@ -116,8 +117,9 @@ def _compared(meters: RunMeters, axis: int) -> dict[str, float]:
 
 def _rendered(meters: RunMeters, axis: int) -> dict[str, float | None]:
     """Returns how much of what the environment of an axis asked for was rendered."""
-    damping = meters.axes[axis].damping_asked * meters.contacts[axis]
-    return rendered_shares(*meters.asked[axis], damping, meters.damping[axis])
+    port = meters.of_axes[axis]
+    damping = meters.axes[axis].damping_asked * port.contacts
+    return rendered_shares(port.asked, port.rendered, damping, port.damping)
 
 
 def rendered_shares(asked: float, given: float, damping_asked: float, damping: float) -> dict[str, float | None]:

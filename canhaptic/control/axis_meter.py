@@ -32,7 +32,6 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final
 
-from canhaptic.control.balance import OUT_OF_CONTACT, EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.friction_watch import FrictionWatch
 
@@ -74,8 +73,9 @@ class AxisMeter:
     """
 
     __slots__ = (
-        "_accuracy", "_booked_at", "_changes", "_environment", "_lazy", "_speed", "_torque", "_uneven",
-        "asked", "damping_asked", "dissipated", "position", "resolution", "watch",
+        "_accuracy", "_blur", "_booked_at", "_changes", "_damping", "_environment", "_friction", "_lazy",
+        "_sample_time", "_speed", "_torque", "_uneven", "asked", "damping_asked", "dissipated", "position",
+        "resolution", "watch",
     )  # fmt: skip
 
     def __init__(
@@ -87,6 +87,8 @@ class AxisMeter:
         self._accuracy, self.watch = accuracy, watch
         self._environment = None if environment is None or environment.relaxes else environment
         self.damping_asked = 0.0 if environment is None else environment.damping
+        self._damping, self._friction = accuracy.device_damping or 0.0, accuracy.device_friction or 0.0
+        self._blur, self._sample_time = 2.0 * accuracy.position, accuracy.sample_time
         self._booked_at = -1.0
         self._lazy = 0.0, 0.0  # where the laziest motion may be
         self.position = self._torque = self._changes = self._uneven = self._speed = 0.0
@@ -113,41 +115,48 @@ class AxisMeter:
             self._uneven += energy
             self.resolution += energy
 
-    def take(self, position: float, torque: float, deadline: float, balance: EnergyBalance) -> None:
+    def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
         """Takes a hold that was booked.
 
         Args:
             position: At its end [m or rad].
             torque: Booked for it [N or N*m].
             deadline: Sample times from the first SYNC to its end, which may be late.
-            balance: Of it.
+            touches: Whether its balance is one in contact.
         """
         environment = self._environment
         if environment is not None:
             self.asked = 0.0
-            if balance.branch not in OUT_OF_CONTACT and environment.contact(position):
+            if touches and environment.contact(position):
                 self.asked = environment.effort(environment.true_state(position, 0.0, 0.0))
         booked_at, self._booked_at = self._booked_at, deadline
         moved, self.position = abs(position - self.position), position
-        accuracy, holds = self._accuracy, max(0.5, deadline - booked_at)  # no two SYNCs are nearer
         if booked_at < 0:
-            self._lazy = position - accuracy.position, position + accuracy.position
-            if self.watch is not None:
-                self.watch.take(position, torque, int(deadline), self.asked)
+            self._begin(position, torque)
             return
-        if accuracy.device_damping:
-            certain = moved - 2.0 * accuracy.position
+        holds = deadline - booked_at
+        if holds < 0.5:  # no two SYNCs are nearer
+            holds = 0.5
+        if self._damping:
+            certain = moved - self._blur
             if certain > 0.0:
-                time = holds * accuracy.sample_time
-                self.dissipated += accuracy.device_damping * certain * certain / time
-        if accuracy.device_friction:
-            self.dissipated += accuracy.device_friction * self._path_to(position)
-            if self.watch is not None:
-                self.watch.take(position, torque, int(deadline), self.asked)
-        if torque != 0.0 or self._torque != 0.0:
+                self.dissipated += self._damping * certain * certain / (holds * self._sample_time)
+        if self._friction:
+            self.dissipated += self._friction * self._path_to(position)
+            self._compare(position, torque)
+        if torque or self._torque:
             self._leave_open(torque, moved, holds)
         else:
             self._speed = moved / holds
+
+    def _begin(self, position: float, torque: float) -> None:
+        blur = self._accuracy.position
+        self._lazy = position - blur, position + blur
+        self._compare(position, torque)
+
+    def _compare(self, position: float, torque: float) -> None:
+        if self.watch is not None:
+            self.watch.take(position, torque, int(self._booked_at), self.asked)
 
     def _path_to(self, position: float) -> float:
         """Returns how far the axis has gone at least to be at a position [m or rad]; see the module."""
@@ -163,18 +172,18 @@ class AxisMeter:
         return 0.0
 
     def _leave_open(self, torque: float, moved: float, holds: float) -> None:
-        accuracy, size = self._accuracy, abs(torque)
+        accuracy, size, change = self._accuracy, abs(torque), abs(torque - self._torque)
         mean, before = moved / holds, self._speed
         self._speed = mean
         if accuracy.late:
-            fastest = 2.0 * ((mean if mean > before else before) + 2.0 * accuracy.position)
-            self._uneven += abs(torque - self._torque) * accuracy.late / accuracy.sample_time * fastest
+            fastest = 2.0 * ((mean if mean > before else before) + self._blur)
+            self._uneven += change * accuracy.late / accuracy.sample_time * fastest
         if size > accuracy.torque_limit:
-            self._uneven += (size - accuracy.torque_limit) * (moved + 2.0 * accuracy.position)
-        self._changes += abs(torque - self._torque)
+            self._uneven += (size - accuracy.torque_limit) * (moved + self._blur)
+        self._changes += change
         self._torque = torque
         if accuracy.torque_share or accuracy.torque_offset:
-            farthest = moved + 2.0 * accuracy.position
+            farthest = moved + self._blur
             self._uneven += (accuracy.torque_share * size + accuracy.torque_offset) * farthest
         resolution = accuracy.position * (self._changes + size) + self._uneven
         if resolution > self.resolution:
@@ -187,6 +196,6 @@ class SilentMeter(AxisMeter):
     def leave_open(self, torque: float, time: int, booked: float) -> None:
         """Takes nothing."""
 
-    def take(self, position: float, torque: float, deadline: float, balance: EnergyBalance) -> None:
+    def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
         """Takes the position [m or rad]."""
         self.position = position

@@ -25,6 +25,8 @@ class EnergyLossMeter:
         energy: That came in so far; negative where more was given out [J].
     """
 
+    __slots__ = ("_by_speed", "_positions", "_sync_index", "allowance", "axes", "energy", "floor", "limit", "name")
+
     def __init__(
         self,
         name: str,
@@ -37,9 +39,9 @@ class EnergyLossMeter:
         self.name, self.axes = name, tuple(axes)
         self.limit, self.allowance, self.energy = limit, allowance, 0.0
         self.floor = -(limit + allowance)
-        self._by_speed = [value / sample_time for value in damping]
-        self._positions: list[float] = []
-        self._sync_index = 0
+        self._by_speed = {axis: value / sample_time for axis, value in zip(self.axes, damping, strict=True)}
+        self._positions = dict.fromkeys(self.axes, 0.0)
+        self._sync_index = -1
 
     def take(self, samples: Sequence[Sample]) -> bool:
         """Counts the hold that ended; returns whether more was given out than the floor allows.
@@ -47,18 +49,17 @@ class EnergyLossMeter:
         Args:
             samples: Of the whole rig; where one of the port's is not fresh, the next that is counts for all holds.
         """
-        for axis in self.axes:
-            if not samples[axis].fresh:
-                return False
-        positions, index = self._positions, samples[0].sync_index
-        if not positions:
-            self._positions, self._sync_index = [samples[axis].position for axis in self.axes], index
+        last, index = self._sync_index, samples[0][0]
+        if len(self.axes) > 1 and not all(samples[axis].fresh for axis in self.axes):
             return False
-        holds, self._sync_index = index - self._sync_index, index
-        for place, axis in enumerate(self.axes):
-            sample = samples[axis]
-            moved = sample.position - positions[place]
-            positions[place] = sample.position
-            self.energy += interaction_energy(sample.torque_applied, moved)
-            self.energy += self._by_speed[place] * moved * moved / holds
+        for axis in self.axes:
+            _, position, torque, _, fresh = samples[axis]
+            if not fresh:
+                return False
+            moved = position - self._positions[axis]
+            self._positions[axis] = position
+            if last >= 0:
+                self.energy += interaction_energy(torque, moved)
+                self.energy += self._by_speed[axis] * moved * moved / (index - last)
+        self._sync_index = index
         return self.energy < self.floor

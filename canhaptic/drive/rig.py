@@ -58,6 +58,8 @@ class Rig:
         budgets: The worst cycle of each bus.
         sync_index: Index of the last SYNC; 0 is the first that found every drive enabled, -1 before it.
         deadline_index: Sample times since SYNC 0: ahead of `sync_index` where SYNCs were skipped.
+        periods: Sample times between the last two SYNCs; more than 1 where some were skipped.
+        uneven: By how much the hold that ended was longer or shorter than its sample times [ns].
         stop_reason: Why the rig stopped; NONE while it runs.
         records: The last cycles, newest last.
         realtime: What the operating system granted to the thread that called `start`.
@@ -83,6 +85,7 @@ class Rig:
         self.bus = bus
         self.clock = self.links[0].clock
         self.budgets = [budget_of([d for d in self.drives if d.link is link], bus) for link in self.links]
+        self._period = bus.sample_time_ns
         self._exchange = Exchange(self.links, self.drives, bus)
         self._sdo_lines = tuple(
             SdoLine(link, has_room=has_room_for_sdo(budget, bus))
@@ -98,6 +101,7 @@ class Rig:
         self.stop_reason = StopReason.NONE
         self.records: deque[_CycleRecord] = deque(maxlen=_RECORDS_KEPT)
         self._is_running = False
+        self.periods, self.uneven = 1, 0
         self._behind = 0  # SYNCs skipped, less those sent since; not below 0
         self._first_samples: list[Sample] | None = None
         self._samples: list[Sample] = []
@@ -146,31 +150,34 @@ class Rig:
         """
         if not self._is_running:
             raise self._not_running()
+        exchange = self._exchange
         if self._first_samples is not None:
+            self.periods, self.uneven = exchange.periods, exchange.uneven
             self._samples, self._first_samples = self._first_samples, None
             return self._samples
-        exchange = self._exchange
         try:
             exchange.sync()
         except LinkError as error:
             raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
         self.sync_index = index = self.sync_index + 1
-        self.deadline_index = (exchange.deadline - self._first_deadline) // self.bus.sample_time_ns
+        self.deadline_index = (exchange.deadline - self._first_deadline) // self._period
         self._require_no_other_master()
         self._samples = samples = []
+        self.periods = periods = exchange.periods
+        self.uneven = exchange.uneven
         if self._needed:
             for drive, others in self._needed:
                 is_whole = all(other.is_complete for other in others)
-                samples.append(drive.sample(index, exchange.periods, is_whole=is_whole))
+                samples.append(drive.sample(index, periods, is_whole=is_whole))
         else:
             for drive in self.drives:
-                samples.append(drive.sample(index, exchange.periods))
+                samples.append(drive.sample(index, periods))
         for drive in self.drives:
             reason = drive.fault(exchange.heard)
             if reason:
                 raise self._stopped(reason, self._describe(drive, reason), drive.axis.name)
-        if exchange.periods > 1 or self._behind:  # last: what a drive says of its watchdog says more
-            self._count_skips(exchange.periods)
+        if periods > 1 or self._behind:  # last: what a drive says of its watchdog says more
+            self._count_skips(periods)
         return samples
 
     def _count_skips(self, periods: int) -> None:
@@ -352,16 +359,6 @@ class Rig:
     def is_running(self) -> bool:
         """Whether the drives are enabled and the cycle may go on."""
         return self._is_running
-
-    @property
-    def periods(self) -> int:
-        """Sample times between the last two SYNCs; more than 1 where some were skipped."""
-        return self._exchange.periods
-
-    @property
-    def uneven(self) -> int:
-        """By how much the hold that ended was longer or shorter than its sample times [ns]."""
-        return self._exchange.uneven
 
     @property
     def skipped_syncs(self) -> int:

@@ -50,7 +50,7 @@ class EnergyLogWriter:
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
         _check_names(ports)
-        self._ports = tuple(range(len(ports)))
+        self._further = tuple(range(1, len(ports)))  # behind the first
         self._nothing = (Measured(0.0, 0.0, 0.0, 1, 0),) * len(ports)
         self.path = Path(path).absolute()
         self._free = pace == "free"
@@ -101,13 +101,13 @@ class EnergyLogWriter:
             LogWriteError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
         """
         due = sync_index if deadline is None else deadline
-        row: tuple[float, ...] = (self._unreported, sync_index) + timing + (due,)  # noqa: RUF005 - sums are quickest
         known = measured or self._nothing
-        for port in self._ports:
-            row += samples[port] + balances[port] + known[port]
+        row: list[float] = [self._unreported, sync_index, *timing, due, *samples[0], *balances[0], *known[0]]
+        for port in self._further:
+            row += (*samples[port], *balances[port], *known[port])
         if truths is not None:
-            for truth in truths:
-                row += truth[:1] + truth[1]
+            for position, energy in truths:
+                row += (position, *energy)
         push = self._push
         if push(row) or (self._free and self._process.push_patiently(self._rows, row)):
             self._unreported = 0

@@ -107,7 +107,7 @@ class Ring:
         self._start = start
         self.capacity = shape.capacity
         packer = struct.Struct(shape.record)
-        self._pack, self._size = packer.pack, packer.size
+        self._pack_into, self._size = packer.pack_into, packer.size
         self._next = cells[self._head_cell]
         self._limit = cells[self._tail_cell] + self.capacity
 
@@ -119,9 +119,7 @@ class Ring:
             self._limit = self._cells[self._tail_cell] + self.capacity
             if number >= self._limit:
                 return False
-        pack, size = self._pack, self._size
-        start = self._start + number % self.capacity * size
-        self._memory[start : start + size] = pack(*values)
+        self._pack_into(self._memory, self._start + number % self.capacity * self._size, *values)
         self._next = self._cells[self._head_cell] = number + 1
         return True
 
@@ -132,14 +130,14 @@ class Ring:
             bus: Its place among the channels.
             when_full: Called with the record that has no room.
         """
-        memory, cells, pack, size = self._memory, self._cells, self._pack, self._size
+        memory, cells, pack_into, size = self._memory, self._cells, self._pack_into, self._size
         first, capacity, head = self._start, self.capacity, self._head_cell
 
         def record(timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
             number = self._next
             if number < self._limit:
                 start = first + number % capacity * size
-                memory[start : start + size] = pack(timestamp_ns, can_id, len(data), is_rx, bus, data)
+                pack_into(memory, start, timestamp_ns, can_id, len(data), is_rx, bus, data)
                 self._next = cells[head] = number + 1
                 return
             frame = (timestamp_ns, can_id, len(data), is_rx, bus, data)

@@ -116,11 +116,7 @@ def sample(index: int, position: float, torque: float, *, fresh: bool = True) ->
 
 
 def test_the_meter_counts_torque_times_displacement_over_all_holds_and_the_damping_of_the_device() -> None:
-    meter = (
-        EnergyLossMeter("handle", (0,), 0.01, 0.0, (), 1e-3)
-        if False
-        else EnergyLossMeter("handle", (0,), limit=0.01, allowance=0.02, damping=(4.0,), sample_time=1e-3)
-    )
+    meter = EnergyLossMeter("handle", (0,), limit=0.01, allowance=0.02, damping=(4.0,), sample_time=1e-3)
     assert not meter.take(sample(0, 5.0, 7.0))  # the first only places it
     assert not meter.take(sample(1, 5.001, 10.0))
     assert meter.energy == pytest.approx(-0.01 + 4.0 * 1e-6 / 1e-3)

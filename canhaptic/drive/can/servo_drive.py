@@ -182,9 +182,11 @@ class ServoDrive(TorqueAxis):
             if not self._pending & bit:
                 self._count_surplus()
                 return
-            if is_whole:
-                self._values = unpack(data)
-                self._complete()
+            if is_whole:  # `_complete` written out: this runs for every drive in every cycle
+                self._values = values = unpack(data)
+                self.statusword = values[0]
+                self._pending, self.is_complete = 0, True
+                self.window.pending -= 1
                 return
             for slot, value in zip(slots, unpack(data), strict=True):
                 self._stage[slot] = value

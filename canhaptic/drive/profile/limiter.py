@@ -45,7 +45,7 @@ class TorqueLimiter:
         ParameterError: A limit is not positive, and so would limit nothing or allow nothing.
     """
 
-    __slots__ = ("_limit", "_power", "_step", "high", "last", "low", "saturated_cycles", "saturation")
+    __slots__ = ("_is_alone", "_limit", "_power", "_step", "high", "last", "low", "saturated_cycles", "saturation")
 
     def __init__(
         self,
@@ -64,6 +64,7 @@ class TorqueLimiter:
                 )
         self._limit = torque_limit
         self._step = rate * sample_time
+        self._is_alone = rate == self._power == math.inf  # the limit of the torque is the only one
         self.reset()
 
     def reset(self) -> None:
@@ -89,6 +90,9 @@ class TorqueLimiter:
                 "expected a finite number for each; zero was sent"
             )
         limit, last = self._limit, self.last
+        if self._is_alone and -limit <= torque <= limit:
+            self.low, self.high, self.saturation, self.last = -limit, limit, 0, torque
+            return torque
         lowest, highest = -self._step, self._step
         if last > 0.0:
             highest += last

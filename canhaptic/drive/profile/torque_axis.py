@@ -232,35 +232,44 @@ class TorqueAxis(ABC):
         if periods > self.longest_gap:
             self.longest_gap = periods
         if not (self.is_complete and is_whole):
-            if self.policy.missed == 0:
-                self._held = self.limiter.last
-            self.policy.on_missed()
-            self.longest_hold = max(self.longest_hold, self._periods)
-            self._passed.append(self._acting if self._is_synchronous else self._commanded)
-            self._acting = self._commanded
-            if not self.is_complete:
-                self.unheard += 1
-                self._reported = self._acting  # what it would have shown where `_shows_next`
-            elif self._shows_next:
-                self._reported = self._values[2]
-            self._last = self._last._replace(sync_index=sync_index, fresh=False)
-            return self._last
+            return self._missed_sample(sync_index)
         self.policy.on_tpdo()
         statusword, counts, reported = self._values
         scaling = self.scaling
         position = scaling.position(counts)
         torque = scaling.torque(self._applied_per_mille(reported))
-        last = self._last
+        before, last_position, last_torque, last_word, _ = self._last
         periods, self._periods = self._periods, 0
-        self._step = (position - last.position) / periods if last.sync_index >= 0 else 0.0
-        if periods > self.longest_hold and last.sync_index >= 0:
-            self.longest_hold = periods
-        if self._measures and last.sync_index >= 0:
-            self.read_back_bound += self._spread * scaling.torque_quantum * abs(position - last.position)
-        is_same = position == last.position and torque == last.torque_applied and statusword == last.statusword
-        self.unchanged = self.unchanged + 1 if is_same and torque else 0
+        if before >= 0:
+            self._step = (position - last_position) / periods
+            if periods > self.longest_hold:
+                self.longest_hold = periods
+            if self._measures:
+                self.read_back_bound += self._spread * scaling.torque_quantum * abs(position - last_position)
+        else:
+            self._step = 0.0
+        if position == last_position and torque == last_torque != 0.0 and statusword == last_word:
+            self.unchanged += 1
+        elif self.unchanged:
+            self.unchanged = 0
         self._last = sample = _tuple(Sample, (sync_index, position, torque, statusword, True))
         return sample
+
+    def _missed_sample(self, sync_index: int) -> Sample:
+        """Counts a SYNC without a whole sample; returns the last one, marked as old."""
+        if self.policy.missed == 0:
+            self._held = self.limiter.last
+        self.policy.on_missed()
+        self.longest_hold = max(self.longest_hold, self._periods)
+        self._passed.append(self._acting if self._is_synchronous else self._commanded)
+        self._acting = self._commanded
+        if not self.is_complete:
+            self.unheard += 1
+            self._reported = self._acting  # what it would have shown where `_shows_next`
+        elif self._shows_next:
+            self._reported = self._values[2]
+        self._last = self._last._replace(sync_index=sync_index, fresh=False)
+        return self._last
 
     def _applied_per_mille(self, reported: int) -> int:
         """Returns the torque of the hold that ended: read back, or believed where nothing is read back."""

@@ -149,7 +149,8 @@ class ProcessData:
         for pdo in self._sync_tpdos:
             if pdo.transmission_type == 1 or pdo.counts_sync():  # 1: at every SYNC
                 send(pdo.cob_id, pdo.pack())
-        self._act_on_synchronous()
+        if self._sync_rpdos:
+            self._act_on_synchronous()
 
     def _act_on_synchronous(self) -> None:
         for pdo in self._sync_rpdos:
