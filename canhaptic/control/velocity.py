@@ -90,25 +90,23 @@ def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: 
     slope = (position - window.anchor) / length
     if length < size and window.least <= slope <= window.most:
         window.length = length
-        narrow(window, position, tolerance, length)
+        least = (position - tolerance - window.anchor) / length
+        most = (position + tolerance - window.anchor) / length
+        if least > window.least:
+            window.least = least
+        if most < window.most:
+            window.most = most
     else:
         search(window, ring, tolerance, (length if length < size else size - 1) // 2)
         slope = (position - window.anchor) / window.length
     window.velocity = slope / sample_time
 
 
-def narrow(window: VelocityWindow, position: float, tolerance: float, distance: int) -> None:
-    """Admits only slopes that pass a sample `distance` after the anchor within the tolerance."""
-    least = (position - tolerance - window.anchor) / distance
-    most = (position + tolerance - window.anchor) / distance
-    if least > window.least:
-        window.least = least
-    if most < window.most:
-        window.most = most
-
-
 def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int) -> None:
-    """Takes the longest window of at most `furthest` samples, or of one, that fits."""
+    """Takes the longest window of at most `furthest` samples, or of one, that fits.
+
+    It then admits only slopes that pass each of its samples within the tolerance.
+    """
     newest = window.newest  # an index below 0 wraps, as the ring does
     position, least, most, length = ring[newest], -inf, inf, 0
     for distance in range(1, max(1, furthest) + 1):
@@ -121,8 +119,15 @@ def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int
             least = low
         if high < most:
             most = high
-    window.length, window.anchor = length, ring[newest - length]
-    window.least, window.most = -inf, inf
+    first = newest - length
+    anchor = ring[first]
+    least, most = -inf, inf
     for distance in range(1, length + 1):
-        narrow(window, ring[newest - length + distance], tolerance, distance)
+        passed = ring[first + distance]
+        low, high = (passed - tolerance - anchor) / distance, (passed + tolerance - anchor) / distance
+        if low > least:
+            least = low
+        if high < most:
+            most = high
+    window.length, window.anchor, window.least, window.most = length, anchor, least, most
     window.scanned += 2 * length

@@ -68,12 +68,14 @@ def prediction_settings(
 
 def observe(settings: PredictionSettings, motion: PredictedMotion, displacement: float, torque: float) -> None:
     """Takes the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
-    push = settings.gain * torque + motion.push - settings.lost * motion.step
-    error = displacement - motion.step - 0.5 * push
-    if settings.gain > 0.0:
-        motion.rise += _RISE_LEARNT * error
-        motion.push += motion.rise + _LEARNT * error
-    motion.step += push + (_QUIET * error if abs(error) < settings.noise else error)
+    gain, step, noise = settings.gain, motion.step, settings.noise
+    push = gain * torque + motion.push - settings.lost * step
+    error = displacement - step - 0.5 * push
+    if gain > 0.0:
+        rise = motion.rise + _RISE_LEARNT * error
+        motion.rise = rise
+        motion.push += rise + _LEARNT * error
+    motion.step = step + (push + (_QUIET * error if -noise < error < noise else error))
 
 
 def observe_mean(motion: PredictedMotion, displacement: float) -> None:
