@@ -20,7 +20,7 @@ root nor the exact product), `sum()` (Python compensates it from 3.12 on), None 
 from collections.abc import Callable, MutableSequence, Sequence
 from functools import cache
 from types import FunctionType
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar, cast
 
 Buffer: TypeAlias = MutableSequence[float]
 """Numbers that a kernel changes in place, shape (n,)."""
@@ -30,6 +30,8 @@ Indices: TypeAlias = MutableSequence[int]
 """Whole numbers, shape (n,)."""
 MakeBuffer: TypeAlias = Callable[[int], Buffer]
 """Returns a buffer of zeros of a given length."""
+
+_Memory = TypeVar("_Memory")
 
 new: Final = tuple.__new__
 """Makes a NamedTuple of a tuple at half the price of calling its class: `new(EnergyBalance, (0.0, ...))`."""
@@ -45,26 +47,32 @@ def zeros(rows: int, columns: int) -> Matrix:
     return [list_of_zeros(columns) for _ in range(rows)]
 
 
-def with_quick_fields(memory: Any) -> Any:
+def fields_of(kind: object) -> tuple[str, ...]:
+    """Returns the names of the fields of a NamedTuple or of its class; none of anything else."""
+    names: tuple[str, ...] = getattr(kind, "_fields", ())
+    return names
+
+
+def with_quick_fields(memory: _Memory) -> _Memory:
     """Returns an object like a NamedTuple, and those in it, of which Python reads a field at half the price."""
-    names: tuple[str, ...] = getattr(memory, "_fields", ())
+    names = fields_of(memory)
     if not names:
         return memory
-    kind: Any = type(memory)
+    kind: type = type(memory)
     quick = _quick_class(kind)()
     for name in names:
         setattr(quick, name, with_quick_fields(getattr(memory, name)))
-    return quick
+    return cast(_Memory, quick)
 
 
 @cache
-def _quick_class(kind: Any) -> Any:
+def _quick_class(kind: type) -> type:
     methods = {
         name: value
         for name, value in vars(kind).items()
         if isinstance(value, FunctionType) and not name.startswith("_")
     }
-    return type(kind.__name__, (), {"__slots__": kind._fields, **methods})
+    return type(kind.__name__, (), {"__slots__": fields_of(kind), **methods})
 
 
 class Kernel(NamedTuple):

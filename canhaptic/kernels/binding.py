@@ -4,7 +4,9 @@ import builtins
 from collections.abc import Callable, Mapping
 from dis import get_instructions
 from types import CodeType, FunctionType
-from typing import Any
+from typing import TypeVar, cast
+
+_Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 class Binding:
@@ -18,45 +20,45 @@ class Binding:
 
     def __init__(
         self,
-        instead: Mapping[Any, Any],
-        wrap: Callable[[FunctionType], Any] = lambda function: function,
-        known: Mapping[Any, Any] | None = None,
+        instead: Mapping[object, object],
+        wrap: Callable[[FunctionType], object] = lambda function: function,
+        known: Mapping[object, object] | None = None,
     ) -> None:
         self._instead, self._wrap = instead, wrap
-        self._known: dict[Any, Any] = dict(known or {})
+        self._known: dict[object, object] = dict(known or {})
 
-    def rebound(self, function: Any) -> FunctionType:
+    def rebound(self, function: Callable[..., object]) -> FunctionType:
         """Returns the same code with other functions in the place of its global names."""
-        found: dict[str, Any] = {"__name__": function.__module__, "__builtins__": builtins}
+        function = cast(FunctionType, function)
+        found: dict[str, object] = {"__name__": function.__module__, "__builtins__": builtins}
         for name in sorted(_names_in(function.__code__)):
             if name in function.__globals__:
                 found[name] = self._value(name, function.__globals__[name])
         return FunctionType(function.__code__, found, function.__name__, function.__defaults__)
 
-    def _value(self, name: str, value: Any) -> Any:
+    def _value(self, name: str, value: object) -> object:
         value = self._instead.get(name, value)
         return self.of(name, self._instead.get(value, value)) if callable(value) else self.constant(name, value)
 
-    def constant(self, name: str, value: Any) -> Any:
+    def constant(self, name: str, value: object) -> object:
         """Returns a value that a function names."""
         return value
 
-    def of(self, name: str, value: Any) -> Any:
+    def of(self, name: str, value: object) -> object:
         """Returns what takes the place of a function or class."""
         if value not in self._known:
-            is_function = isinstance(value, FunctionType)
-            self._known[value] = self._wrap(self.rebound(value)) if is_function else value
+            self._known[value] = self._wrap(self.rebound(value)) if isinstance(value, FunctionType) else value
         return self._known[value]
 
 
-def bound(function: Any, instead: Mapping[Any, Any]) -> Any:
+def bound(function: _Function, instead: Mapping[object, object]) -> _Function:
     """Returns a kernel as Python runs it, with other functions in the place of some that it reaches.
 
     Args:
         function: The kernel.
         instead: As for `Binding`.
     """
-    return Binding(instead).rebound(function)
+    return cast(_Function, Binding(instead).rebound(function))
 
 
 def _names_in(code: CodeType) -> set[str]:

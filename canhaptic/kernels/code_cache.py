@@ -5,6 +5,8 @@ goes unnoticed. Here the key of a folder covers the code of every kernel reached
 versions of Python, numba, llvmlite and NumPy, and the processor. What is loaded is executed, so the folder must belong
 to the user, and only the user may read it; otherwise nothing is kept.
 """
+# numba states no types of its cache
+# mypy: allow-untyped-calls
 
 import hashlib
 import os
@@ -12,10 +14,10 @@ import pickle
 import platform
 import stat
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, Protocol, cast
 
 import llvmlite
 import numba
@@ -23,39 +25,42 @@ import numpy as np
 from llvmlite import binding
 from numba.core import caching
 
-_Files: Any = caching.IndexDataCacheFile
-_Cache: Any = caching.FunctionCache
-
 _PRIVATE: Final = 0o700
 _DIGEST: Final = hashlib.sha256().digest_size
 
 
-class _CheckedFiles(_Files):  # type: ignore[misc]
+class _Config(Protocol):
+    """Settings of numba."""
+
+    CACHE_DIR: str
+
+
+class _CheckedFiles(caching.IndexDataCacheFile):
     """numba's files of one function, each with a digest at its end: one that is damaged counts as missing."""
 
-    def _dump(self, obj: Any) -> bytes:
+    def _dump(self, obj: object) -> bytes:
         data: bytes = super()._dump(obj)
         return data + hashlib.sha256(data).digest()
 
-    def _load_index(self) -> Any:
+    def _load_index(self) -> object:
         path = Path(self._index_path)
         return super()._load_index() if path.is_file() and _is_whole(path.read_bytes(), self._version) else {}
 
-    def _load_data(self, name: str) -> Any:
+    def _load_data(self, name: str) -> object:
         if not _is_whole(Path(self._data_path(name)).read_bytes()):
             raise OSError(f"{name}: damaged")  # the caller takes it for missing
         return super()._load_data(name)
 
 
-class CheckedCache(_Cache):  # type: ignore[misc]
+class CheckedCache(caching.FunctionCache):
     """The code of one function on disk; where it is damaged or cannot be written, the function is compiled anew."""
 
-    def __init__(self, function: Any) -> None:
+    def __init__(self, function: Callable[..., object]) -> None:
         super().__init__(function)
         locator = self._impl.locator
         self._cache_file = _CheckedFiles(locator.get_cache_path(), self._impl.filename_base, locator.get_source_stamp())
 
-    def save_overload(self, sig: Any, data: Any) -> None:
+    def save_overload(self, sig: object, data: object) -> None:
         """Keeps the code; a full disk is no reason not to run it."""
         with suppress(OSError):
             super().save_overload(sig, data)
@@ -78,7 +83,7 @@ def kept_code(sources: Iterable[str]) -> Iterator[bool]:
     if folder is None:
         yield False
         return
-    config: Any = numba.config
+    config = cast(_Config, numba.config)
     place, before = folder / code_key(sources), config.CACHE_DIR
     place.mkdir(mode=_PRIVATE, exist_ok=True)
     config.CACHE_DIR = str(place)

@@ -9,18 +9,18 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from secrets import token_hex
 from types import CodeType, FunctionType
-from typing import Any, Final
+from typing import Final, Protocol, TypeVar, cast
 
 import numba
 from numba import types
 from numba.extending import overload_method
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from canhaptic.kernels import new
+from canhaptic.kernels import fields_of, new
 from canhaptic.kernels.binding import Binding
 from canhaptic.kernels.code_cache import CheckedCache, kept_code
 
-_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
+_OPTIONS: Final[dict[str, object]] = {"error_model": "numpy", "_nrt": False}
 _INNER: Final = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options of functions that are never called from Python: a fifth less to compile."""
 METHODS: Final = (
@@ -47,18 +47,35 @@ _PROCESS: Final = token_hex(8)
 from 0 in each process, so that code from two processes may have one name for two types, and the first that is loaded
 would be taken for both."""
 
-fixed_tuple: Any = to_fixed_tuple
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+
+class _Dispatcher(Protocol):
+    """A function that numba compiles, with where it keeps the code."""
+
+    _cache: object
+
+    def __call__(self, *args: object) -> object: ...
+
+
+class _Njit(Protocol):
+    def __call__(self, function: Callable[..., object], **options: object) -> _Dispatcher: ...
+
+
+_njit: Final = cast(_Njit, numba.njit)
+
+fixed_tuple: Final = cast(Callable[[object, int], tuple[float, ...]], to_fixed_tuple)
 """(array, length) -> tuple of its numbers; the length is a global name of the function that calls it."""
 
 
 def compiled(
-    function: Callable[..., Any],
-    instead: Mapping[Any, Any] | None = None,
+    function: _Function,
+    instead: Mapping[object, object] | None = None,
     *,
     keep: bool = False,
     parts: Iterable[type] = (),
-    calls: Collection[Any] | None = None,
-) -> Any:
+    calls: Collection[Callable[..., object]] | None = None,
+) -> _Function:
     """Returns a kernel as a function that is compiled at its first call.
 
     Args:
@@ -75,12 +92,12 @@ def compiled(
     for kind in parts:
         compiling.look_at(kind)
     if not keep:
-        return numba.njit(rebound, **_OPTIONS)
-    made: Any = numba.njit(rebound, **_OPTIONS)
+        return cast(_Function, _njit(rebound, **_OPTIONS))
+    made = _njit(rebound, **_OPTIONS)
     with kept_code(compiling.sources) as can_keep:
         if can_keep:
             made._cache = CheckedCache(function)  # noqa: SLF001 - as `enable_caching` does
-    return made
+    return cast(_Function, made)
 
 
 class _Compiling(Binding):
@@ -90,29 +107,30 @@ class _Compiling(Binding):
         sources: What decides the machine code: of every function its code, and the constants that it names.
     """
 
-    def __init__(self, instead: Mapping[Any, Any], calls: Collection[Any] | None) -> None:
-        codes = {function.__code__ for function in calls or ()}
+    def __init__(self, instead: Mapping[object, object], calls: Collection[Callable[..., object]] | None) -> None:
+        codes = {cast(FunctionType, function).__code__ for function in calls or ()}
 
-        def wrap(function: FunctionType) -> Any:
-            return numba.njit(function, **_INNER, forceinline=calls is not None and function.__code__ not in codes)
+        def wrap(function: FunctionType) -> object:
+            return _njit(function, **_INNER, forceinline=calls is not None and function.__code__ not in codes)
 
         super().__init__(instead, wrap, {new: _made})
         self.sources: list[str] = [repr(_OPTIONS), Path(__file__).read_text(encoding="utf-8")]
-        self.sources.append(repr(calls and sorted(function.__name__ for function in calls)))
+        self.sources.append(repr(calls and sorted(cast(FunctionType, function).__name__ for function in calls)))
 
-    def rebound(self, function: Any) -> FunctionType:
+    def rebound(self, function: Callable[..., object]) -> FunctionType:
         """Returns the same code with compiled functions in the place of its global names."""
+        function = cast(FunctionType, function)
         self.sources.append(_text_of(function.__code__) + repr(function.__defaults__))
         made = super().rebound(function)
         made.__qualname__ = f"{function.__name__}_{_PROCESS}"
         return made
 
-    def constant(self, name: str, value: Any) -> Any:
+    def constant(self, name: str, value: object) -> object:
         """Returns a value that a function names, and takes it down."""
         self.sources.append(f"{name}={value!r}")
         return value
 
-    def of(self, name: str, value: Any) -> Any:
+    def of(self, name: str, value: object) -> object:
         """Returns what takes the place of a function or class, and takes down what of a class matters."""
         if value not in self._known and isinstance(value, type):
             self.look_at(value)
@@ -120,9 +138,9 @@ class _Compiling(Binding):
             self.sources.append(f"{name}={getattr(value, '__name__', name)}")
         return super().of(name, value)
 
-    def look_at(self, kind: Any) -> None:
+    def look_at(self, kind: type) -> None:
         """Takes the fields of a class and the code of its methods among the sources."""
-        self.sources.append(f"{kind.__qualname__}{getattr(kind, '_fields', ())}")
+        self.sources.append(f"{kind.__qualname__}{fields_of(kind)}")
         for method in METHODS:
             if isinstance(getattr(kind, method, None), FunctionType):
                 self.rebound(getattr(kind, method))
@@ -133,19 +151,25 @@ def _text_of(code: CodeType) -> str:
     return repr((code.co_name, code.co_code, constants, code.co_names, code.co_varnames, code.co_freevars))
 
 
-def _make(kind: Any, values: Any) -> Any:
+def _make(kind: Callable[..., object], values: Iterable[object]) -> object:
     return kind(*values)
 
 
-_made: Final = numba.njit(_make, **_OPTIONS, forceinline=True)
+_made: Final = _njit(_make, **_OPTIONS, forceinline=True)
+
+
+class _NumbaTuple(Protocol):
+    """numba's type of a NamedTuple."""
+
+    instance_class: type
 
 
 def _overload(name: str) -> None:
     @overload_method(types.BaseNamedTuple, name)
-    def method(self: Any, *args: Any) -> Any:
+    def method(self: _NumbaTuple, *args: object) -> Callable[..., object]:
         function = compiled(getattr(self.instance_class, name))
 
-        def call(self: Any, *args: Any) -> Any:
+        def call(self: object, *args: object) -> object:
             return function(self, *args)
 
         return call

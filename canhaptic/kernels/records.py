@@ -3,33 +3,39 @@
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.kernels import Buffer, Indices, Matrix
+from canhaptic.kernels import Buffer, Indices, Matrix, fields_of
 
 Records = NDArray[np.void]
-_ARRAYS: Final[dict[Any, Any]] = {Buffer: np.float64, Matrix: np.float64, Indices: np.int64}
+_Kind: TypeAlias = np.dtype[np.generic]
+_Value = TypeVar("_Value")
+_ARRAYS: Final[dict[object, type[np.generic]]] = {Buffer: np.float64, Matrix: np.float64, Indices: np.int64}
 """Annotation of a field that holds buffers -> its numbers."""
 
 
 class _Part(NamedTuple):
     path: str
-    kind: np.dtype[Any]
+    kind: _Kind
     offset: int
 
 
-def record_type(value: Any) -> np.dtype[Any]:
+def record_type(value: object) -> np.dtype[np.void]:
     """Returns the type of a record with the fields of a dataclass of numbers, and of dataclasses of such."""
-    parts = [(field.name, getattr(value, field.name)) for field in fields(value)]
+    parts = [(name, getattr(value, name)) for name in _names_of(value)]
     return np.dtype(
         [(name, record_type(part) if is_dataclass(part) else np.dtype(type(part))) for name, part in parts], align=True
     )
 
 
-def records_of(values: Iterable[Any]) -> Records:
+def _names_of(value: object) -> list[str]:
+    return [field.name for field in fields(value)] if is_dataclass(value) else []
+
+
+def records_of(values: Iterable[object]) -> Records:
     """Returns dataclasses of one kind as records, shape (n,)."""
     values = list(values)
     kind = record_type(values[0])
@@ -49,12 +55,13 @@ def records_of(values: Iterable[Any]) -> Records:
     return np.array(rows, dtype=flat).view(kind)
 
 
-def number_in(state: Any, name: str) -> Any:
+def number_in(state: object, name: str) -> float:
     """Returns a number of a dataclass, or of the record in its place."""
-    return state[name] if isinstance(state, np.void) else getattr(state, name)
+    number: float = state[name] if isinstance(state, np.void) else getattr(state, name)
+    return number
 
 
-def _flat(kind: np.dtype[Any], path: str = "", offset: int = 0) -> Iterable[_Part]:
+def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[_Part]:
     """Yields the numbers of a record type, by their dotted names."""
     for name, (part, at, *_) in (kind.fields or {}).items():
         if part.fields:
@@ -63,16 +70,16 @@ def _flat(kind: np.dtype[Any], path: str = "", offset: int = 0) -> Iterable[_Par
             yield _Part(path + name, part, offset + at)
 
 
-def arrays_of(value: Any) -> Any:
+def arrays_of(value: _Value) -> _Value:
     """Returns a NamedTuple of buffers, and of such, with arrays of its own in their place.
 
     What a field is follows from its annotation: `Buffer`, `Indices`, `Matrix`, or anything else.
     """
     kind = type(value)
-    if not hasattr(kind, "_fields"):
+    if not fields_of(kind):
         return value
-    found = []
-    for name in kind._fields:
+    found: list[object] = []
+    for name in fields_of(kind):
         part, annotation = getattr(value, name), kind.__annotations__[name]
         if annotation in _ARRAYS:
             number, shape = _form(annotation, part)
@@ -82,23 +89,23 @@ def arrays_of(value: Any) -> Any:
     return kind(*found)
 
 
-def record_of(value: Any) -> Records:
+def record_of(value: object) -> Records:
     """Returns a NamedTuple of buffers, of such and of dataclasses, as one record of arrays, shape (1,).
 
     Compiled code takes it by its address, where a tuple of arrays would come apart into hundreds of arguments; and it
     knows the lengths.
     """
-    record = np.zeros(1, _record_type(value))
+    record: Records = np.zeros(1, _record_type(value))
     _fill(record[0], value)
     return record
 
 
-def _record_type(value: Any) -> np.dtype[Any]:
+def _record_type(value: object) -> np.dtype[np.void]:
     if is_dataclass(value):
         return record_type(value)
-    kind: Any = type(value)
-    parts: list[Any] = []
-    for name in getattr(kind, "_fields", ()):
+    kind = type(value)
+    parts: list[tuple[str, object] | tuple[str, object, tuple[int, ...]]] = []
+    for name in fields_of(kind):
         part, annotation = getattr(value, name), kind.__annotations__[name]
         if annotation in _ARRAYS:
             parts.append((name, *_form(annotation, part)))
@@ -106,17 +113,17 @@ def _record_type(value: Any) -> np.dtype[Any]:
             parts.append((name, record_type(part[0]), (len(part),)))
         else:
             parts.append((name, _record_type(part)))
-    return np.dtype(parts, align=True) if parts else np.dtype(kind)
+    return np.dtype(parts, align=True) if parts else cast("np.dtype[np.void]", np.dtype(kind))
 
 
-def _form(annotation: Any, value: Any) -> tuple[Any, tuple[int, ...]]:
+def _form(annotation: object, value: Buffer | Matrix | Indices) -> tuple[type[np.generic], tuple[int, ...]]:
     """Returns type and shape of the array of a buffer."""
-    inner = (len(value[0]) if len(value) else 0,) if annotation == Matrix else ()
+    inner = (len(cast(Matrix, value)[0]) if len(value) else 0,) if annotation == Matrix else ()
     return _ARRAYS[annotation], (len(value), *inner)
 
 
-def _fill(record: Any, value: Any) -> None:
-    for name in value._fields:
+def _fill(record: np.void, value: object) -> None:
+    for name in fields_of(value):
         part = getattr(value, name)
         if hasattr(part, "_fields"):
             _fill(record[name], part)
