@@ -30,6 +30,7 @@ from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, GripParameters, VelocityLoopParameters
 from tools.bench.report import Row, picture_place, publish
 from tools.displays import faults
+from tools.displays.declared_hands import SPRING_RIGS, MassRig, below, mass_energies, spring_energies
 from tools.displays.direct import Display, Outcome
 from tools.displays.judge import false_claims
 from tools.displays.random_display import random_display, with_true_bounds
@@ -185,6 +186,33 @@ def _is_stable(rate: int, delay: int, mass: float, damping: float, hand: tuple[f
     return bool(np.abs(np.linalg.eigvals(step)).max() < 1.0 + 1e-7)
 
 
+def declared_rows(hands: int) -> list[Row]:
+    """AD9: what rests on a declared hand keeps its promise; the simple forms, as a control, do not."""
+    spring = [spring_energies(rig, hands, 1) for rig in SPRING_RIGS]
+    simple = [spring_energies(rig, hands, 1, simple=True)[0] for rig in SPRING_RIGS]
+    lost, total = sum(below(least) for least, _ in spring), hands * len(spring)
+    control = min(below(least) for least in simple)
+    moved = ", ".join(f"{100.0 * share:.0f}" for _, share in spring)
+    rows = [
+        Row("AD9 4(a) springs below 0", lost, "1", target="0", met=lost == 0,
+            note=f"of {total}; moves in {moved} % of the holds"),
+        Row("AD9 control: simple form below 0", control, "1", target=f">= 100 of {hands}", met=control >= 100,
+            note="of the rig where fewest are"),
+    ]  # fmt: skip
+    ramps = (3.0, 10.0, 30.0)
+    masses = [mass_energies(MassRig(ramp=ramp), 1000, 2) for ramp in ramps]
+    short = [mass_energies(MassRig(ramp=ramp), 1000, 2, brakes=False)[0] for ramp in ramps]
+    lost = sum(below(least) for least, _ in masses)
+    moved = ", ".join(f"{100.0 * share:.0f}" for _, share in masses)
+    control = sum(below(least) for least in short)
+    return [
+        *rows,
+        Row("AD9 4(b) masses below 0", lost, "1", target="0", met=lost == 0,
+            note=f"of 3000; moves in {moved} % of the holds"),
+        Row("AD9 control: next hold alone, below 0", control, "1", target=">= 450", met=control >= 450, note="of 3000"),
+    ]  # fmt: skip
+
+
 def border_rows() -> list[Row]:
     """AD6: least virtual mass without damping for many hands, and least damping against a spring to ground."""
     rows = []
@@ -315,7 +343,14 @@ def main() -> None:
     arguments = parser.parse_args()
     fault_part, table = fault_rows()
     found = masses(arguments.hands, 1.5)
-    rows = [*random_rows(arguments.runs, 400), *mass_rows(found), *border_rows(), *fault_part, *bus_rows()]
+    rows = [
+        *random_rows(arguments.runs, 400),
+        *mass_rows(found),
+        *declared_rows(120),
+        *border_rows(),
+        *fault_part,
+        *bus_rows(),
+    ]
     draw(found, picture_place("mass_felt.png"))
     publish("admittance", rows, _PACKAGES, {"masses": found, "faults": table})
 
