@@ -12,6 +12,7 @@ from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
+from canhaptic.scene.device_bounds import rests_on_hand_force
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.display_checks import check_display, limit_objection
 from canhaptic.scene.document import MarkedList, MarkedMapping
@@ -161,7 +162,7 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
             "leave it out, or set rpdo: event",
         )
     friction, bound = axis.loop.device_friction or 0.0, axis.loop.device_friction_bound
-    if friction > bound and getattr(axis.passivity.parameters, "hand_force", None) is not None:
+    if bound is not None and friction > bound and rests_on_hand_force(scene, axis):
         unit = effort_unit(axis.parameters.unit)
         faults.add(
             passivity.value_at("device_friction"),

@@ -54,8 +54,9 @@ def require_no_guesses(scene: Scene) -> None:
     """
     if scene.guessed_timing and refuses_guesses(scene) and not _is_simulated_elsewhere(scene):
         raise InputError(
-            f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter, torque_window, current_lag: "
-            "not all are declared, and the drives are real; measure them (canhaptic commission) and put them there"
+            f"{scene.source}: passivity of {', '.join(scene.guessed_timing)}: sync_jitter, torque_window, current_lag, "
+            "device_friction_bound: not all are declared, and the drives are real; measure them (canhaptic commission) "
+            "and put them there"
         )
     guesses = guesses_left(scene)
     if guesses and refuses_guesses(scene):

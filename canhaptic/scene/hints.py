@@ -216,7 +216,7 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
     hand_force, hand_speed = getattr(parameters, "hand_force", None), getattr(parameters, "hand_speed", None)
     if hand_force is not None and loop.moving_mass is not None:
         least, most = 0.0 if len(group) > 1 else loop.device_damping or 0.0, loop.device_damping_bound or 0.0
-        pull = (hand_force + loop.device_friction_bound) * _on_all(axis, group)
+        pull = (hand_force + (loop.device_friction_bound or 0.0)) * _on_all(axis, group)
         response = displacement_response(loop.sample_time, loop.moving_mass, pull, least, most, timing=loop.timing)
         limit = renderable_by_hand_force(response, lag, torque)
         of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""

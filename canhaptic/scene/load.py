@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from canhaptic.errors import SceneConflictError, SceneError
 from canhaptic.scene.cross_checks import cross_check
+from canhaptic.scene.device_bounds import with_device_bounds
 from canhaptic.scene.diagnostics import Diagnostics, SourceLocation
 from canhaptic.scene.document import MarkedMapping, mark_plain, parse_yaml
 from canhaptic.scene.explain import note_errors, read_mapping
@@ -143,7 +144,9 @@ def _validated(sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics
     """Returns the scene; None when it has faults, which are all noted."""
     try:
         scene = scene_adapter().validate_python(laid, context=SceneContext(code=code))
-        return with_timing(_completed(replace(scene, own_code=code.hashes, unread=tuple(code.left))))
+        return with_device_bounds(
+            with_timing(_completed(replace(scene, own_code=code.hashes, unread=tuple(code.left))))
+        )
     except ValidationError as error:
         note_errors(Scene, laid, error, faults)
     except RecursionError:

@@ -271,7 +271,7 @@ class Scene:
     mechanisms: tuple[MechanismScene, ...] = ()
     own_code: Mapping[str, str] = field(default_factory=dict)  # file or plug-in -> SHA-256 of what ran
     unread: tuple[str, ...] = ()  # own code that was named and left unread; nothing is built from such a scene
-    guessed_timing: tuple[str, ...] = ()  # axes of real drives of whose holds nothing is declared
+    guessed_timing: tuple[str, ...] = ()  # axes of real drives of whose holds or dry friction nothing is declared
 
     @property
     def accuracy_tolerance(self) -> float | None:

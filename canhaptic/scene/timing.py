@@ -15,6 +15,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.can.bus_budget import torque_latency, worst_frame
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.errors import CanHapticError
+from canhaptic.scene.device_bounds import rests_on_hand_force
 from canhaptic.scene.further_bus import NamedBus
 from canhaptic.scene.models import AxisScene, Scene
 
@@ -46,7 +47,10 @@ def with_timing(scene: Scene) -> Scene:
 
 
 def _with_guesses(scene: Scene) -> Scene:
-    """Returns the scene with guesses where the timing of real holds is not declared, and with the names of the axes."""
+    """Returns the scene with guesses where the timing of real holds is not declared, and with the names of the axes.
+
+    Axes whose dry friction has no bound are named with them: nothing can be guessed of it.
+    """
     guesses = {axis.parameters.name: undeclared(axis.loop) for axis in scene.axes}
     windows = {bus.name: GUESSES["torque_window"] + _window(scene, bus) for bus in scene.buses}
     if any(axis.bus not in windows for axis in scene.axes):  # noted where buses are checked
@@ -57,7 +61,10 @@ def _with_guesses(scene: Scene) -> Scene:
         missing = {key: values[key] for key in undeclared(axis.loop)}
         axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)))
     guessed = tuple(
-        axis.parameters.name for axis in axes if guesses[axis.parameters.name] and _is_certified(scene, axis)
+        axis.parameters.name
+        for axis in axes
+        if (guesses[axis.parameters.name] and _is_certified(scene, axis))
+        or (axis.loop.device_friction_bound is None and rests_on_hand_force(scene, axis))
     )
     return replace(scene, axes=tuple(axes), guessed_timing=guessed)
 

@@ -231,4 +231,5 @@ def start_speed(response: DisplacementResponse, sample_time: float, delay: int, 
     at every rate. A slower start needs a credit or certain device damping.
     """
     unsure = min(count / holds + 0.5 * (holds - 1) * response.hand for holds in range(1, WINDOW + 1))
-    return ((1 + delay) * response.hand + unsure) / (sample_time * response.retained ** (1 + delay))
+    kept = sample_time * response.retained ** (1 + delay)
+    return ((1 + delay) * response.hand + unsure) / kept if kept > 0.0 else math.inf

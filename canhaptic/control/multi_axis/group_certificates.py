@@ -131,7 +131,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
         else DisplacementResponse(1.0, 0.0, 0.0, 0.0)
         for loop in loops
     ]  # fmt: skip
-    pull = (hand_force or 0.0) + max([loop.device_friction_bound for loop in loops])
+    pull = (hand_force or 0.0) + max([loop.device_friction_bound or 0.0 for loop in loops])
     lost = [1.0 - response.retained for response in responses]
     damping = [(loop.device_damping or 0.0) / sample_time for loop in loops]
     timing = timing_of(loops, by_hand, pull, hand_speed or 0.0)

@@ -19,11 +19,12 @@ class LoopProperties(Parameters):
     device_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
     """Certain viscous damping of the device, an under-estimate."""
     device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
-    """Upper bound of the device damping (b_max of the hand-force certificate)."""
+    """Upper bound of the device damping (b_max of the hand-force certificate). None: not known."""
     device_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
     """Certain dry friction of the device while it moves, an under-estimate. None: not known, none is counted on."""
-    device_friction_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
-    """Upper bound of the dry friction of the device, which may push out of a contact as well as hold; 0: none."""
+    device_friction_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
+    """Upper bound of the dry friction and cogging of the device, which may push out of a contact as well as hold.
+    None: not known; 0 in a bare loop."""
     sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
     """Every hold, from position to position, lasts T (1 +- jitter). None: not known; 0 in a bare loop."""
     torque_window: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None

@@ -200,7 +200,7 @@ def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> Displa
             "have: it turns an inward motion sooner than was counted on; measure it (canhaptic commission), or declare "
             "hand_force: null and another certificate"
         )
-    friction, push = loop.device_friction_bound, parameters.hand_push
+    friction, push = loop.device_friction_bound or 0.0, parameters.hand_push
     return displacement_response(
         loop.sample_time,
         loop.moving_mass,

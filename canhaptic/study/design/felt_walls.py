@@ -74,7 +74,7 @@ def _certified(axis: AxisScene, push: float) -> float | None:
     force, loop = getattr(axis.passivity.parameters, "hand_force", None), axis.loop
     if force is None or loop.moving_mass is None:
         return None
-    pull, most = force + loop.device_friction_bound, loop.device_damping_bound or 0.0
+    pull, most = force + (loop.device_friction_bound or 0.0), loop.device_damping_bound or 0.0
     least = loop.device_damping or 0.0
     response = displacement_response(loop.sample_time, loop.moving_mass, pull, least, most, timing=loop.timing)
     return renderable_by_hand_force(response, loop.delay, push)
