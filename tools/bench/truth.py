@@ -8,17 +8,19 @@ TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A 
 something pushed or asked for 0.5 N. `--faults` lays a fault over every scene (`tools/truth/faults.py`): lost, doubled
 and late frames, bus and host that stop, drives that fail, another master, on one bus or two.
 
-With a fault, a yes is due where
+A yes is due where
 
 * the algorithm promises (`guarded`), something pushed or asked for 0.5 N, and the run ended or its fault stopped it;
-* the true sum of interaction never fell below zero, and hand and device were within what is declared;
-* the fault was within it too: no SYNC was skipped, and in no more cycles in a row than `max_consecutive_losses` was a
-  frame lost, as the drives and the samples show it (`tools/truth/loss_watch.py`). A scene declares up to four losses as
-  soon as its bus makes them, as it does with the force of its hand; more are a fault beyond any declaration, and there
-  the account has to doubt.
+* the true sum of interaction never fell below zero, and hand and device were within what is declared, which allows no
+  energy to be given out on purpose (`energy_allowance`);
+* timing and losses were within it too: no SYNC was skipped, no host stalled beyond `sync_jitter`, and in no more cycles
+  in a row than `max_consecutive_losses` was a frame lost, as the drives and the samples show it
+  (`tools/truth/loss_watch.py`). A scene declares up to four losses as soon as its bus makes them, as it does with the
+  force of its hand; more are a fault beyond any declaration, and there the account has to doubt.
 
-A yes is one at the motor or, where that is what is promised, at the handle, with a certificate; a run without any
-torque needs none, and is left out of the second of the two shares.
+A yes is one at the motor or, where that is what is promised, at the handle, with a certificate. A run without any
+torque has none: the first share counts it as no yes, the second leaves it out. Below an inward speed of
+(1 + delay) F_h T / m no torque has a proof (`sum_of_certificates`).
 """
 
 import argparse
@@ -137,16 +139,20 @@ def _figures(outcomes: list[Outcome], *, faults: bool) -> list[Row]:
     if faults:
         return _fault_figures(outcomes, wrong, went_on)
     promised = [o for o in counted if o.declared and "algorithm:guarded" in o.tags and o.least >= -ROUNDING]
-    said = [o for o in promised if "yes" in (o.verdict, o.at_handle) and o.certificates]  # the sum that is promised
+    due = [outcome for outcome in promised if outcome.is_due]
+    with_torque = [outcome for outcome in due if not outcome.is_silent]
+    shares = [sum(o.says_yes and bool(o.certificates) for o in of) / max(1, len(of)) for of in (due, with_torque)]
     ratios = [o.resolution / o.error for o in counted if o.error > 1e-9]
-    share = len(said) / len(promised) if promised else 0.0
     ratio = median(ratios) if ratios else 0.0
     return [
         Row("runs of at least 1 s with a contact of 0.5 N", len(counted), "1", target=">= 20000"),
         Row("false claims", wrong, "1", target="0", met=wrong == 0),
         Row("runs that lost more than declared and went on", went_on, "1", target="0", met=went_on == 0),
         Row("passive runs of algorithms that promise", len(promised), "1"),
-        Row("of these, yes at motor or handle with a certificate", share, "1", target=">= 0.8", met=share >= 0.8),
+        Row("of these, runs in which a yes is due", len(due), "1"),
+        Row("of those, yes with a certificate", shares[0], "1", target=">= 0.8", met=shares[0] >= 0.8),
+        Row("runs in which a yes is due, with a torque", len(with_torque), "1"),
+        Row("of those with a torque, yes with a certificate", shares[1], "1"),
         Row("stated resolution over the error seen, median", ratio, "1", target="<= 20", met=ratio <= 20.0),
         Row("runs that ended before their time", sum(o.status == "stopped" for o in outcomes), "1"),
         Row("scenes refused", sum(o.status == "refused" for o in outcomes), "1"),

@@ -32,7 +32,9 @@ TOUCH: Final = 0.5
 LOSS_LIMIT: Final = 0.01
 """Energy given out beyond what is declared at which a rig stops by default [J]."""
 _MOST_LOSSES: Final = 4
-"""Cycles in a row with a loss that a scene with a fault declares, once its bus has really lost so many."""
+"""Cycles in a row with a loss that a scene declares, once its bus has really lost so many."""
+_PROMISES_NO_YES: Final = frozenset(("timing:stall", "declares:energy_allowance"))
+"""A host that stalls makes a hold longer than is declared; an allowance is energy that may be given out on purpose."""
 _TRIES: Final = 4
 
 
@@ -68,7 +70,9 @@ class Outcome:
 
     @property
     def is_due(self) -> bool:
-        """Whether a yes is due in a scene with a fault; `tools/bench/truth.py` says when."""
+        """Whether a yes is due; `tools/bench/truth.py` says when."""
+        if _PROMISES_NO_YES.intersection(self.tags):
+            return False
         touched = self.status != "refused" and max(self.peak, self.asked) >= TOUCH
         is_within = self.losses <= self.declared_losses and not self.skipped
         return touched and is_within and self.declared and "algorithm:guarded" in self.tags and self.least >= -ROUNDING
@@ -94,17 +98,18 @@ class Outcome:
 
 
 def judged(scene: TruthScene) -> tuple[TruthScene, Outcome]:
-    """Returns the scene with its declarations raised to what hand and bus really did, and what its run came to.
+    """Returns the scene with its declarations raised to what hand and bus did, and what its run came to.
 
-    Of the bus that is done where a fault is drawn, and as far as `_MOST_LOSSES`.
+    Of the bus as far as `_MOST_LOSSES`.
     """
     outcome, watch = _run(scene)
+    survives = scene.promises and "drive:after_update" not in scene.tags  # refused there
     for _ in range(_TRIES):
-        more_losses = scene.has_fault and outcome.declared_losses < outcome.losses <= _MOST_LOSSES
+        more_losses = survives and outcome.declared_losses < outcome.losses <= _MOST_LOSSES
         if watch is None or not scene.is_true or (outcome.declared and not more_losses):
             break
         scene = _with_true_hand(scene, watch)
-        if more_losses and scene.promises:
+        if more_losses:
             scene.passivity["max_consecutive_losses"] = outcome.losses
         outcome, watch = _run(scene)
     return scene, outcome

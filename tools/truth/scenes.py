@@ -46,11 +46,6 @@ class TruthScene:
         return not any(tag.startswith("false:") for tag in self.tags)
 
     @property
-    def has_fault(self) -> bool:
-        """Whether a fault was laid over it (`tools/truth/faults.py`)."""
-        return any(tag.startswith("fault:") for tag in self.tags)
-
-    @property
     def passivity(self) -> dict[str, Any]:
         """The section that declares what is known of the hand."""
         section: dict[str, Any] = (
