@@ -14,8 +14,7 @@ BOUNDS: Final = ("device_damping_bound", "device_friction_bound")
 
 def rests_on_hand_force(scene: Scene, axis: AxisScene) -> bool:
     """Whether the torques of an axis are certified for a hand of bounded force."""
-    algorithm = next((group.passivity for group in scene.groups if group.name == axis.group), axis.passivity)
-    return getattr(algorithm.parameters, "hand_force", None) is not None
+    return getattr(scene.passivity_of(axis).parameters, "hand_force", None) is not None
 
 
 def with_device_bounds(scene: Scene) -> Scene:
