@@ -85,6 +85,8 @@ def _declared(chance: _Chance, values: dict[str, Any], tags: set[str]) -> dict[s
     ):
         if drawn(0.08):
             found[key] = decades(low, high)
+    if "alpha" in found:
+        found["alpha"] = f"{found['alpha']} s/{values['axes'][0]['unit']}^2"
     if "groups" in values:
         return found
     dry = next((effect for effect in values["simulation"]["effects"] if effect["type"] in _DRY), None)
