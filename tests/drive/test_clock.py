@@ -242,6 +242,37 @@ def test_the_timing_of_a_cycle_is_recorded() -> None:
     bench.close()
 
 
+@pytest.mark.parametrize(("late", "gap", "skipped"), [(0.4, 0.6, 0), (0.7, 1.3, 1), (2.2, 0.8, 2), (2.9, 1.1, 3)])
+def test_a_sync_held_up_after_its_wait_is_not_followed_at_once(late: float, gap: float, skipped: int) -> None:
+    bench, syncs = make_bench(), list[int]()
+    bench.rig.start()
+    bench.run(3)
+    period = bench.rig.bus.sample_time_ns
+    drive, send = bench.rig.drives[0], bench.tampered.inner.send
+    expect = drive.expect_tpdos
+
+    def hold_up() -> None:
+        bench.clock.wait_until(bench.clock.now() + round(late * period))
+        drive.expect_tpdos = expect
+        expect()
+
+    def note(message: can.Message, timeout: float | None = None) -> None:
+        if message.arbitration_id == 0x080:
+            syncs.append(bench.clock.now())
+        send(message, timeout)
+
+    drive.expect_tpdos = hold_up
+    bench.tampered.inner.send = note  # type: ignore[assignment]
+    before, index = bench.rig.skipped_syncs, bench.rig.deadline_index
+    for _ in range(2):
+        bench.rig.sync()
+        bench.rig.write_torques([0.0])
+    assert syncs[1] - syncs[0] == pytest.approx(gap * period, abs=2)
+    assert bench.rig.skipped_syncs - before == skipped
+    assert bench.rig.deadline_index - index == 2 + skipped
+    bench.close()
+
+
 @pytest.mark.parametrize(("beyond_half", "skipped"), [(0, 0), (1, 1)])
 def test_a_deadline_is_skipped_when_it_is_overslept_by_more_than_half_a_period(beyond_half: int, skipped: int) -> None:
     bench = make_bench()

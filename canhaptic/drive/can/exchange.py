@@ -82,10 +82,7 @@ class Exchange:
                 failure, window.pending = error, 0
                 for drive in group:
                     drive.refuse_tpdos()
-        logged = synced - synced % 1000  # to the microsecond, as a bus log keeps it: a replay counts the same periods
-        self.periods = (logged - self._logged + self._latest) // self._period or 1
-        self.uneven = abs(synced - self._synced - self.periods * self._period)
-        self._synced, self._logged = synced, logged
+        self._count(synced)
         end = synced + self._window_ns
         for link, window, group in self._buses:
             while window.pending and link.poll(end):
@@ -98,26 +95,40 @@ class Exchange:
         if failure is not None:
             raise failure
 
+    def _count(self, synced: int) -> None:
+        """Counts the sample times since the last SYNC, and the deadlines missed since the wait."""
+        logged = synced - synced % 1000  # to the microsecond, as a bus log keeps it: a replay counts the same periods
+        self.periods = (logged - self._logged + self._latest) // self._period or 1
+        self.uneven = abs(synced - self._synced - self.periods * self._period)
+        self._synced, self._logged = synced, logged
+        if (late := synced - self.deadline) > self._latest:  # held up after the wait: the next must not follow at once
+            self._skip(late)
+            self.deadline += late // self._period * self._period
+
     def _wait(self) -> int:
         """Handles frames until the next deadline; one that is overslept by half a period is skipped for the next.
 
         Returns:
             The time at its end [ns].
         """
-        links, period, now = self.links, self._period, self.clock.now
+        links, now = self.links, self.clock.now
         links[0].pump(self._next)
         for link in links[1:]:
             link.drain()
         while (lateness := (woken := now()) - self._next) > self._latest:
-            skipped = (lateness + self._latest) // period
-            self.skipped += skipped
-            self._next += skipped * period
+            self._skip(lateness)
             links[0].pump(self._next)
             for link in links[1:]:
                 link.drain()
         self.deadline = self._next
-        self._next += period
+        self._next += self._period
         return woken
+
+    def _skip(self, lateness: int) -> None:
+        """Skips the deadlines that were missed, up to the nearest."""
+        skipped = (lateness + self._latest) // self._period
+        self.skipped += skipped
+        self._next += skipped * self._period
 
     def write_zero(self) -> None:
         """Sends every drive its controlword with zero torque.
