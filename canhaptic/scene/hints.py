@@ -236,22 +236,34 @@ def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text:
     push, stiffness = LEAN * axis.parameters.torque_limit, _asked(axis, "stiffness")
     limit = renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
-    slowest = start_speed(response, axis.loop.sample_time, lag)
+    slowest, earned = start_speed(response, axis.loop.sample_time, lag), min(stiffness or limit, limit)
+    begins = "from zero energy"
+    if axis.loop.device_friction:
+        slowest, begins = (
+            0.0,
+            f"up to device_friction {axis.loop.device_friction:g} at once, more with the energy below",
+        )
     return [
         _hint(axis, what, "stiffness", limit, stiffness, f"{text}{_share(limit, stiffness)}"),
-        _hint(axis, "speed of a contact that is felt, from", "speed", slowest, None, f"from zero energy; {text}"),
-        *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
+        _hint(axis, "speed of a contact that is felt, from", "speed", slowest, None, f"{begins}; {text}"),
+        *_energy_hint(axis, response, lag, earned),
     ]
 
 
 def _energy_hint(axis: AxisScene, response: DisplacementResponse, lag: int, stiffness: float) -> list[Hint]:
     """Returns the energy with which a contact of any speed is felt; nothing where it needs none."""
-    energy, unit = start_energy(response, lag, stiffness), axis.parameters.unit
+    energy, unit, parameters = start_energy(response, lag, stiffness), axis.parameters.unit, axis.passivity.parameters
     if energy in {0.0, math.inf}:
         return []
     what = f"energy for slower contacts with {stiffness:.4g} {_LINEAR_ROTARY['stiffness'][unit == 'rad']}"
-    text = f"{DRAG:g} {effort_unit(unit)} of drag earn it over {energy / DRAG:.2g} {unit} of faster motion; or allowed"
-    return [Hint(axis.parameters.name, what, energy, None, "J", text)]
+    drag, friction = getattr(parameters, "drag", 0.0) or DRAG, axis.loop.device_friction or 0.0
+    earning = f"{drag:g} {effort_unit(unit)} of drag earn it over {energy / drag:.2g} {unit} of faster motion"
+    if friction:
+        earning = f"device_friction earns it over {energy / friction:.2g} {unit} of any motion"
+    kept = getattr(parameters, "earned_energy", None)
+    if kept is not None and kept < energy:
+        earning += f"; earned_energy keeps {kept:.2g} J of it"
+    return [Hint(axis.parameters.name, what, energy, None, "J", f"{earning}; or allowed")]
 
 
 def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:

@@ -198,6 +198,13 @@ def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
     [stiffness] = [float(what.split()[-2]) for what in limits if what.startswith("energy for slower contacts")]
     lacking, whole = 0.5 / stiffness - 1e-6 / 0.2, 1e-6 / 0.2 * 20  # the most of h F (F + F_h) - F^2 / 2k
     assert limits[f"energy for slower contacts with {stiffness:.4g} N/m"] == pytest.approx(whole**2 / 4 / lacking)
+    overrides[0] = overrides[0].replace("}", ", device_friction: 0.5, device_friction_bound: 0.5, earned_energy: 0}")
+    hints = {h.what: h for h in stability_hints(load_scene(scene_file(tmp_path), overrides).axes[0])}
+    assert hints["speed of a contact that is felt, from"].limit == 0.0
+    [energy] = [hint for what, hint in hints.items() if what.startswith("energy for slower contacts")]
+    assert energy.limit is not None
+    assert f"device_friction earns it over {energy.limit / 0.5:.2g} m of any motion" in energy.text
+    assert "earned_energy keeps 0 J of it" in energy.text
 
 
 def test_the_quantisation_bound_needs_friction_and_takes_that_of_the_simulated_plant(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ it is, and though it knew the push u(t) beforehand:
    with F_h from then on turns it within the holds under way, and takes energy out. So the handle flies freely up to the
    time t_1 of that speed, at the depth x_1, with the work of the push W_1 = m v_0^2 / 2.
 2. Kinetic energy and S are both at least 0, and their sum is at most the work W of the push. A way out costs u per
-   length, which rises with time, and the speed is at most sqrt(2 W / m): no motion is at any depth earlier, or has more
    length, which rises with time, and the speed is at most sqrt(2 W / m): no motion is at any depth earlier, or has
    more work left there, than the bounce that turns all of the work around at once at x_1, m x'' = u. Its turning point
    is the least depth that is ever reached again; a way in and out between loses work.
+3. At rest under the whole push P the hand may begin to pull: S must be what the holds under way and the next one may
    give out, N = P sum(D_i), which is P^2 / 2k of `renderable_by_hand_force`.
 
 With x_low(t) the depth of the bounce, and from its turning point on the depth of that, W = integral of u dx by parts

@@ -102,7 +102,24 @@ def _felt(result: dict[str, Any]) -> list[RenderableType]:
     ]
     if uneven:
         lines.append(f" softer walls that are not held within the tolerance: {', '.join(uneven)}")
-    return [table, *map(Text, lines)]
+    return [table, *map(Text, lines), *_drags(felt["drags"], motion)]
+
+
+def _drags(rows: list[dict[str, Any]], motion: str) -> list[RenderableType]:
+    """Returns what drags in free motion earn for the contacts after them."""
+    if not rows:
+        return []
+    table = FigureTable(
+        title=f"energy of a start, {si(rows[0]['energy'], 'J', 2)}, earned before a contact", pad_edge=False
+    )
+    headings = f"drag [{effort_unit(motion)}]", f"over a way of [{motion}]", f"contacts felt from [{motion}/s]"
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        way = "-" if row["way"] is None else f"{row['way']:.2g}"
+        start = "-" if row["start_speed"] is None else f"{row['start_speed']:.2g}"
+        table.add_row(f"{row['drag']:.2g}", way, start)
+    return [table]
 
 
 def _trade(result: dict[str, Any]) -> Table:

@@ -4,13 +4,17 @@ held    the largest wall within the tolerance at rest, for a push that rises slo
 drag    the largest torque in front of a wall, against a hand that comes at an ordinary speed
 start   the least speed of a hand on a spring that is held by the wall, instead of going through as if there were
         none; what a hand comes to rest against is at least half of what the ideal wall would press with
+drags   that again for drags that may be declared, after the way over which drag and certain friction of the device earn
+        the energy of a start
 """
 
+from dataclasses import replace
 from typing import Any, Final
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.scene.hints import LEAN
+from canhaptic.control.passivity.guarded_settings import GuardedParameters, hand_response, kept_for_contacts
+from canhaptic.scene.hints import DRAG, LEAN
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.study.algorithms import able_under
 from canhaptic.study.felt.held import Bench, Leaning, largest_held, settling_time
@@ -30,6 +34,10 @@ _SPEEDS: Final = (0.1, 10.0)
 _HALVINGS: Final = 5
 _HELD: Final = 0.5
 _LONGEST: Final = 5.0  # leaning [s]
+_FURTHER: Final = 1.25
+"""Way in front of a wall, over the one in which the energy of a start is earned."""
+_FURTHEST: Final = {"m": 0.5, "rad": 5.0}
+"""Longest way tried [m or rad]."""
 
 
 def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: float, stiffness: float) -> dict[str, Any]:
@@ -66,7 +74,29 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
         "speed": speed,
         "start_speed": _start_speed(bench, wall, comes),
         "slowest": _SPEEDS[0] * speed,
+        "drags": _drags(bench, axis, wall, comes),
     }
+
+
+def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHand) -> list[dict[str, float | None]]:
+    """Returns what drags earn: nothing where a contact of any speed is felt without, or hand or mass are not known."""
+    parameters, loop = bench.case.parameters, axis.loop
+    if not isinstance(parameters, GuardedParameters):
+        return []
+    asks = parameters.model_copy(update={"earned_energy": None, "drag": 0.0})
+    energy = kept_for_contacts(wall, asks, loop, hand_response(asks, loop))
+    if energy == 0.0:
+        return []
+    rows: list[dict[str, float | None]] = []
+    for drag in sorted({0.0, parameters.drag, DRAG}):
+        earning = drag + (loop.device_friction or 0.0)
+        way = energy / earning if earning > 0.0 else None
+        start = None
+        if way is not None and _FURTHER * way <= _FURTHEST[axis.parameters.unit]:
+            tried = replace(bench, case=replace(bench.case, parameters=asks.model_copy(update={"drag": drag})))
+            start = _start_speed(tried, wall, replace(comes, free=max(comes.free, _FURTHER * way)))
+        rows.append({"drag": drag, "energy": energy, "way": way, "start_speed": start})
+    return rows
 
 
 def _certified(axis: AxisScene, push: float) -> float | None:
@@ -84,7 +114,7 @@ def _start_speed(bench: Bench, wall: SpringDamperWall, comes: SlowHand) -> float
     """Returns the least speed tried [m/s or rad/s] that is held, as every faster one tried; None where none is."""
 
     def is_held(speed: float) -> bool:
-        hand = SlowHand(speed, comes.stiffness, comes.damping, comes.free, comes.into, comes.settling, comes.rest)
+        hand = replace(comes, speed=speed)
         ideal = comes.into * comes.stiffness / (comes.stiffness + wall.stiffness)
         lacking = comes.into - enter(bench, wall, hand).depth
         return lacking >= _HELD * (comes.into - ideal)

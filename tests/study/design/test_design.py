@@ -189,3 +189,12 @@ def test_a_contact_is_felt_above_the_speed_that_the_hand_can_take_away(felt):
     slowest = 2.0 * 5.0 * 0.01 / 0.2
     assert slowest < felt["start_speed"] < 1.5 * slowest
     assert felt["drag"] == 0.0
+
+
+def test_a_drag_earns_the_energy_of_a_start_over_the_way_that_is_said(felt):
+    without, drag = felt["drags"]
+    assert (without["drag"], without["way"], without["start_speed"]) == (0.0, None, None)
+    each, wall = 3.0 * 0.01**2 / 0.2, 100.0  # h of start_energy
+    assert drag["energy"] == pytest.approx((each * 5.0) ** 2 / 4.0 / (0.5 / wall - each), rel=0.1)
+    assert drag["way"] == pytest.approx(drag["energy"] / 0.1)
+    assert drag["start_speed"] < felt["start_speed"]
