@@ -140,11 +140,12 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
     status, text = "completed", ""
     with experiment:
         watch, asked, faults = HandWatch(experiment, scene.outward), _Asked(experiment), FaultWatch(experiment, scene)
-        losses = LossWatch(experiment)
+        losses, moved = LossWatch(experiment), _Moved(experiment)
 
         def each(cycles: int) -> None:
             watch(cycles)
             asked()
+            moved()
             faults(cycles)
             losses()
 
@@ -156,6 +157,7 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
         account = run_result(
             experiment.cycle, axes, status=status, config_hash="", sample_time=loaded.bus.sample_time, method=""
         )
+        moved.count(account["truth"])
         reaction, to_zero = "", 0
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
@@ -191,6 +193,31 @@ class _Asked:
             if not environment.relaxes and environment.contact(plant.position):
                 state = environment.true_state(plant.position, 0.0, 0.0)
                 self.asked = max(self.asked, abs(environment.effort(state)))
+
+
+class _Moved:
+    """Least true sums of interaction of groups in which a mover of the environment's own works, with its energy.
+
+    The truth of a run is that of the motors; the promise counts what the mover gives (`moving_wall`).
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._cycle = experiment.cycle
+        first = len(experiment.scene.axes)
+        self._groups = list(enumerate(experiment.cycle.groups, first))
+        self._least: dict[str, float] = {}
+
+    def __call__(self) -> None:
+        for place, group in self._groups:
+            if self._cycle.judge is not None:
+                now = self._cycle.judge.interaction[place] + group.supplied
+                self._least[group.name] = min(now, self._least.get(group.name, 0.0))
+
+    def count(self, truth: dict[str, dict[str, float]]) -> None:
+        """Takes these sums into the truth of a run."""
+        for _, group in self._groups:
+            if group.supplied:
+                truth[group.name]["least_interaction"] = self._least[group.name]
 
 
 def _outcome(
