@@ -41,7 +41,7 @@ class VelocityLoopParameters(Parameters):
     integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
     """Integral gain k; of a position loop with velocity feed-forward: its gain times `gain`."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e9)] | None = None
-    """Largest torque of the loop, and of its integral. None: neither is limited."""
+    """Largest torque of the loop, and of its integral; 0x6072 can lower it. None: neither is limited, by nothing."""
 
 
 class GripParameters(Parameters):
@@ -231,7 +231,8 @@ class AdmittancePlant(Plant):
         seed: int = 0,
         accuracy: AccuracyParameters | None = None,
     ) -> None:
-        self.display = display
+        self.display, self._shift, self._torque_offset = display, 0.0, 0.0
+        self._made_of = (parameters, user, tuple(effects), sample_time_ns, seed, accuracy)
         self.reading = ForceReading(display.sensor, seed)
         self._half_mass = 0.5 * parameters.mass
         driven = _DrivenMass(**parameters.model_dump(), loop=display.loop)
@@ -263,10 +264,43 @@ class AdmittancePlant(Plant):
         self._is_on = on
         self._machine.set_part_mode(_LOOP, "follows" if on else "off")
         if self._integral >= 0:
-            self._machine.state[self._integral] = 0.0
+            self._machine.state[self._integral] = self._torque_offset
         self._free_torque = self._passing if on and self._is_flat else -1.0
         self._hold = self._moves if on or not self._is_flat else self._free_hold
         self._pause, self._wait = self._tick, 1
+
+    def limit_torque(self, limit: float) -> None:
+        """Lowers the limit of the torque before the plant begins, as 0x6072 does; nothing where there is none.
+
+        Args:
+            limit: Largest torque [N or N*m].
+        """
+        most = self.display.loop.torque_limit
+        if most is None or limit >= most or limit <= 0.0:
+            return
+        loop = self.display.loop.model_copy(update={"torque_limit": limit})
+        parameters, user, effects, sample_time_ns, seed, accuracy = self._made_of
+        display = self.display.model_copy(update={"loop": loop})
+        AdmittancePlant.__init__(self, parameters, display, user, effects, sample_time_ns, seed, accuracy)
+
+    def feed_forward(self, torque: float) -> None:
+        """Adds a torque to that of the loop from now on, in place of the one before, as 0x60B2 does.
+
+        With an integral it adds to that; without one it is as much more velocity commanded.
+
+        Args:
+            torque: [N or N*m].
+        """
+        change, self._torque_offset = torque - self._torque_offset, torque
+        if self._integral >= 0:
+            self._machine.state[self._integral] += change
+            self._pause, self._wait = self._tick, 1
+        else:
+            self._shift = torque / self.display.loop.gain
+
+    def advance_to(self, now: int, torque: float) -> None:
+        """Moves to `now` [ns]; `torque` is the velocity commanded since the last call [m/s or rad/s]."""
+        super().advance_to(now, torque + self._shift if self._shift else torque)
 
     def _free_hold(self, ticks: int, command: float) -> None:
         self._machine.state[-2] = command

@@ -16,6 +16,8 @@ from canhaptic.canopen.objects import (
     PROFILE_DECELERATION,
     TARGET_POSITION,
     TARGET_VELOCITY,
+    TORQUE_OFFSET,
+    VELOCITY_OFFSET,
     DataType,
     StatusBit,
 )
@@ -41,6 +43,12 @@ class DisplayMotor(Motor, Protocol):
 
     def read_force(self) -> float:
         """Returns what the force sensor shows now."""
+
+    def limit_torque(self, limit: float) -> None:
+        """Lowers the limit of the torque before the motor begins."""
+
+    def feed_forward(self, torque: float) -> None:
+        """Adds a torque to that of the loop."""
 
 
 class DisplayServo(Servo):
@@ -69,6 +77,9 @@ class DisplayServo(Servo):
             for indices in ((PROFILE_ACCELERATION, MAX_ACCELERATION), (PROFILE_DECELERATION, MAX_DECELERATION))
         )
         self._hidden_ramp = display.ramp or inf
+        self._velocity_offset = store.find(VELOCITY_OFFSET)
+        self._torque_offset = store.find(TORQUE_OFFSET)
+        self._offset = 0  # of the torque that acts [per mille of the rated torque]
         self._ramped = 0.0  # velocity demanded, at the begin of this hold [m/s or rad/s]
         self._braking_since = -1
         self._setpoint: int | None = None
@@ -79,6 +90,9 @@ class DisplayServo(Servo):
         for commanded in (self._target_velocity, self._target_position):
             commanded.changed = self.obey
             commanded.value = 0 if commanded.value is None else commanded.value
+        for offset in (self._velocity_offset, self._torque_offset):
+            if offset is not None:
+                offset.changed = self.obey
 
     def reset(self) -> None:
         """Returns to the state after power-on: no power; the motor moves on."""
@@ -92,8 +106,11 @@ class DisplayServo(Servo):
         word = STATUSWORDS[state]
         if state is DriveState.OPERATION_ENABLED:
             mode = self._mode_display.value
+            self._feed_forward()
             if mode == CYCLIC_SYNC_VELOCITY:
-                command, word = self._along_ramp(self._target_velocity.number), word | _FOLLOWS
+                target = self._target_velocity.number
+                target += 0 if self._velocity_offset is None else self._velocity_offset.number
+                command, word = self._along_ramp(target), word | _FOLLOWS
             elif mode == CYCLIC_SYNC_POSITION:
                 command, word = self._interpolated(), word | _FOLLOWS
         else:
@@ -111,6 +128,16 @@ class DisplayServo(Servo):
         if word != self._statusword.value or (before is not None and before is not state):
             self._statusword.value = word
             self.has_event = True
+
+    def _feed_forward(self) -> None:
+        """Lets 0x60B2 act; the limit of the torque, 0x6072, is taken over before the motor begins."""
+        if not self.is_running:
+            self.motor.limit_torque(self._stage.largest)
+        offset = 0 if self._torque_offset is None else self._torque_offset.number
+        if offset != self._offset:
+            self._move()
+            self._offset = offset
+            self.motor.feed_forward(self._torque_sign * offset * self._stage.quantum)
 
     def shown_force(self) -> float:
         """Returns what the sensor shows at this SYNC, for a node of its own; 0 before the motor runs."""

@@ -59,6 +59,11 @@ class TorqueStage:
         self._low = int(max(self._target.low, -limit))
         self._high = int(min(self._target.high, limit))
 
+    @property
+    def largest(self) -> float:
+        """Largest torque by 0x6072 and the drive itself [N or N*m]; inf where the type of 0x6071 is its only limit."""
+        return self._high * self.quantum if self._high < self._target.high else float("inf")
+
     def limit(self, target: int) -> int:
         """Returns the torque demand [per mille of rated torque] for a target."""
         if target > self._high:
