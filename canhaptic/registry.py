@@ -29,6 +29,29 @@ def load(table: Mapping[str, str], name: str, kind: str) -> Any:
     return getattr(importlib.import_module(module), attribute)
 
 
+def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: object | None) -> tuple[Any, Any]:
+    """Returns an algorithm and the parameters to build it with.
+
+    Args:
+        table: As for `load`; every class has a `parameters_type`.
+        name: The name asked for.
+        kind: What the table lists.
+        parameters: Of that type; None for its defaults.
+
+    Raises:
+        ParameterError: The name is not in the table, or the parameters are those of another algorithm.
+    """
+    algorithm = load(table, name, kind)
+    if parameters is None:
+        return algorithm, algorithm.parameters_type()
+    if not isinstance(parameters, algorithm.parameters_type):
+        raise ParameterError(
+            f"{kind} {name!r}: got parameters {type(parameters).__name__}, "
+            f"expected {algorithm.parameters_type.__name__}"
+        )
+    return algorithm, parameters
+
+
 def nearest(name: str, names: Iterable[str]) -> str:
     """Returns `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is near."""
     near = difflib.get_close_matches(name, list(names), n=1)

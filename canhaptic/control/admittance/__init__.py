@@ -10,7 +10,7 @@ from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_controller import GroupController
 from canhaptic.control.passivity.controller import Controller
-from canhaptic.registry import load
+from canhaptic.registry import load, load_algorithm
 from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.admittance"
@@ -59,10 +59,10 @@ def build_display_controller(
         properties: What is declared of loop, sensor and limits.
 
     Raises:
-        ParameterError: Unknown name, or a value that the algorithm cannot do without.
+        ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.
     """
-    algorithm = load(DISPLAY_ALGORITHMS, algorithm_name, "admittance algorithm")
-    controller: Controller = algorithm(environment, parameters or algorithm.parameters_type(), properties)
+    algorithm, chosen = load_algorithm(DISPLAY_ALGORITHMS, algorithm_name, "admittance algorithm", parameters)
+    controller: Controller = algorithm(environment, chosen, properties)
     return controller
 
 

@@ -6,8 +6,7 @@ from typing import Final
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.errors import ParameterError
-from canhaptic.registry import load
+from canhaptic.registry import load_algorithm
 from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.multi_axis"
@@ -55,13 +54,6 @@ def build_group_controller(
         ParameterError: Unknown name, parameters of another algorithm, dimensions that do not fit together, loops that
             differ in sample time or delay, or a value that the algorithm cannot do without.
     """
-    algorithm = load(GROUP_ALGORITHMS, algorithm_name, "group algorithm")
-    if parameters is None:
-        parameters = algorithm.parameters_type()
-    if not isinstance(parameters, algorithm.parameters_type):
-        raise ParameterError(
-            f"group algorithm {algorithm_name!r}: got parameters {type(parameters).__name__}, "
-            f"expected {algorithm.parameters_type.__name__}"
-        )
-    controller: GroupController = algorithm(environment, kinematics, parameters, tuple(loops))
+    algorithm, chosen = load_algorithm(GROUP_ALGORITHMS, algorithm_name, "group algorithm", parameters)
+    controller: GroupController = algorithm(environment, kinematics, chosen, tuple(loops))
     return controller

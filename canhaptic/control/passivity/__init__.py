@@ -5,8 +5,7 @@ from typing import Final
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.plain import plain
 from canhaptic.control.passivity.controller import Controller, LoopProperties
-from canhaptic.errors import ParameterError
-from canhaptic.registry import load
+from canhaptic.registry import load_algorithm
 from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.passivity"
@@ -48,13 +47,6 @@ def build_controller(
     Raises:
         ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.
     """
-    algorithm = load(ALGORITHMS, algorithm_name, "passivity algorithm")
-    if parameters is None:
-        parameters = algorithm.parameters_type()
-    if not isinstance(parameters, algorithm.parameters_type):
-        raise ParameterError(
-            f"passivity algorithm {algorithm_name!r}: got parameters {type(parameters).__name__}, "
-            f"expected {algorithm.parameters_type.__name__}"
-        )
-    controller: Controller = algorithm(plain(environment), parameters, loop)
+    algorithm, chosen = load_algorithm(ALGORITHMS, algorithm_name, "passivity algorithm", parameters)
+    controller: Controller = algorithm(plain(environment), chosen, loop)
     return controller
