@@ -15,8 +15,9 @@ import numpy as np
 from canhaptic.errors import InputError
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_axis_controller, build_plant, effect_of
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import DirectRig
-from canhaptic.sim.plant.plant import AccuracyParameters, Plant
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model
 from canhaptic.sim.textbook.reference_motion import Motion, MotionError, difference

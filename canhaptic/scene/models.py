@@ -44,10 +44,11 @@ from canhaptic.scene.further_bus import BusName, FurtherBus, NamedBus
 from canhaptic.scene.old_names import in_old_names
 from canhaptic.scene.own_code import OwnCode
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
-from canhaptic.sim.plant.plant import AccuracyParameters, PlantParameters
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
 from canhaptic.units import Name, Parameters, UnitContext, quantity

@@ -17,7 +17,8 @@ from canhaptic.errors import CanHapticError
 from canhaptic.scene.accuracy_choice import declared_order, observed, simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.plant.plant import AccuracyParameters, Plant
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 
 _PRODUCTS: Final = 6_000

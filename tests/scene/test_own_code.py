@@ -18,7 +18,7 @@ from canhaptic.errors import InputError, SceneError
 from canhaptic.scene.accuracy_choice import textbook_model
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.study.accuracy.continuous_loop import continuous_loop
 from canhaptic.study.batch.engine import chosen_engine

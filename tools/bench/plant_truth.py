@@ -12,8 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.effects import read_effect
-from canhaptic.sim.plant.plant import AccuracyParameters, Plant, PlantParameters
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_model import Model

@@ -4,13 +4,14 @@ A fieldbus derives from `TorqueAxis`: it fills in what the drive sent, and sends
 """
 
 from abc import ABC, abstractmethod
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import emcy_text
 from canhaptic.canopen.dictionary import Dictionary
 from canhaptic.drive.profile.limiter import TorqueLimiter
 from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
+from canhaptic.drive.profile.object_access import ObjectAccess
 from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling
@@ -21,28 +22,6 @@ _tuple: Final = tuple.__new__  # makes a sample at half the cost of calling its 
 _NO_REASON: Final = StopReason.NONE  # bound once: to look a member up in its enum takes as long as all of `fault`
 _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
 _FOLLOWS: Final = int(od.StatusBit.FOLLOWS_COMMAND)
-
-
-class _ObjectAccess(Protocol):
-    """Reads and writes integer objects of one drive: SDO over CAN, or over the mailbox of EtherCAT (CoE).
-
-    Every method raises SdoError where the drive aborts or does not answer.
-    """
-
-    def read(self, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object."""
-
-    def probe(self, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object; asks once only."""
-
-    def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object; all attempts together take at most `limit` [ns]."""
-
-    def write(self, index: int, subindex: int, value: int) -> None:
-        """Writes an object."""
-
-    def describe(self, index: int, subindex: int = 0) -> str:
-        """Returns an object as `0x6072:00 Max torque`."""
 
 
 class ReceivedEmergency(NamedTuple):
@@ -114,7 +93,7 @@ class TorqueAxis(ABC):
         self,
         axis: TorqueAxisParameters,
         dictionary: Dictionary,
-        sdo: _ObjectAccess,
+        sdo: ObjectAccess,
         rules: CycleRules,
         read_back: ReadBack,
     ) -> None:

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Final
 
 import numpy as np
-from pydantic import model_validator
 
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows, collect
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.guard_horizon import HOLDS
@@ -23,7 +23,7 @@ from canhaptic.sim.plant.hybrid_automaton import matrix_of
 from canhaptic.sim.plant.machine_choice import machine_type
 from canhaptic.sim.plant.mode_matrices import Mode, initial_state
 from canhaptic.sim.plant.pointer_hand import PLACE
-from canhaptic.sim.plant.propagator import LEVELS, TICKS, Array
+from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.sim.plant.splitting import Splitting
 from canhaptic.sim.plant.timetable import Timetable
 from canhaptic.sim.plant.user import UserParameters
@@ -67,23 +67,6 @@ class PlantParameters(Parameters):
         if rows.scene.efforts:
             rows.set_rate("travel", velocity)
             rows.forces[MOTOR] += rows.row(effort=1.0)
-
-
-class AccuracyParameters(Parameters):
-    """What the plant spends on events and on effects that are not exact."""
-
-    event_bits: Annotated[int, quantity("bit", ge=1, le=LEVELS)] = LEVELS
-    """Events are bracketed to T / 2^event_bits."""
-    substeps: Annotated[int, quantity("count", ge=1, le=1024)] = 1
-    """Substeps in one sample time for effects that are not exact; a power of two."""
-    max_events: Annotated[int, quantity("count", ge=1, le=1_000_000)] = 1000
-    """Events in one sample time; a plant that has more is not moved on, and the run ends with its state."""
-
-    @model_validator(mode="after")
-    def _substeps_divide_the_ticks(self) -> "AccuracyParameters":
-        if self.substeps & (self.substeps - 1):
-            raise ValueError(f"substeps {self.substeps} is no power of two, expected 1, 2, 4, ... 1024")
-        return self
 
 
 class Plant:

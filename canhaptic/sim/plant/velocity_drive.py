@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar, Final
 
 from canhaptic.signals import PlantEnergy
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, Guard, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
 from canhaptic.sim.plant.force_sensor import ForceReading, SimulatedForceSensor
-from canhaptic.sim.plant.plant import AccuracyParameters, Plant, PlantParameters
+from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity

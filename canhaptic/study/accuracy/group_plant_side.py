@@ -15,7 +15,7 @@ import numpy as np
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import ladder, simulation_of
 from canhaptic.scene.models import Scene
-from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.textbook.event_location import located_states
 from canhaptic.sim.textbook.fixed_step import fixed_step_states, runge_kutta_4

@@ -14,7 +14,7 @@ from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group
 from canhaptic.scene.timing import with_timing
-from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.study.accuracy.loop_sensitivity import RATES, Variant, fineness, hertz
 from canhaptic.study.algorithms import group_under
 from canhaptic.study.batch.engine import ChosenEngine

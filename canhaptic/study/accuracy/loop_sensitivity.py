@@ -22,7 +22,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.timing import with_timing
-from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.study.algorithms import able_under
 from canhaptic.study.batch.engine import WORTH_COMPILING, ChosenEngine, Engine, chosen_engine
 from canhaptic.study.batch.rendering import render_by, work_of

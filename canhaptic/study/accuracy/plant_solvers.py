@@ -19,7 +19,7 @@ from canhaptic.scene.accuracy_choice import (
 )
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.textbook.event_location import reference
 from canhaptic.sim.textbook.reference_motion import Motion, MotionError, difference
 from canhaptic.study.accuracy.candidates import OURS, Candidate, candidates, ours

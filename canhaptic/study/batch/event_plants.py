@@ -14,11 +14,11 @@ from canhaptic.kernels.records import number_in, records_of
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.scene.parts import effect_of
 from canhaptic.sim.plant import splitting, stepper
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel, collect
 from canhaptic.sim.plant.effort_forces import Bristle, Effort
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.mode_arrays import Books, evaluate, flat_tables, largest_term, move, pace, stored
-from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.sim.plant.propagator import TICKS
 from canhaptic.sim.plant.stepper import COUNTS, MODE, NONE, ModeTables, StepperSettings
 from canhaptic.study.batch import closed_loop, event_plant

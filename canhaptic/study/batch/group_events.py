@@ -12,8 +12,8 @@ import numpy as np
 
 from canhaptic.kernels import Indices
 from canhaptic.kernels.records import records_of
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.sim.plant.stepper import MISSING, MODE, NONE
 from canhaptic.study.batch.closed_loop import MOVED
 from canhaptic.study.batch.event_plant import EventState, move_held

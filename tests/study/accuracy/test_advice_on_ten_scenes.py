@@ -21,8 +21,8 @@ from canhaptic.scene.accuracy_choice import (  # fmt: skip
 )
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_axis_controller, build_plant
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import DirectRig
-from canhaptic.sim.plant.plant import AccuracyParameters
 from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.accuracy_table import advice_lines

@@ -19,7 +19,7 @@ from canhaptic.scene.accuracy_choice import (
 )
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_plant
-from canhaptic.sim.plant.plant import AccuracyParameters
+from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.textbook.event_location import located
 from canhaptic.sim.textbook.reference_motion import difference
 from canhaptic.study.accuracy.advice import advice, line, meets

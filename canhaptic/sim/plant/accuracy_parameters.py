@@ -1,0 +1,25 @@
+"""What a simulated plant spends on events and on effects that are not exact."""
+
+from typing import Annotated
+
+from pydantic import model_validator
+
+from canhaptic.sim.plant.propagator import LEVELS
+from canhaptic.units import Parameters, quantity
+
+
+class AccuracyParameters(Parameters):
+    """What the plant spends on events and on effects that are not exact."""
+
+    event_bits: Annotated[int, quantity("bit", ge=1, le=LEVELS)] = LEVELS
+    """Events are bracketed to T / 2^event_bits."""
+    substeps: Annotated[int, quantity("count", ge=1, le=1024)] = 1
+    """Substeps in one sample time for effects that are not exact; a power of two."""
+    max_events: Annotated[int, quantity("count", ge=1, le=1_000_000)] = 1000
+    """Events in one sample time; a plant that has more is not moved on, and the run ends with its state."""
+
+    @model_validator(mode="after")
+    def _substeps_divide_the_ticks(self) -> "AccuracyParameters":
+        if self.substeps & (self.substeps - 1):
+            raise ValueError(f"substeps {self.substeps} is no power of two, expected 1, 2, 4, ... 1024")
+        return self
