@@ -1,5 +1,6 @@
 """Changes to files as a slip, a bad sector or an enemy makes them, drawn from a `random.Random`."""
 
+import copy
 import random
 from typing import Any, Final
 
@@ -63,7 +64,7 @@ def _change(chance: random.Random, document: Any) -> None:
         at = chance.randint(0, len(value))
         container[key] = value[:at] + chance.choice(["e9", "-", "0", " ", "m", "\x1b", "%", "/"]) + value[at:]
     else:
-        container[key] = chance.choice(HOSTILE)
+        container[key] = copy.deepcopy(chance.choice(HOSTILE))  # one of its own: it may be changed in turn
 
 
 def mutated_dictionary(chance: random.Random, text: str) -> bytes:
