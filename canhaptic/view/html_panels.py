@@ -47,7 +47,7 @@ class Panels:
         marks = ColumnDataSource(series.contacts)
         further = [(name, ColumnDataSource(other.columns)) for name, other in others.items()]
         source = ColumnDataSource(series.columns)
-        faults = ColumnDataSource(fault_columns(series.faults, series.sample_time))
+        faults = ColumnDataSource(fault_columns(series.faults))
         made = PortPanels(facts, self._time, source, marks, faults, further, stairs=series.is_whole).panels
         panels = [panel for name, panel in made.items() if not is_empty(name, series.columns)]
         self.empty += [f"{facts.name}: {name}" for name in made if is_empty(name, series.columns)]
@@ -58,8 +58,8 @@ class Panels:
             label = f"{facts.name}: worst margin"
             self._buttons.append(self._button(label, series.worst - _WORST_SPAN, series.worst + _WORST_SPAN))
         for number, fault in enumerate(series.faults[:3]):
-            at = fault.sync_index * series.sample_time
-            self._buttons.append(self._button(f"fault {number + 1} at {at:.4g} s", at - _WORST_SPAN, at + _WORST_SPAN))
+            first, last = fault.time - _WORST_SPAN, fault.time + _WORST_SPAN
+            self._buttons.append(self._button(f"fault {number + 1} at {fault.time:.4g} s", first, last))
         readout = add_cursors(panels, source, facts.units, self._all)
         if plane is not None:
             panels.insert(0, _drawn_plane(plane))

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from canhaptic.audit.extent import contacts
 from canhaptic.audit.port_record import PortRecord
 from canhaptic.errors import LogFormatError
-from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.signals import CycleTiming
-from canhaptic.view.series import COLUMNS, PortFacts, losses, port_facts
+from canhaptic.view.series import COLUMNS, MarkedEvent, PortFacts, losses, port_facts
 
 _Array = NDArray[Any]
 
@@ -37,7 +36,7 @@ class News(NamedTuple):
     contacts: dict[str, list[tuple[float, float]]]  # first and last time in each contact, of the new rows [s]
     facts: dict[str, PortFacts]
     accounts: dict[str, dict[str, Any]]  # what verdicts rest on, since the beginning
-    events: list[Event]  # all so far
+    events: list[MarkedEvent]  # all so far
     fresh_share: float  # TPDOs that came, of all expected, since the beginning
     group_of: dict[str, str]  # of each axis in a group, whose account is the group's
     sample_time: float  # [s]
@@ -103,7 +102,7 @@ class LiveLog:
             {name: [(float(time[a]), float(time[b])) for a, b in spans] for name, spans in touched.items()},
             {name: port_facts(log, name) for name in log.ports},
             {name: record.account() for name, record in self._records.items()},
-            log.events,
+            [MarkedEvent(log.time_of(event.sync_index), event) for event in log.events],
             1.0 - self._missed / self._expected if self._expected else 1.0,
             log.group_of,
             log.sample_time,

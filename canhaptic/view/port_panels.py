@@ -11,10 +11,9 @@ from typing import Any, Final
 import numpy as np
 from bokeh.models import BoxAnnotation, HoverTool
 
-from canhaptic.logs.columns import Event
 from canhaptic.view.bokeh_style import add_hover, finished, new_panel
 from canhaptic.view.palette import BLUE, GREEN, GREY, ORANGE, OVERLAID, VERMILION
-from canhaptic.view.series import PortFacts
+from canhaptic.view.series import MarkedEvent, PortFacts
 
 OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
     "energy": ("taken_in", "dissipated"),
@@ -29,11 +28,11 @@ def is_empty(name: str, columns: Mapping[str, Any]) -> bool:
     return name in OPTIONAL and not any(np.any(columns[column]) for column in OPTIONAL[name])
 
 
-def fault_columns(faults: Sequence[Event], sample_time: float) -> dict[str, list[Any]]:
+def fault_columns(faults: Sequence[MarkedEvent]) -> dict[str, list[Any]]:
     """Returns the columns `at` and `text` of faults."""
     return {
-        "at": [fault.sync_index * sample_time for fault in faults],
-        "text": [f"{fault.kind}: {fault.text}" for fault in faults],
+        "at": [fault.time for fault in faults],
+        "text": [f"{fault.event.kind}: {fault.event.text}" for fault in faults],
     }
 
 

@@ -181,15 +181,13 @@ class PortPicture:
         """Shades the contacts and marks faults."""
         for start, end in self._contacts:
             axes.axvspan(self._time[start], self._time[end], color=GREY, alpha=0.05, linewidth=0, zorder=0)
-        for event in self._faults:
-            axes.axvline(event.sync_index * self._log.sample_time, color=VERMILION, linewidth=0.9, linestyle=":")
+        for fault in self._faults:
+            axes.axvline(fault.time, color=VERMILION, linewidth=0.9, linestyle=":")
 
     def faults(self) -> str:
         """Returns one line of words per marked fault, for below the time axis."""
-        period = self._log.sample_time
         return "".join(
-            f"\n{event.sync_index * period:.4g} s: {event.kind} {event.text[:60]}"
-            for event in self._faults[:_MAX_FAULTS_NAMED]
+            f"\n{time:.4g} s: {event.kind} {event.text[:60]}" for time, event in self._faults[:_MAX_FAULTS_NAMED]
         )
 
 

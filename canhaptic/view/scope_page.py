@@ -107,8 +107,8 @@ class _LivePort:
         """Takes the new rows that `keep` says, their contacts, and all faults."""
         time, rows = news.time[keep], news.ports[self._name]
         columns = {key: rows[key][keep] for key in _LINES}
-        faults = [e for e in news.events if e.kind in FAULTS and e.port in {"", self._name}]
-        self._faults.data = fault_columns(faults, self._sample_time)
+        faults = [e for e in news.events if e.event.kind in FAULTS and e.event.port in {"", self._name}]
+        self._faults.data = fault_columns(faults)
         _stream(self._source, time, columns)
         for title, panel in self.panels.items():
             panel.visible = panel.visible or not is_empty(title, columns)
@@ -144,7 +144,7 @@ def _status(news: News, last: News) -> str:
             state = state_text(int(rows["statusword"][-1]))
             margin, surplus = si(float(rows["margin"][-1]), "J"), si(float(rows["surplus"][-1]), "J")
             facts.append(f"{html.escape(name)}: {state.lower()}, margin {margin}, surplus {surplus}")
-    events = [f"SYNC {e.sync_index} {e.kind} {e.port}: {e.text}" for e in news.events[-_EVENTS_SHOWN:]]
+    events = [f"SYNC {e.sync_index} {e.kind} {e.port}: {e.text}" for _, e in news.events[-_EVENTS_SHOWN:]]
     accounts = {name: account for name, account in news.accounts.items() if name not in news.group_of}
     bar, line = verdict_bar(with_groups(accounts, {})), " &nbsp; ".join(fact for fact in facts if fact)
     return "<br>".join([bar, line, *map(html.escape, events)])

@@ -32,6 +32,13 @@ COLUMNS: Final = {
 _ENERGIES: Final = ("taken_in", "dissipated", "margin", "upper", "surplus", "deficit")
 
 
+class MarkedEvent(NamedTuple):
+    """An event that is marked."""
+
+    time: float  # [s]
+    event: Event
+
+
 class PortFacts(NamedTuple):
     """What a panel must know of a port before the first row is drawn."""
 
@@ -84,7 +91,7 @@ class PortSeries:
         sample_time: [s]
         worst: Time of the least margin [s].
         contacts: First and last time of each contact [s], greatest torque in it, and energy taken in.
-        faults: Events to mark.
+        faults: Events to mark, each with its time [s].
     """
 
     def __init__(self, log: EnergyLog, name: str, rows: slice) -> None:
@@ -99,7 +106,8 @@ class PortSeries:
         self.worst = float(time[worst])
         self.faults = faults_of(log, name, index)
         self.contacts = self._contacts(time, full)
-        shown = self._shown(full, [worst, *(int(np.searchsorted(index, fault.sync_index)) for fault in self.faults)])
+        places = [int(np.searchsorted(index, fault.event.sync_index)) for fault in self.faults]
+        shown = self._shown(full, [worst, *places])
         self.is_whole = len(shown) == len(time)
         self.columns: dict[str, _Array] = {"time": time[shown]} | {key: values[shown] for key, values in full.items()}
         self.columns["upper"] = np.maximum(self.columns["taken_in"], self.columns["dissipated"])
@@ -141,7 +149,7 @@ class PortSeries:
         return np.unique(np.concatenate(picks))
 
 
-def faults_of(log: EnergyLog, port: str, index: _Array) -> list[Event]:
+def faults_of(log: EnergyLog, port: str, index: _Array) -> list[MarkedEvent]:
     """Returns the events to mark that concern a port and lie within the SYNCs of `index`.
 
     The fault that ended a run came with a SYNC that has no row any more; it is moved to the last one that has.
@@ -150,11 +158,12 @@ def faults_of(log: EnergyLog, port: str, index: _Array) -> list[Event]:
         return []
     first, last = int(index[0]), int(index[-1])
     is_end = last == int(log.timing.read("sync_index", log.rows - 1)[0])
-    return [
+    moved = (
         event._replace(sync_index=min(event.sync_index, last))
         for event in log.events
         if event.kind in FAULTS
         and event.port in {"", port}
         and first <= event.sync_index
         and (event.sync_index <= last or is_end)
-    ]
+    )
+    return [MarkedEvent(log.time_of(event.sync_index), event) for event in moved]

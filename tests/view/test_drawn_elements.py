@@ -17,6 +17,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.signals import CycleTiming, Sample
 from canhaptic.view import html_report
 from canhaptic.view.live_log import LiveLog
+from canhaptic.view.port_picture import PortPicture
 from tests.view.synthetic_run import PORTS, write_run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -180,6 +181,23 @@ def test_skipped_syncs_are_counted_and_drawn(tmp_path: Path, monkeypatch: pytest
         data = next(r for r in panel_of(content, "lost").renderers if r.name == "SYNCs skipped").data_source.data
         assert max(data["SYNCs skipped"]) == 7
         assert data["time"][int(np.argmax(data["SYNCs skipped"]))] == pytest.approx(0.107)
+
+
+def test_a_fault_behind_skipped_syncs_is_marked_where_its_row_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = EnergyLogWriter(tmp_path / "run.h5", PORTS, {}, sample_time_ns=1_000_000, pace="free")
+    for k in range(200):
+        samples = [Sample(k, 0.001, 1.0, 0x1237, True)]
+        writer.append(k, samples, [AT_REST], CycleTiming(1, 2, 3, 4), deadline=k + (70 if k >= 100 else 0))
+    writer.event(150, "fault", "handle", "too hot")
+    writer.close()
+    page, scope = page_of(tmp_path / "run.h5", monkeypatch), scope_of(tmp_path / "run.h5")
+    for content in (page, scope):
+        marks = [r.data_source.data for r in panel_of(content, "force").renderers if "at" in r.data_source.data]
+        assert [list(data["at"]) for data in marks] == [[pytest.approx(0.220)]]
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        assert PortPicture(log, "handle", slice(0, log.rows)).faults() == "\n0.22 s: fault too hot"
 
 
 @pytest.mark.parametrize(("write", "word"), [(write_debt, "NO"), (write_run, "yes")])

@@ -31,7 +31,7 @@ def test_what_is_drawn_keeps_spikes_and_every_row_around_worst_margin_and_faults
     assert np.all(np.diff(time) > 0)
     assert position.max() == np.float32(SPIKE)
     assert series.columns["margin"].min() == series.columns["margin"][np.searchsorted(time, series.worst)]
-    for place in (series.worst, series.faults[0].sync_index * 1e-3):
+    for place in (series.worst, series.faults[0].time):
         around = time[(time > place - 0.2) & (time < place + 0.2)]
         assert len(around) in (399, 400)
     touching = position < -0.02
@@ -54,7 +54,7 @@ def test_contacts_are_drawn_with_their_peak_and_energy_and_faults_with_their_por
     shown = ("time", "position", "command", "applied", "damping", "margin", "surplus")
     assert [handle.facts.units[name] for name in shown] == ["s", "m", "N", "N", "N*s/m", "J", "J"]
     assert [knob.facts.units[name] for name in shown] == ["s", "rad", "N*m", "N*m", "N*m*s/rad", "J", "J"]
-    assert [fault.sync_index for fault in handle.faults] == [1500]
+    assert [(fault.event.sync_index, fault.time) for fault in handle.faults] == [(1500, pytest.approx(1.5))]
     assert knob.faults == []
 
 

@@ -11,6 +11,7 @@ from canhaptic.logs.columns import Event
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view.live_log import LiveLog
+from canhaptic.view.series import MarkedEvent
 from tests.view.synthetic_run import write_run
 
 pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
@@ -96,7 +97,9 @@ def test_the_status_ends_with_the_last_four_events(tmp_path: Path) -> None:
     write_run(path, cycles=100)
     news = LiveLog(path).look()
     assert news is not None
-    news = news._replace(events=[Event(number, "late", "handle", f"text {number}") for number in range(6)])
+    news = news._replace(
+        events=[MarkedEvent(0.0, Event(number, "late", "handle", f"text {number}")) for number in range(6)]
+    )
     from canhaptic.view.scope_page import _status
 
     lines = _status(news, news).split("<br>")
