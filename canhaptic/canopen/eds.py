@@ -6,7 +6,7 @@ of the computer that saved a DCF. This reader returns the same types and differs
 
 - a text of UTF-8, UTF-16 (byte order mark) or Windows-1252; keywords and sections in any case and order;
 - an entry that is empty or unreadable counts as not given: no value, no limit, not mappable;
-- a mapping object (0x1600-0x17FF, 0x1A00-0x1BFF) declared ARRAY is read as RECORD, so that each entry is its own;
+- an ARRAY is read as RECORD: `canopen` makes up the subindices that an array does not list;
 - a DCF saved for another node ID: its values of objects relative to $NODEID are dropped, the defaults remain;
 - a number without prefix that has letters is hexadecimal (`FF`, `1F4`), as is one with an `h` behind (`80h`);
 - limits that contradict each other, or a value of the same object, are dropped, since a dictionary that allows nothing
@@ -23,9 +23,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
+from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
 
-from canhaptic.canopen.objects import CONSUMER_HEARTBEAT_TIME, PDO_COUNT, RPDO_MAPPING, TPDO_MAPPING
+from canhaptic.canopen.objects import CONSUMER_HEARTBEAT_TIME
 from canhaptic.errors import DictionaryError
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
@@ -35,7 +35,6 @@ _BARE_HEXADECIMAL: Final = re.compile(
 )
 _OBJECT_TYPES: Final = frozenset({_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD})
 _LARGEST_STANDARD_TYPE: Final = datatypes.UNSIGNED64
-_MAPPING_OBJECTS: Final = tuple(range(first, first + PDO_COUNT) for first in (RPDO_MAPPING, TPDO_MAPPING))
 _ACCESS_TYPES: Final = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
 _BIT_RATES_KBIT: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 
@@ -189,7 +188,7 @@ def _read_dummies(source: _Source, dictionary: ObjectDictionary) -> None:
 # --- the objects --------------------------------------------------------------------------------------------------
 
 
-def _read_object(source: _Source, section: str, index: int) -> ODVariable | ODArray | ODRecord:
+def _read_object(source: _Source, section: str, index: int) -> ODVariable | ODRecord:
     entries = source.sections[section]
     name = entries.get("parametername") or f"object {index:04X}"
     object_type = _integer(entries.get("objecttype", ""))
@@ -198,16 +197,13 @@ def _read_object(source: _Source, section: str, index: int) -> ODVariable | ODAr
         object_type = _RECORD if has_members else _VAR
     if object_type in (_VAR, _DOMAIN_OBJECT):
         return _read_variable(source, section, index, 0, name)
-    if object_type == _RECORD or any(index in mapping for mapping in _MAPPING_OBJECTS):
-        holder: ODArray | ODRecord = ODRecord(name, index)
-    else:
-        holder = ODArray(name, index)
+    holder = ODRecord(name, index)
     if count := _integer(entries.get("compactsubobj", "")):
         _read_compact(source, section, holder, min(count, 254))
     return holder
 
 
-def _read_compact(source: _Source, section: str, holder: ODArray | ODRecord, count: int) -> None:
+def _read_compact(source: _Source, section: str, holder: ODRecord, count: int) -> None:
     """Adds the subindices 1..count that `CompactSubObj` describes in one entry (CiA 306, 4.6.4)."""
     _add_count(holder, "ro", count)
     names = source.sections.get(f"{section}name", {})
@@ -245,7 +241,7 @@ def _add_counts(dictionary: ObjectDictionary) -> None:
             _add_count(holder, "rw" if first.writable else "ro")
 
 
-def _add_count(holder: ODArray | ODRecord, access: str, count: int | None = None) -> None:
+def _add_count(holder: ODRecord, access: str, count: int | None = None) -> None:
     number = ODVariable("NrOfObjects", holder.index, 0)
     number.data_type, number.access_type, number.default = datatypes.UNSIGNED8, access, count
     holder.add_member(number)

@@ -45,6 +45,7 @@ GENERATED = {
     "0x1006 = 1 us, read-only": with_entry(with_entry(OURS, "1006", "DefaultValue", "1"), "1006", "AccessType", "ro"),
     "SYNC with another COB-ID": with_entry(OURS, "1005", "DefaultValue", "0x81"),
     "RPDO deadline of 1 ms": with_entry(OURS, "1400sub5", "DefaultValue", "1"),
+    "0x1400 an array, no deadline": with_entry(without_object(OURS, "1400sub5"), "1400", "ObjectType", "0x8"),
     "0x1016:01 read-only": with_entry(OURS, "1016sub1", "AccessType", "ro"),
 }
 

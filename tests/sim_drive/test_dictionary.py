@@ -5,7 +5,7 @@ from pathlib import Path
 
 import canopen
 import pytest
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
+from canopen.objectdictionary import ODRecord, ODVariable, datatypes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -113,14 +113,15 @@ def test_comments_behind_a_value_are_not_part_of_it(tmp_path: Path) -> None:
     assert variable(tmp_path, "; DefaultValue=3\nDefaultValue=4 ; four\nstray line").default == 4
 
 
-def test_mapping_arrays_become_records_whose_entries_keep_their_access(tmp_path: Path) -> None:
+def test_arrays_have_the_entries_that_they_list_and_each_keeps_its_access(tmp_path: Path) -> None:
     text = (
         "[1600]\nObjectType=8\nSubNumber=2\n[1600sub0]\nDataType=5\nAccessType=ro\nDefaultValue=1\n"
         "[1600sub1]\nDataType=7\nAccessType=ro\nDefaultValue=0x60400010\n[1016]\nObjectType=8\n[1016sub1]\nDataType=7\n"
     )
     dictionary = read(tmp_path, text)
     assert isinstance(dictionary[0x1600], ODRecord)
-    assert isinstance(dictionary[0x1016], ODArray)
+    assert dictionary.get_variable(0x1016, 1) is not None
+    assert dictionary.get_variable(0x1016, 2) is None  # canopen makes one up for an ODArray
     assert dictionary[0x1600][1].default == 0x60400010
     assert not dictionary[0x1600][1].writable
 
