@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.errors import InputError
+from canhaptic.study.batch.closed_loop import Losses
 from canhaptic.study.batch.event_plants import PlantValues
 from canhaptic.study.batch.signal_effects import SignalEffects
 from canhaptic.study.loop import Array
@@ -39,6 +40,7 @@ class BatchCase:
     numbers: Mapping[str, Array | float | None]  # each of shape (n_scenes,) or one number
     signals: SignalEffects = field(default_factory=SignalEffects)
     plants: Sequence[PlantValues] = ()  # with events
+    losses: Losses = field(default_factory=Losses)  # of frames
 
 
 def floats_of(section: str, model: Parameters) -> dict[str, float]:

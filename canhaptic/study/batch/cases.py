@@ -1,6 +1,7 @@
 """From a scene and the keys in which many scenes differ to loops that can run in arrays."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, cast
 
 import numpy as np
@@ -13,6 +14,7 @@ from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.batch.batch_case import BatchCase, floats_of
+from canhaptic.study.batch.closed_loop import Losses
 from canhaptic.study.batch.event_plants import PlantValues, distinct_plants
 from canhaptic.study.batch.plants import is_linear, plant_numbers, why_not_in_loop
 from canhaptic.study.batch.rows import kernel_of
@@ -108,7 +110,28 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
             numbers[key] = values
         elif section == "axes.0":
             numbers |= _of_axis(name, values)
-    return _case(case, simulation, numbers, varied)
+    return replace(_case(case, simulation, numbers, varied), losses=losses_of(scene))
+
+
+def losses_of(scene: Scene) -> Losses:
+    """Returns the frames that the bus of a scene loses; none where it picks them by COB-ID, time or bus."""
+    effects = scene.bus_effects
+    if effects is None or not effects.drop or effects.ids or effects.during or effects.buses:
+        return Losses()
+    share, burst = effects.drop, effects.drop_burst
+    after_heard = share if burst is None else share / (burst * (1.0 - share))
+    after_lost = share if burst is None else 1.0 - 1.0 / burst
+    to_drive, to_master = (effects.direction in ("both", name) for name in ("to_drive", "to_master"))
+    return Losses(True, after_heard, after_lost, to_drive, to_master)
+
+
+def not_in_loop(scene: Scene, *, is_batched: bool) -> str:
+    """Returns which effects of the bus are not in a loop without it, in words; "" for none."""
+    if scene.bus_effects is None:
+        return ""
+    passed = ("drop",) if is_batched and losses_of(scene).exists else ()
+    left_out = ", ".join(name for name in scene.bus_effects.named if name not in passed)
+    return f"not in this loop: simulation.bus {left_out}; canhaptic run has it" if left_out else ""
 
 
 def loop_in_arrays(

@@ -11,9 +11,9 @@ from typing import Any, Final, NamedTuple
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.kernels import Buffer
-from canhaptic.sim.plant.effects.encoder_noise import noise
+from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.sim.plant.propagator import TICKS
-from canhaptic.study.batch.meter import Meter, MeterSettings, compare, diverge, take
+from canhaptic.study.batch.meter import Meter, MeterSettings, compare, diverge, miss, take
 from canhaptic.study.batch.reference_kernel import (
     ReferenceMemory,
     ReferenceSettings,
@@ -52,6 +52,18 @@ class Signals:
 
 
 @dataclass(frozen=True, slots=True)
+class Losses:
+    """Frames that a bus loses, each on its own or in runs (two states, lost and heard, for each direction)."""
+
+    exists: bool = False
+    after_heard: float = 0.0  # share that is lost behind a frame that was heard
+    after_lost: float = 0.0  # behind one that was lost
+    to_drive: bool = False  # SYNCs and torques
+    to_master: bool = False  # positions
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class LoopSettings:
     """What lies between plant and controller."""
 
@@ -62,6 +74,7 @@ class LoopSettings:
     furthest: float = inf  # distance from the origin that counts as divergence [m or rad]
     meter: MeterSettings = field(default_factory=MeterSettings)
     signals: Signals = field(default_factory=Signals)
+    losses: Losses = field(default_factory=Losses)
 
 
 @dataclass(slots=True)
@@ -74,6 +87,12 @@ class Interruption:
     acting: float = 0.0  # what of `held` reaches the motor
     interaction: float = 0.0  # true energy that came in [J]
     temperature: float = 0.0  # of the winding [K]
+    command: float = 0.0  # last of the controller [N or N*m]
+    is_synced: bool = True  # whether the drive heard the last SYNC,
+    is_heard: bool = True  # the master its position,
+    is_sent: bool = True  # and the drive the command after it
+    lost_to_drive: bool = False  # last frame in that direction
+    lost_to_master: bool = False
 
 
 class LinearPlant(NamedTuple):
@@ -142,6 +161,25 @@ def acting(signals: Signals, place: Interruption, torque: float) -> float:
     return torque if signals.torque_step == 0.0 else round(torque / signals.torque_step) * signals.torque_step
 
 
+def pass_frames(losses: Losses, place: Interruption, cycle: int) -> None:
+    """Loses frames of a SYNC, or lets them pass."""
+    if losses.to_drive:
+        place.lost_to_drive = is_lost(losses, place.lost_to_drive, cycle * TICKS + 1)
+        place.is_synced = not place.lost_to_drive
+    place.is_heard = place.is_synced
+    if losses.to_master and place.is_synced:
+        place.lost_to_master = is_lost(losses, place.lost_to_master, cycle * TICKS + 2)
+        place.is_heard = not place.lost_to_master
+    if losses.to_drive:
+        place.lost_to_drive = is_lost(losses, place.lost_to_drive, cycle * TICKS + 3)
+        place.is_sent = not place.lost_to_drive
+
+
+def is_lost(losses: Losses, was_lost: bool, tick: int) -> bool:
+    """Returns whether a frame is lost."""
+    return uniform(losses.seed, tick) < (losses.after_lost if was_lost else losses.after_heard)
+
+
 def step(
     environment: Environment, settings: Any, state: Any, memory: Any, position: float, torque_applied: float
 ) -> Any:
@@ -182,40 +220,71 @@ def run_loop(
     Returns:
         MOVED, or what `move_plant` returned of a hold that is not over.
     """
-    held, waiting = place.held, place.waiting
     for cycle in range(place.cycle, cycles):
         before = plant.state[0]
         if cycle:
-            if place.cycle != cycle:
-                place.acting = acting(loop.signals, place, held) if loop.signals.on_torque else held
-            outcome = move_plant(plant, place.acting, cycle)
+            outcome = advance(loop, plant, place, cycle)
             if outcome != MOVED:
-                place.cycle, place.held, place.waiting = cycle, held, waiting
                 return outcome
         true_position = plant.state[0]
         if continuous.exists:
             mean = follow(continuous, reference, reference_memory, cycle)
-            compare(meter, true_position, held, reference_memory.state[0], mean)
+            compare(meter, true_position, place.held, reference_memory.state[0], mean)
         place.interaction = work_in(plant, place.interaction, place.acting, true_position - before)
-        position = read(loop.signals, cycle, true_position)
-        position = measured(loop, position) if isfinite(position) else position
-        if not isfinite(position - state.axis.position + held):
+        if loop.losses.exists and cycle:
+            pass_frames(loop.losses, place, cycle)
+        if not place.is_heard:
+            state.axis.missed += 1
+            miss(environment, loop.meter, meter, cycle, true_position, place.held, place.interaction)
+        elif not answer(environment, settings, loop, state, memory, meter, place, true_position, cycle):
             diverge(meter)
             break
-        balance = step(environment, settings, state, memory, position, held)
-        if not isfinite(balance.torque):
-            diverge(meter)
-            break
-        take(environment, loop.meter, meter, cycle, position, true_position, held, place.interaction, balance)
         if not -loop.furthest < true_position < loop.furthest:
             diverge(meter)
             break
-        command = commanded(loop, balance.torque)
-        if loop.delay:
-            held, waiting = waiting, command
-        else:
-            held = command
+        hand_over(loop, place)
     return MOVED
+
+
+def advance(loop: LoopSettings, plant: Any, place: Interruption, cycle: int) -> int:
+    """Moves the plant to a SYNC; returns what `move_plant` does."""
+    if place.cycle != cycle:
+        place.acting = acting(loop.signals, place, place.held) if loop.signals.on_torque else place.held
+    outcome = move_plant(plant, place.acting, cycle)
+    if outcome != MOVED:
+        place.cycle = cycle
+    return outcome
+
+
+def answer(
+    environment: Environment, settings: Any, loop: LoopSettings, state: Any, memory: Any, meter: Meter,
+    place: Interruption, true_position: float, cycle: int,
+) -> bool:  # fmt: skip
+    """Lets the controller answer a SYNC; returns False where it gets or gives a number that is not finite."""
+    held = place.held
+    position = read(loop.signals, cycle, true_position)
+    position = measured(loop, position) if isfinite(position) else position
+    if not isfinite(position - state.axis.position + held):
+        return False
+    balance = step(environment, settings, state, memory, position, held)
+    if not isfinite(balance.torque):
+        return False
+    take(environment, loop.meter, meter, cycle, position, true_position, held, place.interaction, balance)
+    place.command = balance.torque
+    return True
+
+
+def hand_over(loop: LoopSettings, place: Interruption) -> None:
+    """Brings the command to the drive for the next free hold."""
+    if loop.delay and place.is_synced:
+        place.held = place.waiting
+    if not place.is_sent:
+        return
+    command = commanded(loop, place.command)
+    if loop.delay:
+        place.waiting = command
+    else:
+        place.held = command
 
 
 def states_in(moved: Buffer) -> int:

@@ -12,7 +12,7 @@ from canhaptic.control.environments.plain import tuple_type
 from canhaptic.kernels import Buffer, Kernel
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, records_of
-from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise
+from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
 from canhaptic.study.batch.batch_case import NotBatchableError
 from canhaptic.study.batch.batch_reference import ContinuousModes
 from canhaptic.study.batch.closed_loop import MOVED, Interruption, begin_plant, plant_at, run_loop, states_in, step
@@ -92,7 +92,8 @@ def compiled_loops(kind: Any, kernel: Kernel, states: int, length: int, replaced
     """
     instead = {
         new_environment: kind, "WIDTH": len(kind._fields), step: kernel.step, states_in: known_states, "STATES": states,
-        length_of: known_length, "LENGTH": length, noise: compiled_noise, **dict(replaced),
+        length_of: known_length, "LENGTH": length, noise: compiled_noise, uniform: compiled_uniform,
+        **dict(replaced),
     }  # fmt: skip
     return compiled(run_loops, instead, keep=True, calls=CALLS)
 
@@ -162,6 +163,11 @@ def compiled_noise(deviation: Any, seed: Any, tick: Any) -> Any:
     base = _mixed(np.uint64(seed) * _GAMMA + np.uint64(tick))
     first, second = _mixed(base + _GAMMA), _mixed(base + _GAMMA + _GAMMA)
     return gaussian(deviation, (np.float64(first) + 1.0) / _WHOLE, np.float64(second) / _WHOLE)
+
+
+def compiled_uniform(seed: Any, tick: Any) -> Any:
+    """Takes the place of `encoder_noise.uniform`, in 64 bits."""
+    return np.float64(_mixed(_mixed(np.uint64(seed) * _GAMMA + np.uint64(tick)) + _GAMMA)) / _WHOLE
 
 
 def _mixed(value: Any) -> Any:

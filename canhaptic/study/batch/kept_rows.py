@@ -20,7 +20,7 @@ from canhaptic.study.batch.batch_reference import no_modes
 from canhaptic.study.batch.cases import loop_alone
 from canhaptic.study.batch.compiled_loops import CompiledLoops
 from canhaptic.study.batch.event_loops import loop_replacements, run_event_plants, uninterrupted
-from canhaptic.study.batch.meter import MeterSettings, compare, diverge, take
+from canhaptic.study.batch.meter import MeterSettings, compare, diverge, miss, take
 from canhaptic.study.batch.rows import kernel_of, linear_plants, scene_rows
 from canhaptic.study.loop import Array, DivergedError, LoopCase, LoopRun, Recorder
 
@@ -47,11 +47,18 @@ def compare_nothing(
     """Takes the place of `meter.compare`."""
 
 
+def miss_nothing(
+    environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, true_position: float, torque: float,
+    interaction: float,
+) -> None:  # fmt: skip
+    """Takes the place of `meter.miss`: no frame is lost here."""
+
+
 def diverge_silently(rows: Matrix) -> None:
     """Takes the place of `meter.diverge`: the rows end."""
 
 
-_KEEPING: Final = {take: keep, compare: compare_nothing, diverge: diverge_silently}
+_KEEPING: Final = {take: keep, miss: miss_nothing, compare: compare_nothing, diverge: diverge_silently}
 
 
 def render_compiled(

@@ -10,8 +10,9 @@ from typing import Final
 
 from canhaptic.control.balance import RANKS, Branch, EnergyBalance
 from canhaptic.control.environments.environment import Environment
+from canhaptic.kernels import new
 
-_FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT = (branch.value for branch in list(Branch)[:7])
+_FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT, _HELD = (branch.value for branch in list(Branch)[:8])
 
 
 BRIEF: Final = frozenset((
@@ -115,12 +116,25 @@ def take(
     meter.variation += abs(torque - meter.torque)
     meter.torque = torque
     branch = balance.branch
-    if branch != _FREE and branch != _EXIT:  # noqa: PLR1714 - `in` would search
+    if branch != _FREE and branch != _EXIT and branch != _HELD:  # noqa: PLR1714 - `in` would search
         take_contact(environment, meter, position, torque, balance.damping_rendered)
     meter.certificate = max(meter.certificate, float(RANKS[balance.certificate]))
     count_branch(meter, branch)
     if meter.cycles > settings.last_from:
         take_last_part(environment, meter, true_position, torque)
+
+
+def miss(
+    environment: Environment, settings: MeterSettings, meter: Meter, cycle: int, true_position: float, torque: float,
+    interaction: float,
+) -> None:  # fmt: skip
+    """Takes a SYNC whose position the controller did not get; see `take`."""
+    nothing, surplus = 0.0, meter.surplus
+    balance = new(EnergyBalance, (
+        nothing, nothing, nothing, nothing, nothing, nothing, surplus, nothing, nothing, nothing, nothing, _HELD,
+        nothing, 0, nothing,
+    ))  # fmt: skip
+    take(environment, settings, meter, cycle, 0.0, true_position, torque, interaction, balance)
 
 
 def take_energy(

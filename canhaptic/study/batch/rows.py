@@ -1,6 +1,7 @@
 """The numbers of a batch, scene by scene: environment, settings of the algorithm, loop, flow and start of the plant."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from math import inf
 from typing import Any, Final, NamedTuple
 
@@ -91,9 +92,11 @@ def _varied_loop(case: BatchCase, numbers: Numbers) -> Any:
     def at(row: int) -> LoopSettings:
         meter = MeterSettings(last_from(row), damping(row), friction(row), brief)
         signals = case.signals.at(period(row), int(seed(row)))
-        return LoopSettings(case.delay, counts(row), quantum(row), limit(row), case.furthest, meter, signals)
+        losses = replace(case.losses, seed=int(seed(row)))
+        return LoopSettings(case.delay, counts(row), quantum(row), limit(row), case.furthest, meter, signals, losses)
 
-    of_loop = (*_OF_LOOP, *(("loop.sample_time", "seed") if case.signals.effects else ()))
+    is_random = case.signals.effects or case.losses.exists
+    of_loop = (*_OF_LOOP, *(("loop.sample_time", "seed") if is_random else ()))
     if any(isinstance(numbers.get(name), np.ndarray) for name in of_loop):
         return at
     shared = at(0)

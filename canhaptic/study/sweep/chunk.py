@@ -24,6 +24,7 @@ from canhaptic.study.batch import (
     why_not_batchable,
     why_not_compared,
 )
+from canhaptic.study.batch.cases import not_in_loop
 from canhaptic.study.batch.group_case import group_case
 from canhaptic.study.batch.group_scalar import group_figures, group_meter
 from canhaptic.study.displays.display_figures import DISPLAY_METRICS, display_figures
@@ -162,7 +163,7 @@ class _Chunk:
         self._of_plant = built.remark if built.told else self._of_plant
         not_linear = self._closed_form(built, rows, batched) if RADIUS in self._recipe.metrics else ""
         if self._recipe.metrics == (RADIUS,):
-            self._note_all(rows, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, built.remark))
+            self._note_all(rows, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, _remark_of(built)))
             return
         reason = self._recipe.alone or self._in_arrays(built, rows, batched)
         if reason:
@@ -202,7 +203,7 @@ class _Chunk:
         for path, values in found.items():
             self._figures[path][rows] = values
         engine = ENGINES.index(recipe.engine)
-        self._note_all(rows, engine, built.remark)
+        self._note_all(rows, engine, _remark_of(built, is_batched=True))
         for row, text in stopped.items():
             self._note(int(rows[row]), _FAILED, engine, text)
         return ""
@@ -229,7 +230,7 @@ class _Chunk:
             if built.scene is None:
                 self._note(row, REFUSED, 0, built.remark)
                 continue
-            status, engine, remark = COMPLETED, _SCALAR, _joined(reason, built.remark)
+            status, engine, remark = COMPLETED, _SCALAR, _joined(reason, _remark_of(built))
             for name in self._recipe.axes:
                 scene = seeded(self._recipe, _alone(built, name), self._start + row)
                 try:
@@ -238,9 +239,9 @@ class _Chunk:
                     status, remark = _FAILED, str(error).splitlines()[0]
                     continue
                 if is_compiled:
-                    engine, remark = ENGINES.index("numba"), built.remark
+                    engine, remark = ENGINES.index("numba"), _remark_of(built)
                 elif why_not:
-                    remark = _joined(f"not compiled: {why_not}", built.remark)
+                    remark = _joined(f"not compiled: {why_not}", _remark_of(built))
                 for metric in asked:
                     self._figures[f"{name}/{metric}"][row] = figures[metric]
             self._note(row, status, engine, remark)
@@ -285,6 +286,11 @@ def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[
     case = group_case(scene)
     is_compiled = recipe.engine == "numba" and case.is_compilable
     return group_figures(group_meter(case, cycles, recipe.engine), asked), is_compiled, case.why_not
+
+
+def _remark_of(built: Built, *, is_batched: bool = False) -> str:
+    """Returns what was given to an algorithm, and what of the scene is not in its loop."""
+    return _joined(built.remark, not_in_loop(built.permitted(), is_batched=is_batched))
 
 
 def _joined(*remarks: str) -> str:

@@ -48,6 +48,11 @@ def noise(deviation: float, seed: int, tick: int) -> float:
     return gaussian(deviation, (_mix(base + _GAMMA) + 1) / (_MASK + 2), _mix(base + 2 * _GAMMA) / (_MASK + 1))
 
 
+def uniform(seed: int, tick: int) -> float:
+    """Returns a number in [0, 1), by seed and tick."""
+    return _mix(_mix(seed * _GAMMA + tick) + _GAMMA) / (_MASK + 1)
+
+
 def gaussian(deviation: float, first: float, second: float) -> float:
     """Returns a normal deviate out of two uniform ones: first in (0, 1], second in [0, 1)."""
     return deviation * math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
