@@ -200,7 +200,8 @@ def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, 
     for hold in range(1, holds + 1):
         most = max(may_act(declared, bound, memory, 1.0, hold), may_act(declared, bound, memory, -1.0, hold))
         if most > declared.friction:
-            squares += (declared.sample_time + declared.late) * (most - declared.friction) ** 2
+            beyond = most - declared.friction
+            squares += (declared.sample_time + declared.late) * (beyond * beyond)
     if squares == 0.0:
         return energy
     return energy - squares / (4.0 * declared.damping) if declared.damping > 0.0 else -inf
