@@ -169,7 +169,7 @@ def _overload(name: str) -> None:
     def method(self: _NumbaTuple, *args: object) -> Callable[..., object]:
         function = compiled(getattr(self.instance_class, name))
 
-        def call(self: object, *args: object) -> object:
+        def call(self: _NumbaTuple, *args: object) -> object:  # numba wants the annotations of both to be the same
             return function(self, *args)
 
         return call
