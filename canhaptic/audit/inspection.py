@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.audit.extent import contacts, rows_between
-from canhaptic.audit.not_finite import not_finite
+from canhaptic.audit.impossible_values import impossible_values
 from canhaptic.audit.port_record import PortRecord
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control.balance import Branch, Certificate, LedgerSummary, certificates_of
@@ -43,7 +43,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
         "rate": 1.0 / log.sample_time,
         "from": float(time[0]) if len(time) else 0.0,
         "to": float(time[-1]) if len(time) else 0.0,
-        "findings": not_finite(log),
+        "findings": impossible_values(log),
         "passive": overall(ports),
         **at_handles(ports),
         "ports": ports,

@@ -1,12 +1,12 @@
 """What an energy log holds of a port in addition to its ledger, read in pieces from a finished or a growing log."""
 
-import json
 from typing import Any
 
 import numpy as np
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
+from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.meters import Promise
@@ -38,8 +38,7 @@ class PortRecord:
         self._interaction, self._least, self._at_handle = np.longdouble(0.0), 0.0, 0.0
         self._device = self._asked = self._given = self._damping = 0.0
         self._is_open, self._in = False, 0.0
-        declared = log.attributes.get(f"{name}.{FRICTION_DECLARED}")
-        self._watch = None if declared is None else FrictionWatch(FrictionDeclared(**json.loads(str(declared))))
+        self._watch = _watch(log, f"{name}.{FRICTION_DECLARED}")
 
     def _at(self, log: EnergyLog, column: str, row: int) -> float:
         return float(log.ports[self._name].read(column, row, row + 1)[0]) if self._is_measured else 0.0
@@ -120,3 +119,17 @@ class PortRecord:
                 account["rendered"] = rendered_shares(self._asked, self._given, asked, self._damping)
             withdraw_certificates(account, longest_gap=self._gap)
         return account
+
+
+def _watch(log: EnergyLog, name: str) -> FrictionWatch | None:
+    """Returns what compares a run with the dry friction that an attribute declares; None where it declares none.
+
+    Raises:
+        LogFormatError: The attribute is damaged.
+    """
+    if name not in log.attributes:
+        return None
+    try:
+        return FrictionWatch(FrictionDeclared(**log.decoded(name, dict[str, Any]())))
+    except TypeError as error:
+        raise LogFormatError(f"{log.path}: attribute {name} cannot be used ({error}); the file is damaged") from error

@@ -1,6 +1,5 @@
 """Feeds the logged inputs to the same controller again: every logged output must come out bit for bit."""
 
-import json
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -102,12 +101,12 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
     from canhaptic.scene.load import load_scene
     from canhaptic.scene.own_code import require_same_code
 
-    overrides = json.loads(str(log.attributes.get("config_overrides", "[]")))
+    overrides = log.decoded("config_overrides", list[str]())
     path = config or Path(str(log.attributes.get("config_source", "")))
     if not path.is_file():
         raise InputError(f"{log.path}: its scene {str(path)!r} is not there; name it with --config")
     scene = load_scene(path, overrides, allow_code=allow_code)
-    resolved = json.loads(str(log.attributes.get("config_resolved", "{}")))
+    resolved = log.decoded("config_resolved", dict[str, Any]())
     require_same_code(scene.own_code, resolved.get("own_code", {}), str(log.path))
     if log.attributes.get("config_hash") not in (scene.config_hash(), scene.config_hash(old_names=True)):
         raise InputError(

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from canhaptic.logs.column_check import checked_rows
 from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, GROUP_AXES, Event
 from canhaptic.logs.hdf5 import Array, Hdf5File
 from canhaptic.logs.log_file import log_file
+
+_Json = TypeVar("_Json", list[str], dict[str, Any])
 
 DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError)
 """What h5py and NumPy raise for one kind of damage or another."""
@@ -124,10 +126,29 @@ class EnergyLog:
         """Closes the file; arrays already loaded stay valid."""
         self._file.close()
 
+    def decoded(self, name: str, default: _Json) -> _Json:
+        """Returns an attribute that was written as JSON, or the default where the log has none.
+
+        Raises:
+            LogFormatError: It is no JSON, or not of the type of the default.
+        """
+        if name not in self.attributes:
+            return default
+        try:
+            value = json.loads(str(self.attributes[name]))
+        except ValueError as error:
+            raise LogFormatError(
+                f"{self.path}: attribute {name} cannot be read ({error}); the file is damaged"
+            ) from error
+        if not isinstance(value, type(default)):
+            seen = f"holds {type(value).__name__}, expected {type(default).__name__}"
+            raise LogFormatError(f"{self.path}: attribute {name} {seen}; the file is damaged")
+        return value
+
     def _groups(self) -> dict[str, tuple[str, ...]]:
         suffix = f".{GROUP_AXES}"
-        texts = {n.removesuffix(suffix): str(text) for n, text in self.attributes.items() if n.endswith(suffix)}
-        groups = {name: tuple(json.loads(text)) for name, text in texts.items()}
+        names = [name.removesuffix(suffix) for name in self.attributes if name.endswith(suffix)]
+        groups = {name: tuple(self.decoded(f"{name}{suffix}", list[str]())) for name in names}
         unknown = {*groups, *(axis for axes in groups.values() for axis in axes)} - set(self.ports)
         if unknown:
             raise LogFormatError(f"{self.path}: {', '.join(sorted(map(str, unknown)))}: a group without its columns")

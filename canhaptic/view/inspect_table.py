@@ -85,7 +85,7 @@ def checks_table(checks: list[_Result]) -> Table:
 
 def _finding_line(finding: _Result) -> Text:
     rows = f"{finding['rows']} row{'s are' if finding['rows'] != 1 else ' is'}"
-    words = f" {finding['dataset']}: {rows} no finite number, first in cycle {finding['cycle']}"
+    words = f" {finding['dataset']}: {rows} {finding['what']}, first in cycle {finding['cycle']}"
     return Text(words, style="bold red")
 
 

@@ -288,3 +288,29 @@ def test_a_damaged_table_of_names_is_one_error_in_repair_too(whole: Path, step: 
             path.write_bytes(content[: match.start()] + b"XXXX" + content[match.end() :])
             with contextlib.suppress(LogFormatError):
                 repair(path, whole.with_name("saved.h5"))
+
+
+def test_a_running_count_that_falls_is_found(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "damaged.h5"
+    path.write_bytes(whole.read_bytes())
+    with h5py.File(path, "r+") as file:
+        file["ports/handle/uncommanded"][7:9] = (900, 3)
+    assert typed.inspect(path, "--recompute", "--check", "in >= 0") == 1
+    assert "uncommanded: 2 rows are a count that falls, first in cycle 8" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("config_overrides", '["a"', "config_overrides cannot be read"),
+        ("config_overrides", "{}", "config_overrides holds dict, expected list"),
+        ("config_resolved", "[1]", "config_resolved holds list, expected dict"),
+    ],
+)
+def test_a_damaged_description_is_one_error(name: str, text: str, said: str, whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "damaged.h5"
+    path.write_bytes(whole.read_bytes())
+    with h5py.File(path, "r+") as file:
+        file.attrs[name] = text
+    with pytest.raises(LogFormatError, match=said):
+        typed.inspect(path, "--recompute")

@@ -365,7 +365,7 @@ def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.Captu
     assert typed.inspect(path, "--json") == 1
     result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert result["findings"] == [
-        {"dataset": "ports/handle/h_m", "rows": 1, "cycle": 7},
-        {"dataset": "ports/handle/leak", "rows": 1, "cycle": 7},
+        {"dataset": "ports/handle/h_m", "what": "no finite number", "rows": 1, "cycle": 7},
+        {"dataset": "ports/handle/leak", "what": "no finite number", "rows": 1, "cycle": 7},
     ]
     assert result["ports"]["handle"]["leaked"] is None
