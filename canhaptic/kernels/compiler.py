@@ -166,8 +166,8 @@ class _NumbaTuple(Protocol):
 
 def _overload(name: str) -> None:
     @overload_method(types.BaseNamedTuple, name)
-    def method(self: _NumbaTuple, *args: object) -> Callable[..., object]:
-        function = compiled(getattr(self.instance_class, name))
+    def method(self: object, *args: object) -> Callable[..., object]:  # numba asks that both be annotated alike
+        function = compiled(getattr(cast(_NumbaTuple, self).instance_class, name))
 
         def call(self: _NumbaTuple, *args: object) -> object:  # numba wants the annotations of both to be the same
             return function(self, *args)
