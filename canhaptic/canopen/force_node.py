@@ -32,12 +32,17 @@ class ForceNode(Parameters):
     length: Annotated[int, quantity("1", ge=1, le=_LONGEST)] | None = None
     """Bytes of the frame; None: up to the end of the value."""
 
+    tare: bool = False
+    """Whether the start writes "tara" to 0x6139:01 (CiA 404): no hand may touch the handle then; not of an impulse."""
+
     @model_validator(mode="after")
     def _has_a_place(self) -> "ForceNode":
         if self.node_id is None and self.cob_id is None:
             raise ValueError("got neither node_id nor cob_id, expected one of them")
         if self.end > (self.length or _LONGEST):
             raise ValueError(f"the value ends at byte {self.end}, expected at most {self.length or _LONGEST}")
+        if self.tare and self.node_id is None:
+            raise ValueError("tare: got true without node_id, expected the node ID of a transducer that takes SDO")
         return self
 
     @property

@@ -67,6 +67,8 @@ MAX_ACCELERATION: Final = 0x60C5
 MAX_DECELERATION: Final = 0x60C6
 TARGET_VELOCITY: Final = 0x60FF
 SUPPORTED_DRIVE_MODES: Final = 0x6502
+AUTOTARE: Final = 0x6139  # of a CiA 404 transducer
+TARE_SIGNATURE: Final = int.from_bytes(b"tara", "little")  # value of 0x6139:01 that takes the value of now for zero
 
 CYCLIC_SYNC_POSITION: Final = 8  # value of 0x6060
 CYCLIC_SYNC_VELOCITY: Final = 9

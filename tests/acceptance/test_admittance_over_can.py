@@ -161,6 +161,32 @@ def test_raw_frames_of_a_sensor_are_read_as_described() -> None:
     assert account["truth"]["handle"]["least_interaction"] >= -1e-3
 
 
+_OFFSET = (
+    "axes.0.admittance.force.sampling=point",
+    "axes.0.admittance.force.per_count=0.01 N",
+    "simulation.admittance.sensor={sampling: point, offset: 4 N}",
+)
+
+
+@pytest.mark.parametrize("tare", [False, True])
+def test_a_transducer_is_tared_by_sdo_at_the_start(tare: bool) -> None:
+    node = f"axes.0.admittance.force.node={{node_id: 9, tare: {str(tare).lower()}}}"
+    with build(load_scene(_NODE, [*_OFFSET, node])) as experiment:
+        run(experiment.cycle, 1000)
+        account = experiment_account(experiment, "completed", 1.0)
+        first = -next(iter(experiment.rig.records)).samples[0].torque_applied
+    least = account["truth"]["handle"]["least_interaction"]
+    assert (least >= -1e-3) == tare  # 4 N that nobody pushes with are given out
+    assert (abs(first) < 0.5) == tare
+
+
+def test_a_transducer_that_does_not_answer_the_tare_ends_the_start() -> None:
+    dead = "simulation.bus={drop: 1.0, direction: to_master, ids: [0x589], bring_up: true}"
+    node = "axes.0.admittance.force.node={node_id: 9, tare: true}"
+    with build(load_scene(_NODE, [*_OFFSET, node, dead])) as experiment, pytest.raises(StartError, match="tare"):
+        run(experiment.cycle, 5)
+
+
 @pytest.mark.parametrize(
     ("begin", "error", "words"),
     [
@@ -180,6 +206,8 @@ def test_a_sensor_node_that_is_dead_stops_the_rig(begin: str, error: type[Except
         ("axes.0.admittance.force.object=0x2205.1", "either object .* or node"),
         ("axes.0.admittance.force.node={bits: 16}", "neither node_id nor cob_id"),
         ("axes.0.admittance.force.node={cob_id: 0x300, first_byte: 6}", "the value ends at byte 10"),
+        ("axes.0.admittance.force.node={cob_id: 0x300, tare: true}", "tare: got true without node_id"),
+        ("axes.0.admittance.force.node={node_id: 9, tare: true}", "a sum has no zero"),
     ],
 )
 def test_a_force_sensor_has_one_source_and_a_place_in_its_frame(override: str, words: str) -> None:

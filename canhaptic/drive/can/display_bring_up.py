@@ -11,6 +11,7 @@ from canhaptic.drive.profile.bring_up import Confirmation
 _SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch on disabled
 _RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
 _LARGEST: Final = 0xFFFF_FFFF  # of an UNSIGNED32
+_NO_TARE: Final = "check power and node ID of the sensor, or leave admittance.force.node.tare out"
 _REMEDY: Final = "set the object with the vendor's tool, or correct its limits in the dictionary"
 
 
@@ -21,7 +22,13 @@ class DisplayBringUp(CanBringUp):
 
     def __init__(self, drive: DisplayDrive) -> None:
         super().__init__(drive)
-        self._remedies = {**self._remedies, "ramps": _REMEDY, "offsets": _REMEDY, "quick stop": _REMEDY}
+        self._remedies = {
+            **self._remedies,
+            "ramps": _REMEDY,
+            "offsets": _REMEDY,
+            "quick stop": _REMEDY,
+            "tare": _NO_TARE,
+        }
 
     def _zero_torque(self) -> None:
         """Writes a target at rest; the ramps of the drive as steep as they go; no offsets; the quick stop."""
@@ -45,7 +52,9 @@ class DisplayBringUp(CanBringUp):
             self._write_confirmed("quick stop", od.QUICK_STOP_OPTION, 0, _SLOW_DOWN)
 
     def command_operational(self) -> None:
-        """Sends NMT start to the drive, and to a sensor that is a node of its own; raises StartError."""
+        """Sends NMT start to the drive and to a sensor with a node of its own, tared where asked; raises StartError."""
+        with self.step("tare"):
+            self._drive.tare()
         super().command_operational()
         with self.step("bus"):
             self._drive.command_sensor(od.NmtCommand.START)

@@ -13,6 +13,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.force_node import ForceNode
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.can.sdo_transfer import download
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.display_parameters import DisplayParameters
@@ -27,6 +28,7 @@ from canhaptic.signals import Sample
 _tuple: Final = tuple.__new__
 _QUICK_STOP_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.QUICK_STOP.to_bytes(2, "little")))
 _PER_MILLE: Final = 1000.0  # of `AxisScaling`, which here takes counts of the command
+_TARE_SIZE: Final = 4  # bytes of an UNSIGNED32
 _WRAP: Final = 1 << 32
 _UNLIMITED_SPEED: Final = 1e9  # [m/s or rad/s] where the scene declares none, on the virtual bus only
 _JUMP: Final = 2.0  # of the speed limit: a handle overshoots its command, and the hand moves it besides
@@ -92,6 +94,20 @@ class DisplayDrive(ServoDrive):
         """
         if self._sensor is not None and self._sensor.node_id is not None:
             self.link.send(od.NMT_COB_ID, bytes([command, self._sensor.node_id]))
+
+    def tare(self) -> None:
+        """Lets a CiA 404 transducer take the force of now for zero, where that is asked for.
+
+        Raises:
+            SdoError: It did not answer, or refused.
+            LinkError: The bus failed.
+        """
+        node = self._sensor
+        if node is None or node.node_id is None or not node.tare:
+            return
+        timeout, name = round(self.axis.sdo_timeout * 1e9), f"force sensor of {self.axis.name}"
+        channel = SdoChannel(self.link, node.node_id, self.dictionary, name, timeout)
+        channel.write(od.AUTOTARE, 1, od.TARE_SIGNATURE, _TARE_SIZE)
 
     def leave_operational(self) -> None:
         """Commands NMT pre-operational, of the sensor too; raises LinkError."""

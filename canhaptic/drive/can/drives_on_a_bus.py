@@ -27,6 +27,9 @@ def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> 
         if drive.link is link:
             names[drive.map.rpdo.cob_id] = f"RPDO of {drive.axis.name}"
             names[od.SDO_REQUEST_BASE + drive.axis.node_id] = f"SDO request to {drive.axis.name}"
+            node = None if drive.axis.admittance is None else drive.axis.admittance.force.node
+            if node is not None and node.node_id is not None:
+                names[od.SDO_REQUEST_BASE + node.node_id] = f"SDO request to the force sensor of {drive.axis.name}"
     return names
 
 

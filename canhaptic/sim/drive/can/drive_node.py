@@ -231,6 +231,8 @@ class SimulatedDrive:
         if self._sensor is not None:
             sync = SYNC_FRAME_COB_ID
             routes[sync] = partial(self._on_sync_with_sensor, self._sensor, routes.get(sync))
+            if self._sensor.request_cob_id is not None:
+                routes[self._sensor.request_cob_id] = self._sensor.take_sdo
         self._routes = routes
         self.on_routes_changed()
 

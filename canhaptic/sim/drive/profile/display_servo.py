@@ -140,8 +140,8 @@ class DisplayServo(Servo):
             self.motor.feed_forward(self._torque_sign * offset * self._stage.quantum)
 
     def shown_force(self) -> float:
-        """Returns what the sensor shows at this SYNC, for a node of its own; 0 before the motor runs."""
-        return self.motor.read_force() if self.is_running else 0.0
+        """Returns what the sensor shows now, for a node of its own."""
+        return self.motor.read_force()
 
     def _along_ramp(self, target: int) -> float:
         """Returns the velocity demanded in this hold [m/s or rad/s]."""
