@@ -169,7 +169,7 @@ def _overload(name: str) -> None:
     def method(self: object, *args: object) -> Callable[..., object]:  # numba asks that both be annotated alike
         function = compiled(getattr(cast(_NumbaTuple, self).instance_class, name))
 
-        def call(self: _NumbaTuple, *args: object) -> object:  # numba wants the annotations of both to be the same
+        def call(self: object, *args: object) -> object:
             return function(self, *args)
 
         return call
