@@ -139,6 +139,25 @@ def estimate_lateness(
     return None if solved is None else (solved[0][-1], solved[1][-1])
 
 
+def mass_within(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> tuple[float, float] | None:
+    """Returns the mass that a torque moves within a short time, and one standard deviation [kg or kg*m^2].
+
+    A torque that changes faster than a shaft twists moves the rotor alone: with a spring k between rotor m and load M,
+    acceleration over torque at the angular frequency w is 1 / (m - k M / (M w^2 - k)), so that above the resonance
+    w^2 = k (1 / m + 1 / M) the mass seen is below m, and rises to it; below it is that of rotor and load, or more. A
+    late torque has a column of its own, as in `estimate_lateness`. Arguments as of `estimate`.
+    """
+    starts = np.arange(1, len(positions) - 2 * half_base)
+    if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
+        return None
+    matrix, torque = _equations(positions, applied, sample_time, half_base, starts)
+    window = starts[:, None] + np.arange(2 * half_base)[None, :]
+    changes = np.diff(applied, prepend=applied[0])[1:][window] @ _triangle(half_base)
+    used = (0, 2, 3) if np.ptp(matrix[:, 2]) > 0.0 else (0, 3)  # too short for damping; friction only where it turns
+    solved = _solve(np.column_stack([matrix[:, used], changes]), torque)
+    return None if solved is None else (solved[0][0], _OVERLAP * solved[1][0])
+
+
 def _equations(
     positions: _Array, applied: _Array, sample_time: float, half_base: int, starts: NDArray[np.int64]
 ) -> tuple[_Array, _Array]:

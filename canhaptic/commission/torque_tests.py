@@ -14,6 +14,7 @@ from canhaptic.commission.mass_and_friction import (
     estimate,
     estimate_lateness,
     friction_curve,
+    mass_within,
 )
 from canhaptic.commission.session import Session
 from canhaptic.drive.readback_timing import measure_read_back
@@ -28,6 +29,10 @@ _SURE: Final = 2.0  # standard deviations
 _DERATING: Final = 0.5
 """Certain part of the braking force that was measured: warmth, grease and wear reduce it."""
 _RATTLE: Final = 64  # cycles
+_SHAKES: Final = 64  # of one sign or the other
+_RESOLVED_COUNTS: Final = 20  # of motion in one part of a shake: quantisation then changes the mass by 0.1 %
+_RIGID: Final = 0.1
+"""Part by which the masses of a fast and of a slow motion may differ where nothing bends between them."""
 _SCALE_TOLERANCE: Final = 0.1
 _MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
 
@@ -143,11 +148,50 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
         text = f"too little motion to tell it from friction; raise {limit}, which limits the torque of the sweep"
         session.found(axis, "moving mass", "", "unclear", StepVerdict.UNKNOWN, text)
         return
-    _report_mass(session, axis, found)
+    rigid = _of_rotor(session, axis, found)
+    if rigid is not None:
+        _report_mass(session, axis, rigid)
     _report_friction(session, axis, found)
     _report_least_friction(session, axis, found, curve)
     _scale(session, axis, found)
     _report_lateness(session, axis, estimate_lateness(*record))
+
+
+def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
+    """Returns the dynamics with the mass that moves within the shortest time that the encoder resolves.
+
+    Where that is clearly less than what a slow sweep moves, a shaft lies between: what is rigid with the encoder is the
+    rotor (`mass_within`). Where it is neither, a resonance is near, and no mass is reported (None). A resonance far
+    above a quarter of 1 / (that time) is not seen.
+    """
+    parameters, torque = session.axes[axis].parameters, _largest_torque(session, axis)
+    item, unit = "mass on a shaft", _MASS_UNITS[parameters.unit]
+    resolved = _RESOLVED_COUNTS / parameters.counts_per_unit * found.mass / torque
+    holds = max(1, math.ceil(math.sqrt(resolved) / session.sample_time))
+    asked = f"{parameters.name}: hands off. A shake of {torque:.3g} {effort_unit(parameters.unit)}, now?"
+    if not session.agreed(asked, item, [axis]):
+        return found
+    signs = np.random.default_rng(1).choice([-torque, torque], _SHAKES)
+    torques = [part for sign in signs for part in doublet(float(sign), holds)]
+    law = session.play(axis, torques, len(torques))
+    positions = np.array(law.positions) / session.encoder_ratios[axis]
+    within = mass_within(positions, np.array(law.applied), session.sample_time, holds)
+    if within is None or law.tripped:
+        text = f"{law.tripped or 'too little motion'}; declare the rotor's mass where a shaft or belt is compliant"
+        session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, text)
+        return found
+    (mass, error), fastest = within, 0.25 / (holds * session.sample_time)
+    seen = f"{mass:.3g} {unit} at {fastest:.3g} Hz, {found.mass:.3g} slowly"
+    if abs(mass / found.mass - 1.0) <= _RIGID:
+        session.found(axis, item, "", f"none: {seen}", StepVerdict.AGREES, f"no resonance below {fastest:.3g} Hz")
+        return found
+    if _SURE * error < mass < found.mass:
+        text = "a shaft lets the rotor move alone; moving_mass is the rotor's"
+        session.found(axis, item, "", seen, StepVerdict.MEASURED, text)
+        return found._replace(mass=mass, mass_error=error)
+    text = "a resonance is near: measure at another rate with a finer encoder, or declare the rotor's mass"
+    session.found(axis, item, "", f"unclear: {seen}", StepVerdict.DIFFERS, text)
+    return None
 
 
 def _report_lateness(session: Session, axis: int, late: tuple[float, float] | None) -> None:

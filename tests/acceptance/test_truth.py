@@ -40,6 +40,13 @@ def test_what_was_mended_stays_mended(seed: int) -> None:
     assert outcome.false_claims == ()
 
 
+def test_where_friction_alone_is_declared_late_torques_leave_energy_open():
+    outcome = outcome_of(1000771)
+    assert outcome.error > 1e-5
+    assert outcome.certificates == ("device_friction",)
+    assert outcome.false_claims == ()
+
+
 def test_a_hold_ended_by_a_late_sync_dissipates_for_its_own_length():
     assert judged(with_fault(random_scene(400828, further=False)))[1].false_claims == ()
 

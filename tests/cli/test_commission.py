@@ -57,6 +57,7 @@ ANSWERS = {
     "how far was it": "0.1",
     "Pulses of at most": "yes",
     "A sweep of": "y",
+    "A shake of": "y",
     "moving mass from a scale": "0.25 kg",
     "A rattle of": "y",
     "falls silent. Now": "y",

@@ -144,6 +144,27 @@ def test_dry_friction_is_measured() -> None:
     assert row(report, "dry friction, least").verdict is StepVerdict.FAILED  # 0.35 N are declared
 
 
+SHAFT = "simulation.effects=[{{type: shaft_compliance, stiffness: {} N/m, damping: 2 N*s/m, load_mass: 0.15 kg}}]"
+
+
+def test_behind_a_compliant_shaft_the_mass_of_the_rotor_is_proposed() -> None:
+    """The rotor has 0.25 kg, rotor and load 0.4 kg: declared for them, energy comes out of a certified wall."""
+    report = commissioned(SHAFT.format(5000))
+    assert row(report, "mass on a shaft").verdict is StepVerdict.MEASURED
+    assert 0.12 < float(value(report, "passivity.moving_mass")) < 0.25
+    assert row(commissioned(SHAFT.format(5000), "passivity.moving_mass=0.3 kg"), "moving mass").verdict is (
+        StepVerdict.FAILED
+    )
+
+
+def test_near_a_resonance_no_mass_is_proposed_and_none_is_seen_on_a_rigid_axis() -> None:
+    report = commissioned(SHAFT.format(50_000))
+    assert row(report, "mass on a shaft").verdict is StepVerdict.DIFFERS
+    assert not [proposed for proposed in report.values if proposed.key == "passivity.moving_mass"]
+    friction = "simulation.effects=[{type: coulomb_friction, kinetic: 0.2, static: 0.3}]"
+    assert row(commissioned(friction), "mass on a shaft").found.startswith("none: 0.25")
+
+
 def test_a_drive_that_goes_on_without_its_master_is_a_failure() -> None:
     report = commissioned("axes.0.watchdog=false")
     assert row(report, "watchdog").verdict is StepVerdict.FAILED

@@ -198,7 +198,9 @@ def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
 def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, torque: float) -> float:
     """Returns how much less than booked may have come in by a hold in which the torque came late [J].
 
-    See `hold_timing`. The hand's force is used in the direction out of the contact alone.
+    See `hold_timing`. The hand's force is used in the direction out of the contact alone. Dry friction alone bounds no
+    motion inside a hold: there the axis is taken to be no faster than twice the mean of this hold or the one before,
+    as `AxisMeter` does for algorithms without certificates.
 
     Args:
         declared: Of axis and hand.
@@ -212,7 +214,9 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
     if differs == 0.0:
         return 0.0
     count, damped = declared.encoder_count, 0.0
-    if declared.damping > 0.0:
+    if declared.damping == 0.0:
+        damped = differs * declared.late_share * 2.0 * (max(abs(displacement), abs(bound.displacement)) + count)
+    else:
         path = (abs(displacement) + count) * declared.late_share
         damped = differs * path + differs * differs * declared.late / (4.0 * declared.damping)
     if declared.by_hand_force:
