@@ -1,7 +1,7 @@
 """How stiff a wall any law can hold against a push that rises, where no energy was there before the contact.
 
-The law keeps S, the sum of all energy that came in, at or above 0 for every hand that pulls with F_h at most. Whatever
-it is, and though it knew the push u(t) beforehand:
+The law keeps S, the sum of all energy that came in, at or above 0 for every hand that pulls with F_h at most. For any
+such law, and though it knew the push u(t) beforehand:
 
 1. From S = 0 no torque acts before the handle moves in faster than v_0 = (1 + delay) F_h T / m, for a hand that pulls
    with F_h from then on turns it within the holds under way, and takes energy out. So the handle flies freely up to the

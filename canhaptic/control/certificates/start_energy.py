@@ -10,7 +10,7 @@ delay 0 and 3 T^2 / m at delay 1, so that E = (h F_h)^2 / 4 a with a = 1 / 2k - 
 inward motion brings energy in. A drag f earns f times the way, in
 motion above the speed of `start_speed`: slower, the hand may turn within the holds under way and pull the drag along.
 
-For every hand, whatever its force, what the device dissipates permits a torque: with b and f_c certain a torque F at
+For every hand of any force, what the device dissipates permits a torque: with b and f_c certain a torque F at
 rest needs (1 + delay) (F - f_c)^2 T / 4b to be there (`sum_of_certificates`), of which the wall has F^2 / 2k and the
 friction on the way in f_c F / k. The rest is to be there before (`energy_for_any_hand`); friction earns it over
 rest / f_c of any motion, without a drag.
