@@ -247,7 +247,7 @@ def test_the_json_of_a_run_names_the_port(capsys: pytest.CaptureFixture[str]) ->
     assert port["passive"] == "in doubt"
 
 
-@pytest.mark.parametrize("name", ["wall", "two_axes", "cup_and_ball"])
+@pytest.mark.parametrize("name", ["wall", "two_axes", "cup_and_ball", "six_axes"])
 def test_every_shipped_display_keeps_its_promise(name: str) -> None:
     scene = load_scene(SCENE.with_name(f"{name}.yaml"))
     with build(scene) as experiment:

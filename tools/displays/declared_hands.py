@@ -12,7 +12,7 @@ in a time t, at the speed v, and as long as the handle has not turned
     E1 >= E + x (F - b (u1 - u0)+ - K_e x / 2 - K_e w t) - m ((v^2 - u0^2) / 2 - a_k x)       for m and for 0
 
 as the integral of m a v is m (v^2 - u0^2) / 2. It must hold along the hold and on along the way to a stop, in whole
-holds at the largest deceleration: that way is then open at the next SYNC, whatever the hand did.
+holds at the largest deceleration: that way is then open at the next SYNC, for every motion of the hand.
 """
 
 from dataclasses import dataclass
