@@ -52,9 +52,6 @@ EQUIVALENT: Final[dict[str, str]] = {
     "=> if mode == 0 or (mode >= 0 and listed >> mode - 1 & 1):": "mode 0 is taken before",
     "canhaptic/sim/drive/profile/display_servo.py: DisplayServo.settle: is_late = self.now - self._braking_since >= "
     "_LONGEST_BRAKING => is_late = self.now - self._braking_since > _LONGEST_BRAKING": "1 ns of half a second",
-    "canhaptic/drive/profile/force_channel.py: ForceChannel.reset: self.force, self.same, self.is_wrong = (0.0, 0, "
-    "False) => self.force, self.same, self.is_wrong = (0.0, 32, False)": "the first value "
-    "behind a reset sets it, and nothing reads it before",
     "canhaptic/sim/drive/profile/object_store.py: Entry.__init__: signed_code = _PDO_CODES.get((size, True), '') if "
     "data_type != DataType.BOOLEAN else '' => signed_code = _PDO_CODES.get((size, True), '') if data_type > "
     "DataType.BOOLEAN else ''": "BOOLEAN is the lowest data type",
@@ -71,6 +68,15 @@ EQUIVALENT: Final[dict[str, str]] = {
     "canhaptic/drive/can/servo_drive.py: ServoDrive.reset: self._stage = [0, 0, 0] => self._stage = [64, 0, 0]": (
         "every map has a statusword, which is staged anew before it is read"
     ),
+    "canhaptic/sim/plant/hybrid_automaton.py: HybridAutomaton._new_counts: return [0] * COUNTS => return [-1] * "
+    "COUNTS": "`reset` sets every count that is read",
+    "canhaptic/logs/decoder.py: BusDecoder.decode: if can_id > 2047 or not node_id: => if can_id > 2046 or not "
+    "node_id:": "0x7FF is no frame of CANopen, so that it is unknown either way",
+    "canhaptic/logs/decoder.py: _emcy: short = '' if len(data) == _EMCY_SIZE else f' (short: {len(data)} bytes)' => "
+    "short = '' if len(data) >= _EMCY_SIZE else f' (short: {len(data)} bytes)'": "a frame has 8 bytes at most",
+    "canhaptic/sim/plant/mechanism/xy_stage.py: XYMotion.advance_to: if before // _TIDY != self._clock.tick // _TIDY: "
+    "=> if before // _TIDY != self._clock.tick * _TIDY:": "tidies more often, for rounding alone",
+    "canhaptic/drive/profile/torque_axis.py: TorqueAxis: stop_time: int = 0 => stop_time: int = 64": "64 ns",
     "canhaptic/view/series.py: module: _BUCKETS: Final = 400 => _BUCKETS: Final = 402": "points of a drawing",
     "canhaptic/view/html_panels.py: module: _WORST_SPAN: Final = 0.25 => _WORST_SPAN: Final = 1.25": (
         "seconds that a button of a page shows"

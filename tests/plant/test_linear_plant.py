@@ -112,15 +112,6 @@ def test_the_plant_stands_still_until_it_begins_and_repeats_after_reset():
     assert plant.position == 0.02
 
 
-def test_a_plant_without_events_counts_none():
-    plant = plant_of(user_s())
-    plant.begin(0)
-    for k in range(20):
-        plant.advance_to((k + 1) * MS, torque_at(k))
-    assert plant.events == 0
-    assert plant.products >= 20
-
-
 def test_a_time_before_the_last_call_is_refused():
     plant = plant_of(None)
     plant.begin(0)

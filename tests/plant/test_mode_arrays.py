@@ -16,3 +16,11 @@ def test_largest_term_and_stored_energy_are_those_of_numpy(scale):
         assert mode_arrays.largest_term(guards.tolist(), guard, state.tolist()) == pytest.approx(expected, rel=1e-14)
     expected = stepper.stored(storage, state)
     assert mode_arrays.stored(storage.tolist(), state.tolist()) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("parabola", "expected"),
+    [((1.0, -1.0, 2.0, 10.0), 0.75), ((0.0, 1.0, -3.0, 2.0), -4.0), ((3.0, 1.0, 1.0, 5.0), 3.0)],
+)
+def test_the_least_value_of_a_parabola(parabola, expected):
+    assert stepper.least(*parabola) == expected

@@ -68,6 +68,12 @@ def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path
     assert "SYNC 1500 emcy handle: 0x8130 heartbeat lost" in status_of(document)
 
 
+def test_a_page_looks_again_in_its_period(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.h5", cycles=10)
+    _, document = page_of(tmp_path / "run.h5")
+    assert [callback.period for callback in document.session_callbacks] == [200]  # ms
+
+
 def test_another_run_in_the_same_file_begins_anew(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     page, document = page_of(path)

@@ -1,11 +1,13 @@
-"""The textbook model of a stage, against forces written out by hand."""
+"""The textbook models of a stage and a five-bar, against forces written out by hand and the energy they must keep."""
 
 import numpy as np
 import pytest
 
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
+from canhaptic.sim.plant.mechanism.hand_force import HandForce
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
-from canhaptic.sim.textbook.reference_group import StageModel
-from tests.plant.mechanism.mechanism_scenes import HAND, STAGE, hand_force
+from canhaptic.sim.textbook.reference_group import FiveBarModel, StageModel
+from tests.plant.mechanism.mechanism_scenes import HAND, LINKS, STAGE, hand_force
 
 
 @pytest.mark.parametrize("has_hand", [True, False])
@@ -19,3 +21,31 @@ def test_the_rates_of_a_stage_are_those_of_newton(has_hand):
         expected, rel=1e-12
     )
     assert model.start == [0.0] * 6
+
+
+@pytest.mark.parametrize("most", [0.39, 0.2])  # the elbow stop is out of reach; it pulls
+def test_what_motors_and_hand_give_a_five_bar_is_what_it_stores_and_loses(most):
+    stop = {"least": 0.05, "most": most, "stiffness": 2e4}
+    links = FiveBarLinkage(**{**LINKS, "elbow_stop": stop})
+    model, linkage = FiveBarModel(links, HAND), links.linkage()
+
+    def stored(state):
+        inertia, span = np.array(model.inertia(state[:2])), linkage.pose(state[0], state[1]).span
+        return 0.5 * state[2:4] @ inertia @ state[2:4] + 0.5 * stop["stiffness"] * max(0.0, span - most) ** 2
+
+    state, step = np.array([2.1, 1.0, 3.0, -2.0, 0.0, 0.0]), 1e-6
+    rates = np.array(model.rates(0.2, state.tolist(), [0.4, -0.3], ()))
+    change = (stored(state + step * rates) - stored(state - step * rates)) / (2.0 * step)
+    assert (linkage.pose(2.1, 1.0).span > most) is (most == 0.2)
+    assert change == pytest.approx(rates[4] + rates[5] - LINKS["damping"] * (state[2:4] @ state[2:4]), rel=1e-4)
+
+
+def test_the_slope_of_the_hands_force_is_its_derivative():
+    hand, before, after, step, width = HandForce(HAND), (0.02, 0.2), (0.021, 0.198), 1e-3, 1e-6
+    slope = hand.slope(step)
+    for axis, column in ((0, (slope.xx, slope.xy)), (1, (slope.xy, slope.yy))):
+        ends = [np.array(after), np.array(after)]
+        ends[0][axis] -= width
+        ends[1][axis] += width
+        low, high = (np.array(hand.force(before, (end[0], end[1]), 0.3, step)) for end in ends)
+        assert -(high - low) / (2.0 * width) == pytest.approx(column, rel=1e-6)
