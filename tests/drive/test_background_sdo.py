@@ -77,6 +77,14 @@ def test_a_segmented_upload_and_download_as_cia_301_has_them() -> None:
     converse(sdo_transfer.download(0x6098, 0, b"\x11"), ("2f 98 60 00 11 00 00 00", "60 98 60 00 00 00 00 00"))
 
 
+@pytest.mark.parametrize("data", [b"\x11", b"more than four bytes"])
+def test_an_answer_of_another_kind_to_the_begin_of_a_write_ends_it(data: bytes) -> None:
+    transfer = sdo_transfer.download(0x2000, 1, data)
+    next(transfer)
+    with pytest.raises(ProtocolError):
+        transfer.send(bytes.fromhex("4b 00 20 01 00 00 00 00"))  # that of a read
+
+
 def answer_all(transfer: sdo_transfer.Transfer, answers: list[bytes]) -> None:
     """Hands in one answer after the other; each request must be a whole frame."""
     for answer in answers:

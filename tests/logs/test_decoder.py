@@ -115,6 +115,12 @@ def test_a_map_is_learnt_without_any_description_too_and_an_aborted_write_teache
     assert words(decoder, 0x185, "37120A0000000000")[2].endswith("position actual 10, torque demand 0")
 
 
+def test_every_bit_of_a_cob_id_that_was_written_counts() -> None:
+    maps = PdoMaps(5, None)
+    maps.learn(Access(0x1801, 1, (0x4000_02FF).to_bytes(4, "little")))
+    assert (0x2FF, "TPDO2", 0x1A01) in list(maps.cob_ids())
+
+
 def test_the_fields_of_a_frame_are_objects_with_their_subindex() -> None:
     maps = PdoMaps(5, None)
     for subindex, entry in ((0, 2), (1, 0x60C1_0220), (2, 0x6071_0010)):

@@ -72,6 +72,11 @@ def test_numbers_get_the_prefix_that_leaves_one_to_three_digits(value: float, un
     assert si(value, unit) == text
 
 
+def test_a_number_with_all_its_digits_before_the_point_has_no_point() -> None:
+    assert si(123.0, "N", 3) == "123 N"
+    assert si(1.5, "N", 3) == "1.50 N"
+
+
 def test_every_part_of_the_result_is_in_the_report() -> None:
     text = printed(result(["still", "handle"]))
     for words in (
