@@ -8,6 +8,8 @@ from typing import Any
 from tests.socketcan_vm.image import Image
 
 MEMORY = 1024  # [MiB]
+SETTINGS = "console=ttyS0 quiet panic=-1 preempt=full transparent_hugepage=never"
+"""Of the kernel, the last two as for a rig: else its own work (`mm_percpu_wq`, behind `khugepaged`) may take 4 ms."""
 
 
 def command(image: Image) -> list[str]:
@@ -15,7 +17,7 @@ def command(image: Image) -> list[str]:
     return [
         "qemu-system-x86_64", "-nodefaults", "-display", "none", "-no-reboot", "-serial", "stdio", "-m", str(MEMORY),
         "-cpu", "max", "-accel", "tcg,thread=single", "-icount", "shift=0,sleep=off",
-        "-kernel", str(image.kernel), "-initrd", str(image.initial), "-append", "console=ttyS0 quiet panic=-1",
+        "-kernel", str(image.kernel), "-initrd", str(image.initial), "-append", SETTINGS,
         "-drive", f"file={image.root},if=virtio,format=raw,readonly=on",
         "-object", "can-bus,id=canbus0",
         "-device", "kvaser_pci,canbus=canbus0", "-device", "kvaser_pci,canbus=canbus0",
@@ -30,7 +32,7 @@ def boot(image: Image, timeout: float) -> tuple[dict[str, dict[str, Any]], str]:
     """
     done = subprocess.run(
         command(image), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        timeout=timeout, check=False, text=True, errors="replace",
+        timeout=timeout, check=False, text=True, errors="replace", start_new_session=True,
     )  # fmt: skip
     return results(done.stdout.splitlines()), done.stdout
 

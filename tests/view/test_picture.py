@@ -41,6 +41,11 @@ def test_decimation_keeps_both_ends_and_every_extreme_of_every_bucket(numbers: l
     assert len(shown) <= 2 * buckets + 4 or len(values) <= 2 * buckets
 
 
+def test_a_first_and_a_last_sample_that_are_no_extremes_are_drawn() -> None:
+    assert decimate(np.array([0.0, 1.0, -1.0, 0.5, 0.7, 0.6]), 2).tolist() == [0, 1, 2, 3, 4, 5]
+    assert decimate(np.array([0.0, 1.0, -1.0, 0.1, 0.2, 3.0, -3.0, 0.0, 0.0]), 2)[[0, -1]].tolist() == [0, 8]
+
+
 def test_a_spike_of_one_sample_in_an_hour_is_drawn() -> None:
     values = np.zeros(3_600_000)
     values[1_234_567] = 1.0
