@@ -9,7 +9,7 @@ from canhaptic.drive.profile.force_channel import ForceChannel
 def channel(**values: object) -> ForceChannel:
     given: dict[str, object] = {"object": "0x2100", "per_count": 0.01, "range": 20.0, "error": 2.0, "slew": 100.0}
     given |= {"offset_counts": 5, "frozen_after": 3}
-    parameters = ForceParameters(**given | values)  # type: ignore[arg-type]
+    parameters = ForceParameters(**given | values)
     return ForceChannel(parameters, 1e-3)
 
 
