@@ -1,5 +1,6 @@
 """What a release needs: metadata that agree, and files that their own schemas accept."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -39,8 +40,12 @@ def test_every_hook_before_a_commit_is_a_command_of_make_test() -> None:
     """A commit that the hooks let through does not fail there in the same command."""
     recipe = Path("Makefile").read_text().split("\ntest:")[1].split("\n\n")[0].replace("$(BIN)", ".venv/bin")
     (group,) = yaml.safe_load(Path(".pre-commit-config.yaml").read_text())["repos"]
+    sources = re.search(r"(?m)^SOURCES := (.*)$", Path("Makefile").read_text())
+    assert sources is not None
     for hook in group["hooks"]:
         assert hook["entry"] in recipe, hook["id"]
+        if hook.get("pass_filenames", True):
+            assert hook["files"] == f"^({'|'.join(sources[1].split())})/", hook["id"]
 
 
 @pytest.mark.slow
