@@ -1,6 +1,6 @@
 """Time of a recording: it advances only when the master waits, and then moves to the next recorded frame.
 
-The master sends each frame when it was sent in the recording, however long it computes today and whatever deadline it
+The master sends each frame when it was sent in the recording, however long it computes today and for any deadline it
 waits for. So a SYNC that was late then is as late now, and the same deadlines are skipped.
 """
 

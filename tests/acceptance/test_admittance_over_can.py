@@ -176,7 +176,7 @@ def test_a_transducer_is_tared_by_sdo_at_the_start(tare: bool) -> None:
         account = experiment_account(experiment, "completed", 1.0)
         first = -next(iter(experiment.rig.records)).samples[0].torque_applied
     least = account["truth"]["handle"]["least_interaction"]
-    assert (least >= -1e-3) == tare  # 4 N that nobody pushes with are given out
+    assert (least >= -1e-3) == tare  # 4 N that no hand pushes with are given out
     assert (abs(first) < 0.5) == tare
 
 

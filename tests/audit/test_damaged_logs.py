@@ -265,7 +265,7 @@ def test_a_text_that_claims_gigabytes_is_refused_at_once(whole: Path) -> None:
     places = [match.start() - 4 for match in re.finditer(re.escape(heap), content)]  # length, heap, number in the heap
     assert len(places) > 10
     before = resource.getrlimit(resource.RLIMIT_AS)
-    used, began, refused = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic(), 0
+    used, began, refused = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time(), 0
     for place in places[::8]:
         path = whole.with_name("damaged.h5")
         path.write_bytes(content[:place] + b"\xff\xff\xff\xef" + content[place + 4 :])
@@ -274,7 +274,7 @@ def test_a_text_that_claims_gigabytes_is_refused_at_once(whole: Path) -> None:
         except LogFormatError:
             refused += 1
     assert refused >= 2
-    assert time.monotonic() - began < 10.0
+    assert time.process_time() - began < 10.0  # of this process: a busy machine changes nothing
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < 150 << 10  # kB
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 
