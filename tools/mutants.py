@@ -6,7 +6,7 @@ copy of the repository. First of all the tests of the rooms run once there, unch
 those of its room and module: quick ones first, until one fails. That one must fail again with the mutant and pass
 without it: then the mutant is killed. One that ends no test run within its time is killed as well. What has run is kept
 in `--kept` (JSON lines), so that the same command goes on where it was stopped. A survivor is equivalent, or a test is
-missing: both are for a person to say, in `EQUIVALENT` here or as a test.
+missing: both are for a person to say, in `equivalent_mutants.json` or as a test.
 
 Exit status 1 when fewer than `--at-least` of the mutants that are not equivalent were killed. 300 mutants take some two
 hours of one processor; `--seconds` ends earlier, and `--only PATH:NUMBER` runs one.
@@ -43,46 +43,8 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "control/certificates": ("control", "replay", "kernels", "acceptance"),
     "control/balance.py": ("control", "audit", "replay", "acceptance"),
 }
-EQUIVALENT: Final[dict[str, str]] = {
-    "canhaptic/drive/can/servo_drive.py: ServoDrive._tpdo_handler: is_whole = slots == _IN_ORDER and "
-    "len(self.map.tpdos) == 1 => is_whole = slots == _IN_ORDER and len(self.map.tpdos) != 1": (
-        "three slots in order are all that there is, so that there is one TPDO; the longer way gives the same values"
-    ),
-    "canhaptic/sim/drive/profile/servo.py: Servo._check_mode: if mode == 0 or (mode > 0 and listed >> mode - 1 & 1): "
-    "=> if mode == 0 or (mode >= 0 and listed >> mode - 1 & 1):": "mode 0 is taken before",
-    "canhaptic/sim/drive/profile/display_servo.py: DisplayServo.settle: is_late = self.now - self._braking_since >= "
-    "_LONGEST_BRAKING => is_late = self.now - self._braking_since > _LONGEST_BRAKING": "1 ns of half a second",
-    "canhaptic/sim/drive/profile/object_store.py: Entry.__init__: signed_code = _PDO_CODES.get((size, True), '') if "
-    "data_type != DataType.BOOLEAN else '' => signed_code = _PDO_CODES.get((size, True), '') if data_type > "
-    "DataType.BOOLEAN else ''": "BOOLEAN is the lowest data type",
-    "canhaptic/logs/bus_reader.py: module: _LATEST: Final = 4000000000000000000 => _LATEST: Final = "
-    "4000000000000000002": "2 ns of 127 years",
-    "canhaptic/logs/sdo_decoder.py: SdoDecoder._write: size = f\", {int.from_bytes(data[4:], 'little')} bytes\" if "
-    "data[0] & 1 else '' => size = f\", {int.from_bytes(data[4:], 'little')} bytes\" if data[0] & 129 else ''": (
-        "bit 7 of the command of a write is 0"
-    ),
-    "canhaptic/drive/profile/rig_start.py: _check_positions: for drive, bring_up in zip(exchange.drives, bring_ups, "
-    "strict=True): => for drive, bring_up in zip(exchange.drives, bring_ups, strict=False):": "one for each drive",
-    "canhaptic/sim/plant/effort_forces.py: module: DETENT, RIPPLE, FALLING, BRISTLE = (0, 1, 2, 3) => DETENT, RIPPLE, "
-    "FALLING, BRISTLE = (0, 129, 2, 3)": "four numbers that differ",
-    "canhaptic/drive/can/servo_drive.py: ServoDrive.reset: self._stage = [0, 0, 0] => self._stage = [64, 0, 0]": (
-        "every map has a statusword, which is staged anew before it is read"
-    ),
-    "canhaptic/sim/plant/hybrid_automaton.py: HybridAutomaton._new_counts: return [0] * COUNTS => return [-1] * "
-    "COUNTS": "`reset` sets every count that is read",
-    "canhaptic/logs/decoder.py: BusDecoder.decode: if can_id > 2047 or not node_id: => if can_id > 2046 or not "
-    "node_id:": "0x7FF is no frame of CANopen, so that it is unknown either way",
-    "canhaptic/logs/decoder.py: _emcy: short = '' if len(data) == _EMCY_SIZE else f' (short: {len(data)} bytes)' => "
-    "short = '' if len(data) >= _EMCY_SIZE else f' (short: {len(data)} bytes)'": "a frame has 8 bytes at most",
-    "canhaptic/sim/plant/mechanism/xy_stage.py: XYMotion.advance_to: if before // _TIDY != self._clock.tick // _TIDY: "
-    "=> if before // _TIDY != self._clock.tick * _TIDY:": "tidies more often, for rounding alone",
-    "canhaptic/drive/profile/torque_axis.py: TorqueAxis: stop_time: int = 0 => stop_time: int = 64": "64 ns",
-    "canhaptic/view/series.py: module: _BUCKETS: Final = 400 => _BUCKETS: Final = 402": "points of a drawing",
-    "canhaptic/view/html_panels.py: module: _WORST_SPAN: Final = 0.25 => _WORST_SPAN: Final = 1.25": (
-        "seconds that a button of a page shows"
-    ),
-}
-"""`path: name of the mutant` -> why no test can notice it."""
+EQUIVALENT: Final[dict[str, str]] = json.loads(Path(__file__).with_name("equivalent_mutants.json").read_text("utf-8"))
+"""`path: name of the mutant` -> why no test can notice it, or should."""
 _LONGEST: Final = 600  # s, all tests of a mutant
 _QUICK: Final = 40  # tests that run before all others
 _SITE: Final = """import os
