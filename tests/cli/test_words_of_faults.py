@@ -47,7 +47,7 @@ def test_an_emcy_is_told_in_words_with_what_to_do(capsys: pytest.CaptureFixture[
         ["run", "absent.yaml"],
         ["inspect", "absent.h5"],
         ["scope", "--config", DEMO],
-        ["design", str(CONFIGS / "admittance" / "wall.yaml")],
+        ["design", str(CONFIGS / "admittance" / "cup_and_ball.yaml")],
     ],
 )
 def test_no_fault_says_its_prefix_twice_or_names_a_class(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,7 +59,7 @@ def test_a_group_and_what_has_no_equations_are_studied_as_far_as_they_go() -> No
 
 
 @pytest.mark.parametrize(
-    ("words", "text"), [(["--png", "a.png"], "--png: of impedance displays"), (["--axis", "nobody"], "expected one of")]
+    ("words", "text"), [(["--png", "a.png"], "--png: of impedance displays"), (["--axis", "absent"], "expected one of")]
 )
 def test_what_the_study_cannot_do_is_refused(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["accuracy", str(NODE), *words]) == 2
