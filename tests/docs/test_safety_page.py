@@ -10,6 +10,7 @@ STALLED = [
     "bus.heartbeat_timeout=1",
     "bus.stop_cycles=1000",  # and no end of the run, which is for the rig and not for the account
     "axes.0.energy_loss_limit=none",
+    "axes.0.speed_limit=100 m/s",
     "passivity.hand_push=0",  # and with it all the torque that sticks
     "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}",  # up to 15 SYNCs in a row
 ]
