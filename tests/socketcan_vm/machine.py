@@ -9,7 +9,7 @@ from tests.socketcan_vm.image import Image
 
 MEMORY = 1024  # [MiB]
 SETTINGS = "console=ttyS0 quiet panic=-1 preempt=full transparent_hugepage=never"
-"""Of the kernel, the last two as for a rig: else its own work (`mm_percpu_wq`, behind `khugepaged`) may take 4 ms."""
+"""Parameters of the kernel, the last two as for a rig: else its own work (`mm_percpu_wq`) may take 4 ms."""
 
 
 def command(image: Image) -> list[str]:
