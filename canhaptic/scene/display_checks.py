@@ -69,6 +69,6 @@ def refuse_displays(scene: Scene, command: str) -> None:
     names = ", ".join(axis.parameters.name for axis in scene.axes if axis.parameters.admittance is not None)
     if names:
         raise InputError(
-            f"{scene.source}: {names}: {command} varies and judges impedance displays (motion in, torque out) only; "
-            "use canhaptic run, compare, check or inspect"
+            f"{scene.source}: {names}: {command} takes impedance displays (motion in, torque out) only; "
+            "use canhaptic run, compare, sweep, design, accuracy, check or inspect"
         )
