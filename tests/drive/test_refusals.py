@@ -61,6 +61,11 @@ def test_the_high_word_of_the_device_type_does_not_matter(bench: MakeBench, devi
     bench(objects={0x1000: device_type}).rig.start()
 
 
+def test_a_dictionary_whose_modes_lack_bit_9_is_refused_with_all_others(tmp_path: Path) -> None:
+    assert verdicts(edited(tmp_path, "6502", DefaultValue="0xDFF"))["0x6502"] is Verdict.REFUSED
+    assert verdicts(edited(tmp_path, "6502", DefaultValue="0x200"))["0x6502"] is Verdict.FIT
+
+
 def test_a_drive_whose_modes_lack_bit_9_is_refused(bench: MakeBench) -> None:
     refuse(bench(objects={0x6502: 0x6D}), "drive modes", "0x6502 = 0x6d", "bit 9")
 

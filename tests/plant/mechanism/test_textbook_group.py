@@ -5,9 +5,13 @@ import pytest
 
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.hand_force import HandForce
+from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
+from canhaptic.sim.plant.user import SinusoidMotion
 from canhaptic.sim.textbook.reference_group import FiveBarModel, StageModel
 from tests.plant.mechanism.mechanism_scenes import HAND, LINKS, STAGE, hand_force
+
+SWING = SinusoidMotion(amplitude=0.05, frequency=1.0)
 
 
 @pytest.mark.parametrize("has_hand", [True, False])
@@ -49,3 +53,12 @@ def test_the_slope_of_the_hands_force_is_its_derivative():
         ends[1][axis] += width
         low, high = (np.array(hand.force(before, (end[0], end[1]), 0.3, step)) for end in ends)
         assert -(high - low) / (2.0 * width) == pytest.approx(column, rel=1e-6)
+
+
+@pytest.mark.parametrize("moving", ["x", "y"])
+def test_a_hand_that_moves_along_one_axis_rests_along_the_other(moving):
+    hand = TaskHand(stiffness=10, rest=(0.1, 0.2), motion=PlaneMotion(**{moving: SWING}))
+    place, speed = HandForce(hand).target(0.25)
+    other = 1 if moving == "x" else 0
+    assert (place[other], speed[other]) == ((0.1, 0.2)[other], 0.0)
+    assert place[1 - other] == pytest.approx((0.1, 0.2)[1 - other] + 0.05)
