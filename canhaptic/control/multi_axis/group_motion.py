@@ -77,6 +77,7 @@ class MotionMemory(NamedTuple):
     coordinates: Buffer  # of the ports [m or rad], (ports,)
     displacement: Buffer  # of the ports in the last motion [m or rad], (ports,)
     port_motion: Buffer  # in one hold, (ports,)
+    way: Buffer  # of the ports until the next torques act, (ports,)
     spring_at_ports: Buffer  # (ports,)
     lead_at_ports: Buffer
     damper_at_ports: Buffer
@@ -84,6 +85,15 @@ class MotionMemory(NamedTuple):
     windows: list[VelocityWindow]  # of the velocity, (axes,)
     samples: Matrix  # of the windows, (axes, longest + 1) [m or rad]
     network: NetworkMemory
+
+
+class Ahead(NamedTuple):
+    """Where the motors will be in the hold in which the next torques act, shapes (axes,)."""
+
+    lead: float  # holds until then
+    way: Buffer  # [rad or m]
+    step: Buffer  # motion in a hold there [rad or m]
+    is_predicted: bool  # whether the dampers have that motion too; else the one of the last hold
 
 
 class RequestedEfforts(NamedTuple):
@@ -126,8 +136,8 @@ def motion_memory(world: World, settings: MotionSettings) -> MotionMemory:
     one = list_of_zeros
     return MotionMemory(
         one(dimensions), zeros(dimensions, axes), zeros(ports, dimensions), zeros(ports, axes), one(ports), one(ports),
-        one(ports), one(ports), one(ports), one(ports), one(axes), [VelocityWindow() for _ in settings.counts],
-        zeros(axes, longest + 1), network_memory(world.tables),
+        one(ports), one(ports), one(ports), one(ports), one(ports), one(axes),
+        [VelocityWindow() for _ in settings.counts], zeros(axes, longest + 1), network_memory(world.tables),
     )  # fmt: skip
 
 
@@ -281,29 +291,57 @@ def write_carried(
 
 
 def write_efforts(
-    world: World,
-    settings: MotionSettings,
-    motion: GroupMotion,
-    memory: MotionMemory,
-    lead: float,
+    world: World, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, ahead: Ahead,
     wish: RequestedEfforts,
-) -> float:
-    """Writes what the network would have the motors do, with its springs `lead` holds ahead.
+) -> float:  # fmt: skip
+    """Writes what the network would have the motors do, with its springs where the motors will be.
 
     Returns:
         Speed at which the storages at the ports move by themselves [m/s or rad/s].
     """
     tables, network, holds = world.tables, memory.network, motion.holds
-    ports = memory.port_motion
-    write_port_motion(settings, motion, memory, ports)
-    dampers(tables, network, ports, settings.sample_time, network.state, memory.damper_at_ports)
-    springs(tables, world.functions, network, lead, holds, ports, memory.spring_at_ports, memory.lead_at_ports)
-    to_motors(memory, memory.spring_at_ports, wish.spring)
-    to_motors(memory, memory.lead_at_ports, wish.lead)
+    ports, time, carried = memory.port_motion, settings.sample_time, motion.moved / motion.holds
+    if ahead.is_predicted:
+        to_ports(memory, ahead.step, carried, ports)
+    else:
+        write_port_motion(settings, motion, memory, ports)
+    dampers(tables, network, ports, time, network.state, memory.damper_at_ports)
+    write_springs(world, motion, memory, ahead.lead, ahead.way, wish)
     to_motors(memory, memory.damper_at_ports, wish.damper)
     for i in range(len(wish.velocity)):
-        wish.velocity[i] = motion.entered * memory.velocity[i]
-    return internal_motion(tables, network.room) / (holds * settings.sample_time)
+        wish.velocity[i] = ahead.step[i] / time if ahead.is_predicted else motion.entered * memory.velocity[i]
+    return internal_motion(tables, network.room) / (holds * time)
+
+
+def write_springs(
+    world: World, motion: GroupMotion, memory: MotionMemory, lead: float, way: Buffer, wish: RequestedEfforts
+) -> None:
+    """Writes the efforts of the springs, and what they will have more where the motors will be.
+
+    Args:
+        world: What is rendered.
+        motion: Of the group.
+        memory: Of the group.
+        lead: [holds].
+        way: Of the motors until then, (axes,) [rad or m].
+        wish: Receives them.
+    """
+    to_ports(memory, way, lead * motion.moved / motion.holds, memory.way)
+    springs(
+        world.tables, world.functions, memory.network, lead, motion.holds, memory.way, memory.spring_at_ports,
+        memory.lead_at_ports,
+    )  # fmt: skip
+    to_motors(memory, memory.spring_at_ports, wish.spring)
+    to_motors(memory, memory.lead_at_ports, wish.lead)
+
+
+def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) -> None:
+    """Writes the motion of the ports [m or rad] by one of the motors, less what a mover moves them."""
+    for j in range(len(into)):
+        row, total = memory.at_motors[j], 0.0
+        for axis in range(len(row)):
+            total += row[axis] * moved[axis]
+        into[j] = total - carried
 
 
 def write_port_motion(settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, into: Buffer) -> None:

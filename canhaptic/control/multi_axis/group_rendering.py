@@ -7,18 +7,19 @@ from canhaptic.control.balance import Certificate
 from canhaptic.control.certificates.torque_bound import keep
 from canhaptic.control.multi_axis.group_account import certain_energy, fade, quotient
 from canhaptic.control.multi_axis.group_commands import next_place, send_nothing, take_applied
-from canhaptic.control.multi_axis.group_motion import World, write_efforts
+from canhaptic.control.multi_axis.group_motion import Ahead, World, write_efforts, write_springs
 from canhaptic.control.multi_axis.group_shares import UnderWay, shares
 from canhaptic.control.multi_axis.guarded_state import GuardedGroupMemory, GuardedGroupSettings, GuardedGroupState
 from canhaptic.control.multi_axis.per_axis_certificates import inward_first
 from canhaptic.control.passivity.in_flight import towards_zero
+from canhaptic.control.passivity.prediction import predicted
+from canhaptic.control.port_hamiltonian.sampled_network import internal_motion
 from canhaptic.control.recovery import modulated_damping
 from canhaptic.kernels import Buffer, new
 
 _UNBOUNDED, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_SPEED = Certificate.DEVICE_DAMPING.value, Certificate.HAND_SPEED.value
 
-_LEAD_ROOM: Final = 1.75  # as in `passivity.guarded`, with the reasons
 _FADE: Final = 0.8
 _GRID_TRIES: Final = 3
 _GRID_BACK: Final = 0.99
@@ -45,7 +46,7 @@ def render(
         group.oldest = send_nothing(commands, place)
         fade(state.account, _FADE)
         return new(Rendering, (0.0, _UNBOUNDED))
-    speed = write_efforts(world, settings.loop.motion, group.motion, memory.group.motion, settings.lead, wish)
+    speed = write_wish(world, settings, state, memory, under_way)
     energy = certain_energy(state.account, settings.credit)
     share, lead_share, damper_share, covered = shares_of_wish(settings, state, memory, speed, energy)
     rendered = write_dampers(settings, state, memory, damper_share)
@@ -63,6 +64,43 @@ def render(
         certificate = split(settings, memory, place, most, energy, certificate)
     group.oldest = next_place(commands, place)
     return new(Rendering, (factor * rendered, certificate))
+
+
+def write_wish(
+    world: World,
+    settings: GuardedGroupSettings,
+    state: GuardedGroupState,
+    memory: GuardedGroupMemory,
+    under_way: UnderWay,
+) -> float:
+    """Writes what the network would have the motors do where they will be; returns as `write_efforts`.
+
+    What moves inside a network is not predicted: it goes on as in the last hold, and the motors with it.
+    """
+    loop, motion, followed, wish = settings.loop.motion, state.group.motion, memory.group.motion, memory.wish
+    way, steady = memory.way, memory.steady
+    for i in range(len(way)):
+        for hold in range(under_way.holds):
+            memory.column[hold] = under_way.torques[under_way.first + hold][i]
+        travel = followed.velocity[i] * loop.sample_time
+        steady[i] = settings.lead * travel
+        way[i], memory.step[i] = predicted(settings.prediction[i], memory.predicted[i], memory.column, 0, travel)
+    moves = internal_motion(world.tables, followed.network.room) != 0.0
+    ahead = new(Ahead, (settings.lead, steady if moves else way, memory.step, state.was_engaged and not moves))
+    speed = write_efforts(world, loop, motion, followed, ahead, wish)
+    if moves:
+        for i in range(len(way)):
+            way[i] = steady[i]
+    elif state.account.h_s < motion.energy:  # going in, more may be taken in where the account is short
+        further = least = 0.0
+        for i in range(len(way)):
+            further += wish.spring[i] * steady[i]
+            least += wish.spring[i] * way[i]
+        if further > 0.0 and further > least:
+            for i in range(len(way)):
+                way[i] = steady[i]
+            write_springs(world, motion, followed, settings.lead, way, wish)
+    return speed
 
 
 def split(
@@ -218,7 +256,7 @@ def shares_of_wish(
     speed = sqrt(speed)
     if internal_speed != 0.0:
         speed += sqrt(settings.loop.most_cap) * internal_speed
-    room, share, lead_share, damper_share = speed, 1.0, 1.0, 1.0
+    room, share, lead_share, damper_share = speed, 1.0, 1.0, min(1.0, speed / damper_size) if damper_size > 0.0 else 1.0
     permitted = permitted_square(settings, state, memory, size, energy)
     covered = permitted >= 1.0
     if not covered:
@@ -231,13 +269,16 @@ def shares_of_wish(
             catch_up = min(size - share * size, inward / size, room)
             share += catch_up / size
             room -= catch_up
-        if opposed < 0.0 and lead_size > share * size + damper_size:
-            lead_share = (share * size + damper_size) / lead_size
-    if damper_size > room:
+        if opposed < 0.0 and lead_size > share * size:  # a spring does not stick
+            lead_share = share * size / lead_size
+    if damper_share * damper_size > room:
         damper_share, covered = room / damper_size, False
-    room += (_LEAD_ROOM - 1.0) * speed - damper_share * damper_size
-    if lead_share * lead_size > room:
-        lead_share = room / lead_size
+    lead, led = capped_norm(wish.lead, settings.calm), 0.0
+    for i in range(len(caps)):
+        led += settings.calm[i] * memory.way[i] * memory.way[i]
+    led = sqrt(led)
+    if lead_share * lead > led:
+        lead_share = led / lead
     return share, lead_share, damper_share, covered
 
 
@@ -248,7 +289,10 @@ def permitted_square(
     wish, account = memory.wish, state.account
     if size == 0.0:
         return 1.0
-    permitted = quotient(2.0 * settings.calm * energy, size * size)
+    permitted = 0.0
+    if settings.account.axes.by_hand:
+        calm = capped_norm(wish.spring, settings.calm)
+        permitted = quotient(2.0 * energy, calm * calm)
     if settings.account.axes.by_damping:
         total = needed = 0.0
         for i in range(len(settings.damped)):

@@ -27,6 +27,7 @@ from canhaptic.control.multi_axis.guarded_state import (
 )
 from canhaptic.control.multi_axis.stepped_group import SteppedGroup
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.prediction import observe, observe_mean
 from canhaptic.control.passivity.settlement import settle
 from canhaptic.kernels import Buffer, new
 from canhaptic.units import Parameters
@@ -53,6 +54,7 @@ def step(
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
+    observe_all(settings, memory, missed)
     supplied, unsure, further = end(world, settings, state, memory, missed)
     h_i = h_pas = lost = 0.0
     for i in range(len(ended.interactions)):
@@ -89,6 +91,16 @@ def begin(
     if loop.moves:
         for hold in range(settings.account.apart.holds):
             write_carried(world, loop, group.motion, motion, hold, memory.account.coming[hold])
+
+
+def observe_all(settings: GuardedGroupSettings, memory: GuardedGroupMemory, missed: int) -> None:
+    """Takes what moved every axis in the hold that ended, or how far it came in several."""
+    ended = memory.group.ended
+    for i in range(len(ended.displacement)):
+        if missed == 0:
+            observe(settings.prediction[i], memory.predicted[i], ended.displacement[i], ended.applied[i])
+        else:
+            observe_mean(memory.predicted[i], ended.displacement[i] / (missed + 1))
 
 
 def end(

@@ -1,7 +1,7 @@
 """What `guarded` of a group is given, remembers and works on."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, NamedTuple
 
 from canhaptic.control.multi_axis.account_memory import AccountMemory, account_memory
 from canhaptic.control.multi_axis.group_account import AccountSettings, GroupAccount
@@ -10,12 +10,12 @@ from canhaptic.control.multi_axis.group_kernel import Group, GroupLoop, GroupMem
 from canhaptic.control.multi_axis.group_motion import RequestedEfforts, World
 from canhaptic.control.multi_axis.per_axis_memory import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded_settings import calm_stiffness_of
+from canhaptic.control.passivity.prediction import PredictedMotion, PredictionSettings, prediction_settings
 from canhaptic.control.recovery import Alpha
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, list_of_zeros
 from canhaptic.units import Parameters, quantity
-
-_CALM: Final = 0.7  # as in `passivity.guarded`, with the reasons
 
 
 class GuardedGroupParameters(Parameters):
@@ -30,7 +30,7 @@ class GuardedGroupParameters(Parameters):
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0 leaves the surplus standing."""
     prediction_holds: Annotated[float, quantity("count", ge=0.0, le=1.0)] = 0.5
-    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold."""
+    """Prediction beyond the delay, in holds: 0.5 aims at the middle of the hold, and what is more calms a spring."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Consecutive cycles in which any axis may be without a new torque; each costs stiffness. 0: all axes always apply
     together what was sent."""
@@ -48,7 +48,8 @@ class GuardedGroupSettings(NamedTuple):
     credit: float  # energy that may be given out before any came in [J]
     alpha: float  # [s/m^2 or s/rad^2]
     lead: float  # prediction [holds]
-    calm: float  # stiffness of the energy-permitted spring over the damping cap, by the rate; 0: no hand force [1/s]
+    prediction: list[PredictionSettings]  # of each axis
+    calm: Buffer  # stiffness of the largest spring that the rate renders, (axes,) [N/m or N*m/rad]
     damped: Buffer  # the same by the damping of the devices, (axes,); 0 where it is not declared [N/m or N*m/rad]
     path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
     quanta: Buffer  # of the torque commands, (axes,); 0: ideal [N*m or N]
@@ -69,6 +70,11 @@ class GuardedGroupMemory(NamedTuple):
 
     group: GroupMemory
     account: AccountMemory
+    predicted: list[PredictedMotion]  # of each axis
+    column: Buffer  # torques under way of one axis, (delay + 1,) [N*m or N]
+    way: Buffer  # of the motors until the next torques act, (axes,) [rad or m]
+    steady: Buffer  # the same by the last motion alone
+    step: Buffer  # motion in a hold then
     wish: RequestedEfforts
     damper: Buffer  # efforts to be sent, (axes,) [N*m or N]
     modulated: Buffer
@@ -109,7 +115,18 @@ def settings_of(
         credit=parameters.energy_allowance,
         alpha=parameters.alpha,
         lead=parameters.prediction_holds + delay + late,
-        calm=_CALM / (sample_time * (0.5 + delay + late)) if axes.by_hand else 0.0,
+        prediction=[
+            prediction_settings(
+                loop.moving_mass,
+                loop.device_damping or 0.0,
+                sample_time,
+                delay,
+                parameters.prediction_holds + late,
+                loop.encoder_count,
+            )
+            for loop in loops
+        ],
+        calm=[calm_stiffness_of(loop) for loop in loops],
         damped=[2.0 * b / (1 + delay) for b in axes.damping],
         path=axes.path * (1 + delay),
         quanta=quanta,
@@ -121,7 +138,8 @@ def memory_of(world: World, settings: GuardedGroupSettings) -> GuardedGroupMemor
     """Returns the buffers of a group at rest."""
     axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
     return GuardedGroupMemory(
-        group_memory(world, settings.loop, 0), account_memory(limits),
+        group_memory(world, settings.loop, 0), account_memory(limits), [PredictedMotion() for _ in settings.quanta],
+        one(settings.loop.delay + 1), one(axes), one(axes), one(axes),
         RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
         one(axes), one(axes), one(axes), one(axes), one(axes), one(axes),
     )  # fmt: skip

@@ -150,11 +150,11 @@ def springs(
     memory: NetworkMemory,
     lead: float,
     holds: int,
-    displacement: Buffer,
+    way: Buffer,
     spring: Buffer,
     added: Buffer,
 ) -> None:
-    """Writes the efforts of the storages at the ports now, and what `lead` more holds like the last would add.
+    """Writes the efforts of the storages at the ports now, and what a motion ahead would add.
 
     A wall that is not engaged is not led into.
 
@@ -162,9 +162,9 @@ def springs(
         tables: The network.
         functions: Energies and structure given as functions.
         memory: Of the network.
-        lead: [holds].
+        lead: Holds ahead, in which what the network does by itself goes on as in the last step.
         holds: That the last step spanned.
-        displacement: Of the ports in one hold [m or rad]; a smoothed one may differ from the last step's.
+        way: Of the ports ahead [m or rad].
         spring: Receives the efforts, (ports,).
         added: Receives what is added, (ports,).
     """
@@ -172,9 +172,9 @@ def springs(
     now, ahead, moved, gain = room.efforts, memory.ahead, memory.moved, tables.gain
     for i in range(len(state)):
         row, driven = gain[i], 0.0
-        for j in range(len(displacement)):
-            driven += row[j] * displacement[j]
-        moved[i] = state[i] + lead * ((room.step[i] - room.driven[i]) / holds + driven)
+        for j in range(len(way)):
+            driven += row[j] * way[j]
+        moved[i] = state[i] + (lead * ((room.step[i] - room.driven[i]) / holds) + driven)
     gradient(tables, state, now)
     gradient(tables, moved, ahead)
     if tables.by_functions:

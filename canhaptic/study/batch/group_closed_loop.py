@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 from canhaptic.control.balance import RANKS, Branch
 from canhaptic.control.multi_axis.group_kernel import GroupHold
 from canhaptic.control.multi_axis.group_motion import (
+    Ahead,
     GroupMotion,
     MotionMemory,
     MotionSettings,
@@ -21,7 +22,7 @@ from canhaptic.control.multi_axis.group_motion import (
     follow,
     write_efforts,
 )
-from canhaptic.kernels import Buffer, Indices, Matrix
+from canhaptic.kernels import Buffer, Indices, Matrix, new
 from canhaptic.study.batch.closed_loop import LoopSettings, commanded, measured
 from canhaptic.study.batch.meter import Meter, count_branch, take_energy
 
@@ -60,6 +61,7 @@ class GroupRoom(NamedTuple):
     seen: Buffer  # positions as the controller sees them
     moved: Buffer  # true motion in the hold that ended
     spring: Buffer  # asked for at the last SYNC [N or N*m]
+    still: Buffer  # zeros
     asked: MotionMemory  # of the group that is followed with its true positions
     wish: RequestedEfforts  # of its network
 
@@ -180,7 +182,7 @@ def explain(world: World, rig: GroupRig, room: GroupRoom, followed: GroupMotion,
     was_engaged, wish = followed.engaged, room.wish
     follow(world, rig.true, followed, room.asked, room.true, room.moved, 1)
     if followed.engaged:
-        write_efforts(world, rig.true, followed, room.asked, 0.0, wish)
+        write_efforts(world, rig.true, followed, room.asked, new(Ahead, (0.0, room.still, room.still, False)), wish)
     along = square = 0.0
     for i in range(len(room.held)):
         along += wish.damper[i] * wish.velocity[i]

@@ -2,8 +2,6 @@
 
 import math
 import random
-from dataclasses import replace
-from math import inf
 from typing import Any
 
 import pytest
@@ -14,7 +12,6 @@ from canhaptic.control.mechanisms.identity import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.guarded_group import GuardedGroupParameters
 from canhaptic.control.multi_axis.scaled_group import ScaledGroupParameters
-from canhaptic.control.passivity import guarded_torque
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
@@ -51,22 +48,6 @@ def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
             q, t = q + quarter * v, t + quarter
 
 
-@pytest.fixture
-def led_by_last_displacement(monkeypatch):
-    """Takes the model of the moving mass out of the algorithm of one axis: a group has none."""
-
-    def settings_without_model(*known):
-        settings = whole(*known)
-        calm = 0.7 * settings.cap / (settings.sample_time * settings.lead)
-        return replace(settings, calm=inf, calm_stiffness=calm if settings.calm_stiffness else 0.0)
-
-    whole = Guarded.kernel.settings
-    monkeypatch.setattr(Guarded, "kernel", Guarded.kernel._replace(settings=settings_without_model))
-    monkeypatch.setattr(
-        guarded_torque, "predicted", lambda s, _m, _t, _f, travel: ((s.delay + s.beyond) * travel, travel)
-    )
-
-
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("stiffness", "damping"), WALLS)
 @pytest.mark.parametrize(
@@ -79,9 +60,7 @@ def led_by_last_displacement(monkeypatch):
         ({"energy_allowance": 1e-3}, {}, 3.0),
     ],
 )
-def test_the_account_of_a_guarded_group_is_that_of_guarded(
-    delay, stiffness, damping, own, known, clip, led_by_last_displacement
-):
+def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, damping, own, known, clip):
     wall, plane = pair(stiffness, damping)
     loop = LoopProperties(sample_time=1e-3, delay=delay, **{"moving_mass": 0.25, "device_damping_bound": 0.0, **known})
     push = {"hand_push": own.get("hand_force", 0.0), "prediction_holds": 0.5, "earned_energy": 0.0}

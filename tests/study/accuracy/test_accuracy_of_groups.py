@@ -6,8 +6,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from canhaptic.control.multi_axis.group_motion import GroupMotion as MotionState
 from canhaptic.control.multi_axis.group_motion import (
+    Ahead,
     RequestedEfforts,
     begin_motion,
     follow,
@@ -16,6 +16,7 @@ from canhaptic.control.multi_axis.group_motion import (
     world_of,
     write_efforts,
 )
+from canhaptic.control.multi_axis.group_motion import GroupMotion as MotionState
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.dry_friction import DryFriction
@@ -65,7 +66,7 @@ def held_finely(scene: Scene, cycles: int) -> np.ndarray:
     world = world_of(cast(Any, group.network.parameters), cast(Any, group.kinematics.parameters), tuple(ideal))
     settings = motion_settings(world, tuple(ideal))
     memory, state, motors = motion_memory(world, settings), MotionState(), motors_of(scene, axes)
-    wish = RequestedEfforts(*([0.0] * len(axes) for _ in range(4)))
+    wish, still = RequestedEfforts(*([0.0] * len(axes) for _ in range(4))), [0.0] * len(axes)
     before, rows = list(motors.positions()), [list(motors.positions())]
     begin_motion(world, settings, state, memory, before)
     for cycle in range(1, cycles):
@@ -74,7 +75,7 @@ def held_finely(scene: Scene, cycles: int) -> np.ndarray:
         )
         at = list(motors.positions())
         follow(world, settings, state, memory, at, [b - a for a, b in zip(before, at, strict=True)], 1)
-        write_efforts(world, settings, state, memory, 0.0, wish)
+        write_efforts(world, settings, state, memory, Ahead(0.0, still, still, False), wish)
         before = at
         rows.append(at)
     return np.array(rows)
