@@ -83,10 +83,17 @@ def _sequence(module: ModuleType) -> None:
 
 
 def _absent_limits(module: ModuleType) -> None:
-    limiter = module.TorqueLimiter(LIMIT, SAMPLE_TIME)
-    for torque, velocity in itertools.product((LIMIT, -LIMIT), both_signs(VELOCITIES)):
-        assert limiter.limit(torque, velocity) == torque
-    assert limiter.saturated_cycles == 0
+    for rate, power, given in ((None, None, 1), (RATE, None, 3), (None, POWER, 5)):
+        limiter = module.TorqueLimiter(LIMIT, SAMPLE_TIME, rate, power)
+        for last, torque, velocity in CASES[::7]:
+            limiter.last = last
+            limited = limiter.limit(torque, velocity)
+            expected = breaks(torque, last, velocity) & given
+            assert (limiter.last, limiter.saturation) == (limited, expected)
+            assert (limited == torque) is (expected == 0)
+            for bound, outward in ((limiter.low, -(2.0**-40)), (limiter.high, 2.0**-40)):
+                assert breaks(bound, last, velocity) & given == 0
+                assert breaks(bound + outward, last, velocity) & given
 
 
 def _not_finite(module: ModuleType) -> None:

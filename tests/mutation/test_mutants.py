@@ -38,6 +38,10 @@ class Subject(NamedTuple):
     equivalent: Mapping[str, str] = {}  # name of the mutant -> why no test can notice
 
 
+_SHORT = "the way through all limits gives the same"
+_LONE = "self._is_alone = rate_limit"
+_ALONE = f"TorqueLimiter.__init__: {_LONE}"
+_INSIDE = "TorqueLimiter.limit: if self._is_alone and"
 SUBJECTS = {
     "limiter": Subject(
         limiter,
@@ -55,6 +59,11 @@ SUBJECTS = {
             "high = most if most <= high else high": "of two equal bounds, either",
             "TorqueLimiter.limit: torque = low if torque < low else high => "
             "torque = low if torque <= low else high": "a torque on a bound is not cut",
+            f"{_ALONE} is None and power_limit is None => {_LONE} is ... and power_limit is None": _SHORT,
+            f"{_ALONE} is None and power_limit is None => {_LONE} is None and power_limit is ...": _SHORT,
+            f"{_INSIDE} -limit <= torque <= limit: => if self._is_alone and -limit < torque <= limit:": _SHORT,
+            f"{_INSIDE} -limit <= torque <= limit: => if self._is_alone and -limit <= torque < limit:": _SHORT,
+            f"{_INSIDE} -limit <= torque <= limit: => if self._is_alone and +limit <= torque <= limit:": _SHORT,
         },
     ),
     "cia402": Subject(

@@ -64,7 +64,7 @@ class TorqueLimiter:
                 )
         self._limit = torque_limit
         self._step = rate * sample_time
-        self._is_alone = rate == self._power == math.inf  # the limit of the torque is the only one
+        self._is_alone = rate_limit is None and power_limit is None
         self.reset()
 
     def reset(self) -> None:
