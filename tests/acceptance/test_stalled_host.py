@@ -59,7 +59,7 @@ def test_frames_lost_are_certified_as_far_as_they_are_declared(
 
 def test_lost_frames_certify_no_sync_that_was_skipped(capsys: pytest.CaptureFixture[str]) -> None:
     """The torque under way acts for longer, and the one behind it, computed for after one hold, acts all the same."""
-    stalls = "simulation.bus={stall: [{begin: 0.0221, duration: 0.056, every: 0.064}]}"
+    stalls = "simulation.bus={stall: [{begin: 0.0528, duration: 0.058, every: 0.0713}]}"
     port, truth = account(capsys, stalls, "passivity.max_consecutive_losses=15", *THROWN)
     assert port["longest_hold"] <= 16
     assert truth["least_interaction"] < -5e-5
@@ -132,7 +132,7 @@ def test_a_stall_at_the_entry_into_a_wall_is_no_kick(begin: float, tmp_path: Pat
     main(["run", str(DEMO), "--duration", "0.4", "--log", str(path), *words])
     with EnergyLog.open(path) as log:
         strongest = float(abs(log.ports["handle"]["torque_applied"]).max())
-    assert 1.0 < strongest < 4.0
+    assert 1.0 < strongest < 5.0
 
 
 def test_a_torque_that_was_never_commanded_voids_the_certificate(capsys: pytest.CaptureFixture[str]) -> None:

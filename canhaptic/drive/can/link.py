@@ -94,14 +94,14 @@ class Link:
             message = self._frames[can_id]
         except KeyError:
             message = self._frames[can_id] = can.Message(arbitration_id=can_id, is_extended_id=False, is_rx=False)
-        now = self.clock.now()
-        message.timestamp = now * 1e-9
+        message.timestamp = self.clock.now() * 1e-9
         message.data = data  # bytes: python-can never changes them
         message.dlc = len(data)
         try:
             self._bus.send(message)
         except (can.CanError, OSError):
             self._send_again(message)
+        now = self.clock.now()  # a full queue or a stalled host may have held it up
         self.statistics.sent += 1
         if self._echoes:
             self._not_returned[can_id] = self._not_returned.get(can_id, 0) + 1
