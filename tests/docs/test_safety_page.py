@@ -8,7 +8,7 @@ from tests.docs.documents import ROOT
 STALLED = [
     "bus.rate=250",
     "bus.heartbeat_timeout=1",
-    "bus.stop_cycles=1000",  # and no end of the run, which is for the rig and not for the account
+    "bus.stop_cycles=5000",  # and no end of the run, which is for the rig and not for the account
     "axes.0.energy_loss_limit=none",
     "axes.0.speed_limit=100 m/s",
     "passivity.hand_push=0",  # and with it all the torque that sticks
