@@ -21,9 +21,9 @@ from canhaptic.control.admittance.motion import (
     sent,
     whole,
 )
-from canhaptic.control.admittance.port import BookedHold, Port, begin_port, book, port_settings
+from canhaptic.control.admittance.port import BookedHold, Port, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
-from canhaptic.control.admittance.sampled_group import GroupMotion, require_alike, require_finite
+from canhaptic.control.admittance.sampled_group import DisplayGroup, GroupAxis, GroupMotion, require_alike
 from canhaptic.control.admittance.velocity_loop import (
     LoopState,
     gained,
@@ -35,7 +35,7 @@ from canhaptic.control.admittance.velocity_loop import (
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
 from canhaptic.control.passivity.settlement import settle
-from canhaptic.errors import ControlError, ParameterError
+from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
 from canhaptic.units import Parameters
 
@@ -43,7 +43,7 @@ _CHORDS: Final = 6  # each leaves a part of the gap to the largest factor only
 _CLOSE: Final = 0.999  # of the budget used: near enough
 
 
-class _GroupAxis:
+class _GroupAxis(GroupAxis):
     """What one axis of a group knows and remembers."""
 
     def __init__(
@@ -57,10 +57,6 @@ class _GroupAxis:
         kept = self.loop_settings.delay + self.loop_settings.losses + 2
         self.memory = display_memory(self.port_settings, self.motion_settings, kept, list_of_zeros)
         self.leads = list_of_zeros(properties.latency + 1)
-
-    def begin(self, position: float, force: float) -> None:
-        """Takes the first sample."""
-        begin_port(self.port, self.memory.positions, position, force)
 
     def change(self, moved: float | None) -> float:
         """Returns by how much the margin changed in the hold that ended, at least [J]; `moved` None: not seen."""
@@ -89,7 +85,7 @@ class _GroupAxis:
         self.memory.commands[self.motion.newest] = self.motion.speed = speed
 
 
-class GuardedDisplayGroup:
+class GuardedDisplayGroup(DisplayGroup[_GroupAxis]):
     """A mass on several axes, with the certificate of their velocity loops; a `GroupController`.
 
     Args:
@@ -136,11 +132,6 @@ class GuardedDisplayGroup:
         self._is_unsure, self._started = uneven and self._parameters.integral_gain > 0.0, False
         self._last = group_at_rest(self.axes)
 
-    @property
-    def energy_resolution(self) -> float:
-        """Sum of what was unsure in the energy of all axes [J]."""
-        return sum(axis.port.doubt for axis in self._each)
-
     def hold(self) -> GroupBalance:
         """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
         speeds = (0.0,) * self.axes
@@ -154,24 +145,7 @@ class GuardedDisplayGroup:
         account = AT_REST._replace(h_s=last.h_s, h_dis=last.h_dis, branch=Branch.HELD.value)
         return GroupBalance(speeds, account, speeds)
 
-    def lasted(self, periods: float) -> None:
-        """Counts the SYNCs that were skipped as samples that were lost."""
-        for _ in range(round(periods) - 1):
-            self.hold()
-
-    def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
-        """Accounts for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
-        try:
-            require_finite(positions, torques_applied, self.axes)
-        except ControlError:
-            self.reset()
-            raise
-        forces = [-torque for torque in torques_applied]
-        if not self._started:
-            self._started = True
-            for axis, position, force in zip(self._each, positions, forces, strict=True):
-                axis.begin(position, force)
-            return self._last
+    def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
         holds, h_i = self._take(positions, forces)
         before = [axis.motion.speed for axis in self._each]
         velocities = [hold.moved / hold.elapsed for hold in holds]
@@ -183,15 +157,13 @@ class GuardedDisplayGroup:
         account = self._settle(h_i, before, velocities, certificate)
         commands = tuple(axis.motion.speed for axis in self._each)
         apart = (h_i - sum(hold.energy for hold in holds)) / self.axes  # known by the encoders: of no axis alone
-        self._last = GroupBalance(commands, account, tuple(hold.energy + apart for hold in holds))
-        return self._last
+        return GroupBalance(commands, account, tuple(hold.energy + apart for hold in holds))
 
     def _take(self, positions: Sequence[float], forces: Sequence[float]) -> tuple[list[BookedHold], float]:
         """Books the hold that ended on every axis and brings the margin up to date; returns (holds, h_i [J])."""
         missed = self._each[0].port.missed
         holds = [
-            book(axis.port_settings, axis.port, axis.memory.positions, position, force)
-            for axis, position, force in zip(self._each, positions, forces, strict=True)
+            axis.book(position, force) for axis, position, force in zip(self._each, positions, forces, strict=True)
         ]
         moved = [None if missed else hold.moved for hold in holds]
         changes = [axis.change(way) for axis, way in zip(self._each, moved, strict=True)]

@@ -4,20 +4,23 @@ What sampling, the drives and the doubt of the account create is booked as `gen`
 axis (`sampled_mass`). Observer and tank count the sum of F u T over all axes.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from math import isfinite, sqrt
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from canhaptic.control.admittance.display_mass import DisplayMass
 from canhaptic.control.admittance.motion import (
+    DisplayMemory,
     DisplayMotion,
+    DisplayMotionSettings,
     display_memory,
     limited,
     motion_settings,
     send,
     whole,
 )
-from canhaptic.control.admittance.port import BookedHold, Port, begin_port, book, port_settings
+from canhaptic.control.admittance.port import BookedHold, Port, PortSettings, begin_port, book, port_settings
 from canhaptic.control.admittance.properties import DisplayProperties
 from canhaptic.control.admittance.sampled_mass import NothingToChoose
 from canhaptic.control.admittance.tank_display import TankDisplayParameters
@@ -75,7 +78,79 @@ def require_finite(positions: Sequence[float], torques: Sequence[float], axes: i
         )
 
 
-class _SampledAxis:
+class GroupAxis:
+    """What one axis of any group of displays knows and remembers."""
+
+    port_settings: PortSettings
+    motion_settings: DisplayMotionSettings
+    port: Port
+    motion: DisplayMotion
+    memory: DisplayMemory
+
+    def begin(self, position: float, force: float) -> None:
+        """Takes the first sample."""
+        begin_port(self.port, self.memory.positions, position, force)
+
+    def book(self, position: float, force: float) -> BookedHold:
+        """Books the hold that ended."""
+        return book(self.port_settings, self.port, self.memory.positions, position, force)
+
+
+_Axis = TypeVar("_Axis", bound=GroupAxis)
+
+
+class DisplayGroup(ABC, Generic[_Axis]):
+    """What every `GroupController` of displays does alike; `_answer` is the algorithm's.
+
+    Attributes:
+        axes: How many.
+    """
+
+    axes: int
+    _each: list[_Axis]
+    _started: bool
+    _last: GroupBalance
+
+    @property
+    def energy_resolution(self) -> float:
+        """Sum of what was unsure in the energy of all axes [J]."""
+        return sum(axis.port.doubt for axis in self._each)
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forgets everything; see `GroupController`."""
+
+    @abstractmethod
+    def hold(self) -> GroupBalance:
+        """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+
+    def lasted(self, periods: float) -> None:
+        """Counts the SYNCs that were skipped as samples that were lost."""
+        for _ in range(round(periods) - 1):
+            self.hold()
+
+    def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
+        """Accounts for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
+        try:
+            require_finite(positions, torques_applied, self.axes)
+        except ControlError:
+            self.reset()
+            raise
+        forces = [-torque for torque in torques_applied]
+        if self._started:
+            self._last = self._answer(positions, forces)
+            return self._last
+        self._started = True
+        for axis, position, force in zip(self._each, positions, forces, strict=True):
+            axis.begin(position, force)
+        return self._last
+
+    @abstractmethod
+    def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
+        """Books the hold that ended, sends the next commands and returns the account of both."""
+
+
+class _SampledAxis(GroupAxis):
     """What one axis remembers."""
 
     def __init__(self, environment: GroupMotion, place: int, properties: DisplayProperties) -> None:
@@ -92,7 +167,7 @@ class _SampledAxis:
         return self.motion.speed
 
 
-class UnprotectedDisplayGroup:
+class UnprotectedDisplayGroup(DisplayGroup[_SampledAxis]):
     """A mass on several axes as it is; a `GroupController`.
 
     Args:
@@ -129,11 +204,6 @@ class UnprotectedDisplayGroup:
         """Returns the energy of the algorithm's own at first [J]."""
         return 0.0
 
-    @property
-    def energy_resolution(self) -> float:
-        """Sum of what was unsure in the energy of all axes [J]."""
-        return sum(axis.port.doubt for axis in self._each)
-
     def hold(self) -> GroupBalance:
         """Answers a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
         speeds = (0.0,) * self.axes
@@ -145,27 +215,10 @@ class UnprotectedDisplayGroup:
         last = self._last.account
         return GroupBalance(speeds, AT_REST._replace(h_s=last.h_s, branch=Branch.HELD.value), speeds)
 
-    def lasted(self, periods: float) -> None:
-        """Counts the SYNCs that were skipped as samples that were lost."""
-        for _ in range(round(periods) - 1):
-            self.hold()
-
-    def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
-        """Accounts for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
-        try:
-            require_finite(positions, torques_applied, self.axes)
-        except ControlError:
-            self.reset()
-            raise
-        forces, time = [-torque for torque in torques_applied], self._time
-        if not self._started:
-            self._started = True
-            for axis, position, force in zip(self._each, positions, forces, strict=True):
-                begin_port(axis.port, axis.memory.positions, position, force)
-            return self._last
+    def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
+        time = self._time
         holds = [
-            book(axis.port_settings, axis.port, axis.memory.positions, position, force)
-            for axis, position, force in zip(self._each, positions, forces, strict=True)
+            axis.book(position, force) for axis, position, force in zip(self._each, positions, forces, strict=True)
         ]
         before = [axis.motion.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
         h_pas = sum(force * slip for force, slip in zip(forces, self._slips, strict=True)) * holds[0].elapsed
@@ -177,8 +230,7 @@ class UnprotectedDisplayGroup:
             asked = wish[place] + slips[place]
             sent = axis.send(asked, positions[place], hold.moved / hold.elapsed)
             self._slips.append(slips[place] if abs(sent - asked) < abs(slips[place]) else 0.0)
-        self._last = self._closed(holds, h_pas, before)
-        return self._last
+        return self._closed(holds, h_pas, before)
 
     def _observe(self, energy: float) -> None:
         """Takes what came in by force and command in the hold that ended [J]."""
