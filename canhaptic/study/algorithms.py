@@ -88,12 +88,7 @@ def display_under(axis: AxisScene, name: str) -> AxisScene:
     if axis.passivity.name == name:
         return axis
     model = load(DISPLAY_ALGORITHMS, name, "admittance algorithm").parameters_type
-    try:
-        return replace(axis, passivity=ComponentSpec(name, model()))
-    except ValueError as error:
-        raise ParameterError(
-            f"{name}: needs parameters that the scene does not give; compare a scene with it"
-        ) from error
+    return replace(axis, passivity=_with_defaults(name, model, "compare a scene with it"))
 
 
 def display_group_under(group: GroupScene, name: str) -> GroupScene:
@@ -101,10 +96,14 @@ def display_group_under(group: GroupScene, name: str) -> GroupScene:
     if group.passivity.name == name:
         return group
     model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm of several admittance displays").parameters_type
+    return replace(group, passivity=_with_defaults(name, model, "study a scene with it"))
+
+
+def _with_defaults(name: str, model: type[Parameters], remedy: str) -> ComponentSpec:
     try:
-        return replace(group, passivity=ComponentSpec(name, model()))
+        return ComponentSpec(name, model())
     except ValueError as error:
-        raise ParameterError(f"{name}: needs parameters that the scene does not give; study a scene with it") from error
+        raise ParameterError(f"{name}: needs parameters that the scene does not give; {remedy}") from error
 
 
 def _with_known_plant(axis: AxisScene) -> _AbleAxis:
