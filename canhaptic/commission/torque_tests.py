@@ -32,7 +32,7 @@ _RATTLE: Final = 64  # cycles
 _SHAKES: Final = 64  # of one sign or the other
 _RESOLVED_COUNTS: Final = 20  # of motion in one part of a shake: quantisation then changes the mass by 0.1 %
 _RIGID: Final = 0.1
-"""Part by which the masses of a fast and of a slow motion may differ where nothing bends between them."""
+"""Largest relative difference between the masses of a fast and of a slow motion on a stiff axis."""
 _SCALE_TOLERANCE: Final = 0.1
 _MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
 

@@ -51,7 +51,7 @@ def _damping(effect: Any) -> float:
 
 
 def _friction(effect: Any) -> float:
-    """Returns the largest force by which an effect holds or pushes at any speed: dry friction, cogging."""
+    """Returns the largest force of an effect at any speed: dry friction, cogging."""
     if getattr(effect, "type", "") == "cogging":
         return float(effect.amplitude)
     return float(max(getattr(effect, "static", 0.0), getattr(effect, "kinetic", 0.0)))

@@ -1,4 +1,4 @@
-"""A faulty bus between two connections of a private virtual bus, on a clock that stands still until it is moved."""
+"""A faulty bus between two connections of a private virtual bus, on a clock that the test moves."""
 
 import itertools
 from collections.abc import Iterable

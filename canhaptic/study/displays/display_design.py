@@ -44,7 +44,7 @@ def design_displays(
 
     Args:
         scene: Of admittance displays, simulated, each with a hand.
-        margin: Part by which the mass could be smaller and still pass.
+        margin: How much smaller the mass could be and still pass, relative to it.
         tolerance: How far the mass felt may be from the mass asked, as a part of it.
         progress: Called with the number of masses tried, and how many there are at most.
 
