@@ -59,7 +59,7 @@ def _replay_report(result: dict[str, Any]) -> list[Text]:
         lines.append(Text(f" frames left out: {describe_skipped(result['skipped'])}"))
     if result["reads_left_out"]:
         objects = ", ".join(result["reads_left_out"])
-        lines.append(Text(f" reads of the start left out, because the recorded master was older: {objects}"))
+        lines.append(Text(f" objects that the start left out, because the recorded master was older: {objects}"))
     if difference is None:
         return [*lines, Text(" identical: the master sent every frame byte for byte as recorded", style="green")]
     place = f"line {difference['number']}, {difference['time']:.6f} s"

@@ -52,7 +52,7 @@ def replay_bus_log(
 
     Returns:
         `{status: "identical" | "different", recording, start: "boot" | "sync", skipped (frames left out, by kind),
-        reads_left_out (`axis: object` that the start reads today and the recorded master did not),
+        reads_left_out (`axis: object` that the start reads or writes today and the recorded master did not),
         frames: {recorded, played, compared}, cycles, duration, elapsed, speed, ended, difference, account}`;
         `difference` as `difference.describe` gives it.
 
@@ -86,7 +86,7 @@ class _Replay:
             for buses in (far_buses, near_buses):
                 buses.append(open_bus(scene.bus.model_copy(update=_BUS), channel))
                 stack.callback(buses[-1].shutdown)
-        self._not_asked: list[str] = []
+        self._left_out: list[str] = []
         self._wall = WallClock()
         self._side = RecordedSide(far_buses, recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
@@ -103,14 +103,18 @@ class _Replay:
         return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, group_places(scene))
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
-        """Leaves out the read of 0x1006 for drives of which the recording has none: older masters sent none."""
+        """Leaves out of the start what the recording has for no drive: older masters left 0x1006 and offsets alone."""
+        if self._joins:
+            return
         places = {bus.name: place for place, bus in enumerate(self._scene.buses)}
         for axis, drive in zip(self._scene.axes, drives, strict=True):
-            if not self._joins and drive.dictionary.get_variable(od.COMMUNICATION_CYCLE_PERIOD) is not None:
-                where = places[axis.bus], drive.axis.node_id, od.COMMUNICATION_CYCLE_PERIOD
-                drive.asks_sync_period = self._recording.has_sdo(*where)
-                if not drive.asks_sync_period:
-                    self._not_asked.append(f"{drive.axis.name}: 0x{od.COMMUNICATION_CYCLE_PERIOD:04X}")
+            where = places[axis.bus], drive.axis.node_id
+            drive.left_out = frozenset(
+                index
+                for index in (od.COMMUNICATION_CYCLE_PERIOD, *drive.axis.offsets)
+                if drive.dictionary.get_variable(index) is not None and not self._recording.has_sdo(*where, index)
+            )
+            self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
 
     def run(self) -> dict[str, Any]:
         """Runs to the end of the recording or to the first difference."""
@@ -140,7 +144,7 @@ class _Replay:
             "recording": str(recording.path),
             "start": "sync" if self._joins else "boot",
             "skipped": dict(recording.skipped),
-            "reads_left_out": self._not_asked,
+            "reads_left_out": self._left_out,
             "frames": {"recorded": len(recording.frames), "played": side.played, "compared": side.compared},
             "cycles": self._cycle.cycles,
             "duration": duration,

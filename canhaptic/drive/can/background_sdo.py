@@ -49,11 +49,25 @@ _OWNED: Final = frozenset(
         od.RATED_TORQUE,
         0x607C,  # home offset
         0x607E,  # polarity
+        od.POSITION_OFFSET,
+        od.VELOCITY_OFFSET,
+        od.TORQUE_OFFSET,
         od.ENCODER_RESOLUTION,
         0x6090,  # velocity encoder resolution
         od.GEAR_RATIO,
         0x6092,  # feed constant
         od.INTERPOLATION_PERIOD,
+    }
+)
+_OWNED_BY_DISPLAYS: Final = frozenset(
+    {
+        # what brakes the drive, and what its ramps may add to a command
+        od.QUICK_STOP_OPTION,
+        od.QUICK_STOP_DECELERATION,
+        od.PROFILE_ACCELERATION,
+        od.PROFILE_DECELERATION,
+        od.MAX_ACCELERATION,
+        od.MAX_DECELERATION,
     }
 )
 _PDO_OBJECTS: Final = range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUNT)
@@ -111,7 +125,8 @@ class BackgroundSdo:
         Raises:
             SdoError: As `upload`, or the object belongs to the cycle.
         """
-        if index in _OWNED or index in _PDO_OBJECTS:
+        is_display = self._drive.axis.admittance is not None
+        if index in _OWNED or index in _PDO_OBJECTS or (is_display and index in _OWNED_BY_DISPLAYS):
             text = "it belongs to the cycle while the rig runs; stop the rig first"
             raise self._drive.sdo.failure("write", index, subindex, text)
         transfer = sdo_transfer.download(*_checked(index, subindex), bytes(data))

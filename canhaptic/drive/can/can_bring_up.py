@@ -59,7 +59,7 @@ class CanBringUp(BringUp):
         """Compares 0x1006 with the sample time: with a period that another master left the drive misses our SYNCs."""
         drive, index = self._drive, od.COMMUNICATION_CYCLE_PERIOD
         listed = drive.dictionary.get_variable(index)
-        if listed is None or not listed.readable or not drive.asks_sync_period:
+        if listed is None or not listed.readable or index in drive.left_out:
             return
         with self.step("SYNC period"):
             try:

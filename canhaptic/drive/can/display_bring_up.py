@@ -25,7 +25,6 @@ class DisplayBringUp(CanBringUp):
         self._remedies = {
             **self._remedies,
             "ramps": _REMEDY,
-            "offsets": _REMEDY,
             "quick stop": _REMEDY,
             "tare": _NO_TARE,
         }
@@ -43,9 +42,7 @@ class DisplayBringUp(CanBringUp):
         for index in _RAMPS:  # a ramp inside the drive is a command that the certificate does not know
             if is_writable(dictionary, index, 0):
                 self._write_confirmed("ramps", index, 0, self._most(index))
-        for index in (od.VELOCITY_OFFSET, od.TORQUE_OFFSET):
-            if is_writable(dictionary, index, 0):
-                self._write_confirmed("offsets", index, 0, 0)
+        self._zero_offsets()
         if is_writable(dictionary, od.QUICK_STOP_DECELERATION, 0):
             self._write_confirmed("quick stop", od.QUICK_STOP_DECELERATION, 0, self._most(od.QUICK_STOP_DECELERATION))
         if is_writable(dictionary, od.QUICK_STOP_OPTION, 0):

@@ -44,7 +44,6 @@ class ServoDrive(TorqueAxis):
     Attributes:
         map: Its PDOs.
         nmt_state: As its last heartbeat said; None before the first.
-        asks_sync_period: Whether the start reads 0x1006; false only for the replay of an older master, which did not.
         window: Of the SYNC under way, shared by the drives of a bus; the exchange sets it.
 
     Raises:
@@ -61,7 +60,6 @@ class ServoDrive(TorqueAxis):
         self.map: AxisMap = choose_map(dictionary, axis)
         sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
         super().__init__(axis, dictionary, sdo, _rules(bus), self.map.read_back)
-        self.asks_sync_period = True
         self.window = SyncWindow()
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id

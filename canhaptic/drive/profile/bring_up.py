@@ -29,6 +29,7 @@ _REMEDIES: Final = {
     "interpolation period": "use a rate whose period the drive accepts, or quirks: [no_interpolation_period]",
     "mode of operation": "the drive refuses the cyclic synchronous mode; check its licence, firmware and settings",
     "zero torque": "another master may be writing to this drive",
+    "offsets": "set the object to 0 with the vendor's tool: the drive adds it to what the master asks",
     "position": "the map or counts may be wrong, or the axis was moved by force during the start",
     "enable": "check the safety inputs (STO), the supply of the power stage and the drive's error code; "
     "quirks: slow_enable where it takes its time",
@@ -255,6 +256,22 @@ class BringUp(ABC):
 
     def _zero_torque(self) -> None:
         self._write_confirmed("zero torque", od.TARGET_TORQUE, 0, 0)
+        self._zero_offsets()
+
+    def _zero_offsets(self) -> None:
+        """Takes away what the drive adds to its target: the account knows nothing of a torque set elsewhere."""
+        drive = self._drive
+        for index in drive.axis.offsets:
+            variable = drive.dictionary.get_variable(index)
+            if variable is None or index in drive.left_out:
+                continue
+            if variable.writable:
+                self._write_confirmed("offsets", index, 0, 0)
+            elif variable.readable:
+                with self.step("offsets"):
+                    seen = self._sdo.read(index)
+                if seen:
+                    raise self.refusal("offsets", f"{self._sdo.describe(index)} = {seen}, read-only", "0")
 
     def _rated_torque(self) -> None:
         drive = self._drive

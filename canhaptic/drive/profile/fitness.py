@@ -71,7 +71,7 @@ def profile_findings(
         _abort_option(dictionary, axis),
     ]
     read_back = _read_back(dictionary) if axis.admittance is None else []
-    return findings + read_back + _interpolation(dictionary, axis, sample_time_ns)
+    return findings + read_back + _offsets(dictionary, axis) + _interpolation(dictionary, axis, sample_time_ns)
 
 
 def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
@@ -236,6 +236,17 @@ def _abort_option(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
     if axis.watchdog and (refusal := objection(dictionary, use)) is not None:
         return Finding(item, Verdict.REFUSED, f"{refusal}; {_CORRECT}, or see the quirks abort_...")
     return Finding(item, Verdict.FIT, f"written: a lost master is a fault ({option})" if option == 1 else "written")
+
+
+def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
+    """Returns the refusals of what the drive adds to its target: optional, and set to 0 at the start."""
+    uses = [
+        ObjectUse(index, reads=True, writes=is_writable(dictionary, index, 0), values=(0,))
+        for index in axis.offsets
+        if index in dictionary
+    ]
+    found = [(use, text) for use in uses if (text := objection(dictionary, use)) is not None]
+    return [Finding(f"{use.index:#06x} offset", Verdict.REFUSED, f"{text}; {_CORRECT}") for use, text in found]
 
 
 def _interpolation(dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None) -> list[Finding]:

@@ -63,6 +63,7 @@ class TorqueAxis(ABC):
         is_operational: Whether the drive, as it last said, exchanges process data.
         alive_at: When the drive last showed that it is alive [ns].
         answers: Whether the drive answered an SDO since the last start.
+        left_out: Objects that the start leaves out: those that an older master, whose run is replayed, left out.
         controlword: Sent with the next torque.
         unheard: SYNCs since the last `reset` whose process data did not come in their window.
         read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from that
@@ -104,6 +105,7 @@ class TorqueAxis(ABC):
         self.limiter = TorqueLimiter(axis.torque_limit, rules.sample_time, axis.torque_rate_limit, axis.power_limit)
         self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles)
         self.answers = False
+        self.left_out: frozenset[int] = frozenset()
         self.is_foreign = False
         self.sample_time_ns = rules.sample_time_ns
         self._is_synchronous, self._silence = rules.is_synchronous, rules.silence

@@ -90,3 +90,9 @@ class TorqueAxisParameters(Parameters):
     def target(self) -> int:
         """Index of the object that carries the command."""
         return od.TARGET_TORQUE if self.admittance is None else self.admittance.target
+
+    @property
+    def offsets(self) -> tuple[int, ...]:
+        """Indices of what the drive adds to its target, or to what follows from it: 0 while a rig runs."""
+        offsets = (od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET)
+        return offsets[2:] if self.admittance is None else offsets

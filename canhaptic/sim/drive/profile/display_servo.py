@@ -12,11 +12,11 @@ from canhaptic.canopen.objects import (
     CYCLIC_SYNC_VELOCITY,
     MAX_ACCELERATION,
     MAX_DECELERATION,
+    POSITION_OFFSET,
     PROFILE_ACCELERATION,
     PROFILE_DECELERATION,
     TARGET_POSITION,
     TARGET_VELOCITY,
-    TORQUE_OFFSET,
     VELOCITY_OFFSET,
     DataType,
     StatusBit,
@@ -77,8 +77,8 @@ class DisplayServo(Servo):
             for indices in ((PROFILE_ACCELERATION, MAX_ACCELERATION), (PROFILE_DECELERATION, MAX_DECELERATION))
         )
         self._hidden_ramp = display.ramp or inf
-        self._velocity_offset = store.find(VELOCITY_OFFSET)
-        self._torque_offset = store.find(TORQUE_OFFSET)
+        self._velocity_offset = store.optional(VELOCITY_OFFSET, DataType.INTEGER32)
+        self._position_offset = store.optional(POSITION_OFFSET, DataType.INTEGER32)
         self._offset = 0  # of the torque that acts [per mille of the rated torque]
         self._ramped = 0.0  # velocity demanded, at the begin of this hold [m/s or rad/s]
         self._braking_since = -1
@@ -87,12 +87,10 @@ class DisplayServo(Servo):
         self._sampled_at = 0
         self._period = 0.0
         super().__init__(store, motor, parameters)
-        for commanded in (self._target_velocity, self._target_position):
+        offsets = (self._velocity_offset, self._position_offset)
+        for commanded in (self._target_velocity, self._target_position, *offsets):
             commanded.changed = self.obey
-            commanded.value = 0 if commanded.value is None else commanded.value
-        for offset in (self._velocity_offset, self._torque_offset):
-            if offset is not None:
-                offset.changed = self.obey
+            commanded.value = commanded.number
 
     def reset(self) -> None:
         """Returns to the state after power-on: no power; the motor moves on."""
@@ -108,8 +106,7 @@ class DisplayServo(Servo):
             mode = self._mode_display.value
             self._feed_forward()
             if mode == CYCLIC_SYNC_VELOCITY:
-                target = self._target_velocity.number
-                target += 0 if self._velocity_offset is None else self._velocity_offset.number
+                target = self._target_velocity.number + self._velocity_offset.number
                 command, word = self._along_ramp(target), word | _FOLLOWS
             elif mode == CYCLIC_SYNC_POSITION:
                 command, word = self._interpolated(), word | _FOLLOWS
@@ -133,7 +130,7 @@ class DisplayServo(Servo):
         """Lets 0x60B2 act; the limit of the torque, 0x6072, is taken over before the motor begins."""
         if not self.is_running:
             self.motor.limit_torque(self._stage.largest)
-        offset = 0 if self._torque_offset is None else self._torque_offset.number
+        offset = self._torque_offset.number
         if offset != self._offset:
             self._move()
             self._offset = offset
@@ -155,7 +152,7 @@ class DisplayServo(Servo):
 
     def _interpolated(self) -> float:
         """Returns the velocity [m/s or rad/s] that leads to the target position by the next SYNC."""
-        target = self._target_position.number
+        target = self._target_position.number + self._position_offset.number
         if self._setpoint is None or not self._period:
             self._setpoint = target
             return 0.0

@@ -19,6 +19,7 @@ from canhaptic.canopen.objects import (
     TARGET_TORQUE,
     TORQUE_ACTUAL,
     TORQUE_DEMAND,
+    TORQUE_OFFSET,
     VELOCITY_ACTUAL,
     DataType,
     SdoAbort,
@@ -105,6 +106,7 @@ class Servo:
         self._supported_modes = store.find(SUPPORTED_DRIVE_MODES)
         self._quick_stop_option = store.optional(QUICK_STOP_OPTION, DataType.INTEGER16)
         self._target: Any = store.entry(TARGET_TORQUE, DataType.INTEGER16)
+        self._torque_offset: Any = store.optional(TORQUE_OFFSET, DataType.INTEGER16)
         self._torque_demand = store.optional(TORQUE_DEMAND, DataType.INTEGER16)
         self._torque_actual = store.optional(TORQUE_ACTUAL, DataType.INTEGER16)
         self._current_actual = store.optional(CURRENT_ACTUAL, DataType.INTEGER16)
@@ -120,7 +122,7 @@ class Servo:
         self.reset()
 
     def _connect(self) -> None:
-        for commanded in (self._controlword, self._mode, self._target):
+        for commanded in (self._controlword, self._mode, self._target, self._torque_offset):
             commanded.changed = self.obey
         self._mode.check = self._check_mode
         measured = (self._position, self._torque_demand, self._torque_actual, self._current_actual)
@@ -134,7 +136,7 @@ class Servo:
         self.demand, self.torque = 0, 0.0
         self.was_reset = False
         self.fault_code = 0
-        for commanded in (self._controlword, self._mode, self._target):
+        for commanded in (self._controlword, self._mode, self._target, self._torque_offset):
             commanded.value = commanded.number
         self._mode_display.value = self._mode.number if self._check_mode(self._mode.number) is None else 0
         self._statusword.value = STATUSWORDS[self.machine.state]
@@ -198,7 +200,7 @@ class Servo:
         if state is not _ENABLED:
             self._enabled_since = -1
         elif self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
-            target: int = self._target.value  # a number since `reset`
+            target: int = self._target.value + self._torque_offset.value  # numbers since `reset`
             demand = self._stage.limit(target)
             word |= _FOLLOWS if demand == target else _FOLLOWS | _LIMITED
         if demand != self.demand:
