@@ -29,7 +29,7 @@ RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 MOST_AXES: Final = 16
 """Largest number of axes for which the bus load is computed."""
 _BUS: Final = BusParameters(rate=1000.0)  # of values that depend on it: the defaults
-_SHOWN_IF_REFUSED: Final = ("0x1006", "0x60c2", "0x6074", "0x6077")
+_SHOWN_IF_REFUSED: Final = ("0x1006", "0x60b0", "0x60b1", "0x60b2", "0x60c2", "0x6074", "0x6077")
 _INTEGER_NAMES: Final = {
     datatypes.BOOLEAN: "BOOLEAN",
     datatypes.INTEGER8: "INTEGER8",

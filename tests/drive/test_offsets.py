@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.drive.profile.fitness import Verdict, profile_findings
+from canhaptic.drive.survey import survey
 from canhaptic.errors import SdoError, StartError
 from canhaptic.replay.replayed_run import replay_bus_log
 from canhaptic.scene.load import load_scene
@@ -54,6 +55,7 @@ def test_a_dictionary_whose_offset_cannot_be_zero_is_refused(tmp_path: Path) -> 
     wrong = axis(eds=eds_with_offset(tmp_path, data_type="0x0008"))  # REAL32
     found = {finding.item: finding for finding in profile_findings(dictionary(wrong), wrong)}
     assert found["0x60b2 offset"].verdict is Verdict.REFUSED
+    assert [row.item for row in survey(dictionary(wrong), wrong).reasons] == ["0x60b2 offset"]
 
 
 def test_no_thread_writes_an_offset_during_the_run(bench: MakeBench, tmp_path: Path) -> None:
