@@ -168,7 +168,7 @@ class Cycle:
     def _lost(self, samples: Sequence[Sample]) -> str:
         """Returns by which port too much energy went out, and how much; "" while none has."""
         for meter in self._loss_meters:
-            if not meter.take(samples):
+            if not meter.take(samples, self.rig.deadline_index):
                 continue
             unsure = sum(self.meters.of_axes[axis].measured().energy_resolution for axis in meter.axes)
             supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)

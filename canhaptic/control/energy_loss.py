@@ -25,7 +25,7 @@ class EnergyLossMeter:
         energy: That came in so far; negative where more was given out [J].
     """
 
-    __slots__ = ("_by_speed", "_positions", "_sync_index", "allowance", "axes", "energy", "floor", "limit", "name")
+    __slots__ = ("_booked_at", "_by_speed", "_positions", "allowance", "axes", "energy", "floor", "limit", "name")
 
     def __init__(
         self,
@@ -41,15 +41,16 @@ class EnergyLossMeter:
         self.floor = -(limit + allowance)
         self._by_speed = {axis: value / sample_time for axis, value in zip(self.axes, damping, strict=True)}
         self._positions = dict.fromkeys(self.axes, 0.0)
-        self._sync_index = -1
+        self._booked_at = -1
 
-    def take(self, samples: Sequence[Sample]) -> bool:
+    def take(self, samples: Sequence[Sample], deadline: int) -> bool:
         """Counts the hold that ended; returns whether more was given out than the floor allows.
 
         Args:
             samples: Of the whole rig; where one of the port's is not fresh, the next that is counts for all holds.
+            deadline: Sample times from the first SYNC to this one; SYNCs that were skipped count.
         """
-        last, index = self._sync_index, samples[0][0]
+        booked_at = self._booked_at
         if len(self.axes) > 1 and not all(samples[axis].fresh for axis in self.axes):
             return False
         for axis in self.axes:
@@ -58,8 +59,8 @@ class EnergyLossMeter:
                 return False
             moved = position - self._positions[axis]
             self._positions[axis] = position
-            if last >= 0:
+            if booked_at >= 0:
                 self.energy += interaction_energy(torque, moved)
-                self.energy += self._by_speed[axis] * moved * moved / (index - last)
-        self._sync_index = index
+                self.energy += self._by_speed[axis] * moved * moved / (deadline - booked_at)
+        self._booked_at = deadline
         return self.energy < self.floor

@@ -117,14 +117,16 @@ def sample(index: int, position: float, torque: float, *, fresh: bool = True) ->
 
 def test_the_meter_counts_torque_times_displacement_over_all_holds_and_the_damping_of_the_device() -> None:
     meter = EnergyLossMeter("handle", (0,), limit=0.01, allowance=0.02, damping=(4.0,), sample_time=1e-3)
-    assert not meter.take(sample(0, 5.0, 7.0))  # the first only places it
-    assert not meter.take(sample(1, 5.001, 10.0))
+    assert not meter.take(sample(0, 5.0, 7.0), 0)  # the first only places it
+    assert not meter.take(sample(1, 5.001, 10.0), 1)
     assert meter.energy == pytest.approx(-0.01 + 4.0 * 1e-6 / 1e-3)
-    assert not meter.take(sample(2, 5.5, 10.0, fresh=False))
-    assert not meter.take(sample(3, 5.003, 5.0))  # two holds: at least 4 N*s/m * (2 mm)^2 / 2 ms are dissipated
+    assert not meter.take(sample(2, 5.5, 10.0, fresh=False), 2)
+    assert not meter.take(sample(3, 5.003, 5.0), 3)  # two holds: at least 4 N*s/m * (2 mm)^2 / 2 ms are dissipated
     assert meter.energy == pytest.approx(-0.01 + 0.004 - 0.01 + 0.008)
-    assert meter.take(sample(4, 5.004, 40.0))
+    assert meter.take(sample(4, 5.004, 40.0), 4)
     assert meter.energy == pytest.approx(-0.044)
+    assert not meter.take(sample(5, 5.014, 0.0), 24)  # 19 SYNCs were skipped: 4 N*s/m * (10 mm)^2 / 20 ms
+    assert meter.energy == pytest.approx(-0.044 + 0.02)
 
 
 def test_the_replay_of_a_run_that_was_ended_is_ended_too(tmp_path: Path) -> None:
