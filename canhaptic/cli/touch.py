@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.cli.arguments import scene_of
 from canhaptic.cli.page_server import serve_page, usable_port
-from canhaptic.scene.display_checks import refuse_displays
 from canhaptic.touch.two_sides import two_sides
 
 if TYPE_CHECKING:
@@ -23,7 +22,6 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: The scene cannot be touched, Bokeh is not installed, or the port is taken.
     """
     scene = scene_of(arguments)
-    refuse_displays(scene, "touch")
     two_sides(scene, arguments.axis)
     visits = _Visits(scene, arguments)
     try:

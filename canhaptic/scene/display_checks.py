@@ -70,5 +70,5 @@ def refuse_displays(scene: Scene, command: str) -> None:
     if names:
         raise InputError(
             f"{scene.source}: {names}: {command} takes impedance displays (motion in, torque out) only; "
-            "use canhaptic run, compare, sweep, design, accuracy, check or inspect"
+            "use canhaptic run, touch, compare, sweep, design, accuracy, check or inspect"
         )

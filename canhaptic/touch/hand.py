@@ -12,7 +12,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.scene.models import Scene
 from canhaptic.study.loop import Array
 from canhaptic.touch.hand_process import ARRIVED, RUN, SHARED, TOKEN, TouchJob, TouchPace, TouchStatus, columns, work
-from canhaptic.touch.two_sides import TouchScene
+from canhaptic.touch.touch_scene import TouchScene
 
 _END: Final = 2.0  # [s] until a process that does not end is ended
 

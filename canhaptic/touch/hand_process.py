@@ -26,13 +26,14 @@ import numpy as np
 
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
-from canhaptic.errors import CanHapticError
+from canhaptic.errors import CanHapticError, InputError
 from canhaptic.histogram import DurationHistogram
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import scene_from_text
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.touch.two_sides import TouchScene, two_sides
+from canhaptic.touch.touch_scene import TouchScene
+from canhaptic.touch.two_sides import two_sides
 
 TouchPace = Literal["even", "real"]
 X, Y, TOKEN, ARRIVED, RUN = range(5)
@@ -95,11 +96,14 @@ class TouchStatus(NamedTuple):
 
 
 def columns(touched: TouchScene) -> list[str]:
-    """Returns the names of the columns of a row: time, token, place of the hand, then those of each side."""
-    directions = ("x", "y") if touched.is_plane else ("x",)
-    names = ["time", "token", *(f"hand.{d}" for d in directions)]
+    """Returns the names of the columns of a row: time, token, place of the hand, then those of each side.
+
+    `force` is that of the display on the hand; of an admittance display that of the hand, as its sensor shows it.
+    """
+    names = ["time", "token", *(f"hand.{d}" for d in touched.directions)]
+    parts = ("position", "force", "velocity", "command") if touched.is_display else ("position", "force")
     for number in range(len(touched.sides)):
-        names += [f"{number}.{what}.{d}" for what in ("position", "torque") for d in directions]
+        names += [f"{number}.{what}.{d}" for what in parts for d in touched.directions]
         names.append(f"{number}.energy")
     return names
 
@@ -164,15 +168,30 @@ class _HandRun:
             for side, axes in zip(touched.sides, self._axes, strict=True)
         ]
         self._start = self._clock.now()
-        self._movers = [self._mover(axes[0]) for axes in self._axes]
+        self._is_display = touched.is_display
+        self._servos = [[self._servo(axis) for axis in axes] for axes in self._axes]
+        self._movers = [self._mover([servo.motor for servo in servos]) for servos in self._servos]
         self._least = [0.0] * len(touched.sides)
 
-    def _mover(self, axis: int) -> Callable[..., None]:
-        """Returns what moves the hand of a side, by its first axis."""
+    def _servo(self, axis: int) -> Any:
+        """Returns the power stage of a simulated drive."""
         drives = self._experiment.far_side
-        motor: Any = None if drives is None else drives.drives[axis].servo.motor
-        moved: Plant | XYMotion = motor if isinstance(motor, Plant) else motor.shared.mechanism
-        return moved.move_hand
+        if drives is None:
+            raise InputError("touch: the drives are not in this process, expected simulated ones")
+        return drives.drives[axis].servo
+
+    def _mover(self, motors: list[Any]) -> Callable[..., None]:
+        """Returns what moves the hand of a side, by its motors."""
+        if not isinstance(motors[0], Plant):
+            moved: XYMotion = motors[0].shared.mechanism
+            return moved.move_hand
+        plants: list[Plant] = motors
+
+        def move(*place: float) -> None:
+            for plant, at in zip(plants, place, strict=True):
+                plant.move_hand(at)
+
+        return move
 
     def _after_cycle(self, cycles: int) -> None:
         """Moves the hands and takes a row; called once per cycle."""
@@ -199,7 +218,10 @@ class _HandRun:
         samples, row = rig.records[-1].samples, [cycles * self._period, self._shared[TOKEN], *self._place]
         for side, axes in enumerate(self._axes):
             row += [samples[axis].position for axis in axes]
-            row += [samples[axis].torque_applied for axis in axes]
+            row += [(-1.0 if self._is_display else 1.0) * samples[axis].torque_applied for axis in axes]
+            if self._is_display:
+                servos = self._servos[side]
+                row += [servo.motor.velocity for servo in servos] + [servo.torque for servo in servos]
             energy = sum(judge.interaction[place] for place in self._accounts[side])
             self._least[side] = min(self._least[side], energy)
             row.append(energy)

@@ -26,6 +26,7 @@ from canhaptic.errors import CanHapticError
 from canhaptic.study.loop import Array
 from canhaptic.touch.hand import TouchHand, TouchNews
 from canhaptic.touch.hand_process import TouchStatus
+from canhaptic.touch.touch_scene import TouchScene, TouchSlider
 from canhaptic.view.bokeh_style import finished, new_panel
 from canhaptic.view.decimate import decimate
 from canhaptic.view.palette import BLUE, GREY, PALE, VERMILION
@@ -137,7 +138,8 @@ class _SideView:
         touched = hand.touched
         self._waiting: list[dict[str, Array]] = []
         self._name, self._number = touched.sides[number].name, number
-        self._directions = ("x", "y") if touched.is_plane else ("x",)
+        self._directions, self._is_display = touched.directions, touched.is_display
+        self._allowance = touched.sides[number].allowance
         start = dict(zip(("x", "y"), (*touched.start, 0.0), strict=False))
         self.handle = ColumnDataSource(
             {
@@ -150,22 +152,19 @@ class _SideView:
             },
             name=f"handle {number}",
         )
-        self._lines = ColumnDataSource(
-            {name: [] for name in ("time", "energy", *self._directions)}, name=f"lines {number}"
-        )
+        vectors = ("force", "velocity", "command") if touched.is_display else ("force",)
+        self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in self._directions}
+        self._columns["energy"] = f"{number}.energy"
+        self._lines = ColumnDataSource({name: [] for name in ("time", *self._columns)}, name=f"lines {number}")
         self._verdict: Any = Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
         self.scene = self._new_scene(touched, pointer)
-        force_unit = "N" if touched.unit == "m" else "N*m"
-        self.panels = [
-            self._panel("force", force_unit, self._directions),
-            self._panel("energy", "J", ("energy",)),
-        ]
-        self.panels[1].add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
+        self.panels = self._panels(touched)
+        self.panels[-1].add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
         title = Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
         parts = (title, self._verdict, self.scene, *self.panels)
         self.layout = column(*parts, sizing_mode="stretch_width")
 
-    def _new_scene(self, touched: Any, pointer: Any) -> Any:
+    def _new_scene(self, touched: TouchScene, pointer: Any) -> Any:
         """Returns the place where the handle is dragged."""
         (low, high), *rest = touched.shown
         across = rest[0] if rest else (-1.0, 1.0)
@@ -191,31 +190,53 @@ class _SideView:
             plane.js_on_event(event, CustomJS(args={"pointer": pointer}, code=_SEND))
         return plane
 
-    def _draw_solid(self, plane: Any, touched: Any, shown: tuple[float, float]) -> None:
+    def _draw_solid(self, plane: Any, touched: TouchScene, shown: tuple[float, float]) -> None:
         look = {"fill_color": GREY, "fill_alpha": 0.25, "line_color": GREY}
+        if touched.path:
+            x, y = zip(*touched.path, strict=True)
+            plane.line(x, y, line_color=PALE, line_width=8, line_alpha=0.5)
         if touched.is_plane:
-            (left, right), (bottom, top) = touched.solid
-            for edge in ({"right": left}, {"left": right}, {"left": left, "right": right, "top": bottom},
-                         {"left": left, "right": right, "bottom": top}):  # fmt: skip
-                plane.add_layout(BoxAnnotation(**edge, **look))
+            for (left, right), (bottom, top) in zip(touched.solid[::2], touched.solid[1::2], strict=True):
+                for edge in ({"right": left}, {"left": right}, {"left": left, "right": right, "top": bottom},
+                             {"left": left, "right": right, "bottom": top}):  # fmt: skip
+                    plane.add_layout(BoxAnnotation(**edge, **look))
             return
         for low, high in touched.solid:
             edges = {"left": low} if low > shown[0] else {}
             edges |= {"right": high} if high < shown[1] else {}
             plane.add_layout(BoxAnnotation(**edges, **look))
 
-    def _panel(self, title: str, unit: str, names: tuple[str, ...]) -> Any:
+    def _panels(self, touched: TouchScene) -> list[Any]:
+        """Returns force, of an admittance display velocity too, and energy, each against time."""
+        linear = touched.unit == "m"
+        force, speed = ("N", "m/s") if linear else ("N*m", "rad/s")
+        panels = [self._panel("force", force, ["force"])]
+        if self._is_display:
+            panels.append(self._panel("velocity", speed, ["command", "velocity"]))
+        return [*panels, self._panel("energy", "J", ["energy"])]
+
+    def _panel(self, title: str, unit: str, vectors: list[str]) -> Any:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
         time: Any = DataRange1d(follow="end", follow_interval=_WINDOW, range_padding=0.0)
         panel = new_panel(title, unit, time, 150)
-        for name, dash in zip(names, ("solid", "dashed"), strict=False):
-            label = "taken in by the wall" if name == "energy" else f"force {name}" if len(names) > 1 else "force"
+        shown = [name for vector in vectors for name in self._columns if name.split()[0] == vector]
+        for name in shown:
+            is_main, along = name.split()[0] == vectors[-1], not name.endswith(" y")
             panel.line(
-                "time", name, source=self._lines, color=_COLOURS[self._number], line_width=1.5, line_dash=dash,
-                legend_label=label,
+                "time", name, source=self._lines, color=_COLOURS[self._number] if is_main else GREY,
+                line_width=1.5 if is_main else 1.0, line_dash="solid" if along else "dashed",
+                legend_label=self._label(name),
             )  # fmt: skip
         panel.toolbar_location, panel.window_axis = None, "none"
         return finished(panel)
+
+    def _label(self, name: str) -> str:
+        """Returns what the legend says of a line."""
+        vector, *direction = name.split()
+        if vector == "energy":
+            return "into the display, at the sensor" if self._is_display else "taken in by the wall"
+        text = {"force": "force of the hand" if self._is_display else "force", "velocity": "handle"}.get(vector, vector)
+        return f"{text} {direction[0]}" if len(self._directions) > 1 else text
 
     def take(self, news: TouchNews, frame: int) -> None:
         """Takes rows; `frame` comes back when they are drawn."""
@@ -232,8 +253,7 @@ class _SideView:
 
     def _grow(self, rows: dict[str, Array]) -> None:
         """Adds rows to the lines."""
-        number = self._number
-        columns = {d: rows[f"{number}.torque.{d}"] for d in self._directions} | {"energy": rows[f"{number}.energy"]}
+        columns = {name: rows[column] for name, column in self._columns.items()}
         buckets = max(2, round(_BUCKETS * (rows["time"][-1] - rows["time"][0])))
         shown = np.unique(np.concatenate([decimate(values, buckets) for values in columns.values()]))
         new = {"time": rows["time"][shown]} | {name: values[shown] for name, values in columns.items()}
@@ -242,8 +262,10 @@ class _SideView:
     def judge(self, status: TouchStatus) -> None:
         """Shows whether the side gave out more than it took in so far."""
         least = status.least[self._number]
-        verdict = verdict_bar({self._name: {"passive": passive_verdict(least + PASSIVE_TOLERANCE)}})
-        self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in"
+        passive = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
+        verdict = verdict_bar({self._name: {"passive_at_sensor" if self._is_display else "passive": passive}})
+        allowed = f", it may {si(self._allowance, 'J')}" if self._allowance else ""
+        self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}"
 
     def clear(self) -> None:
         """Forgets the run before."""
@@ -252,41 +274,24 @@ class _SideView:
 
 
 class _Controls:
-    """Sliders of the wall and of the loop; a change begins a run anew."""
+    """Sliders of what is rendered and of the loop; a change begins a run anew."""
 
     def __init__(self, hand: TouchHand, begin: Any) -> None:
-        self._begin, self._key = begin, hand.touched.stiffness_key
-        scene = hand.touched.scene
-        wall = scene.groups[0].network.parameters if scene.groups else scene.axes[-1].environment.parameters
-        unit = "N/m" if hand.touched.unit == "m" else "N*m/rad"
-        self._stiffness: Any = None
-        self._damping: Any = None
-        widgets: list[Any] = []
-        if self._key:
-            stiffness, damping = (float(wall.model_dump()[name]) for name in ("stiffness", "damping"))
-            middle = np.log10(max(stiffness, 1e-3))
-            format_ = CustomJSTickFormatter(
-                args={"unit": unit}, code="return `${Math.pow(10, tick).toPrecision(3)} ${unit}`"
-            )
-            self._stiffness = Slider(
-                start=middle - 2.0, end=middle + 2.0, step=0.05, value=middle, title="stiffness", format=format_,
-                name="stiffness",
-            )  # fmt: skip
-            self._damping = Slider(
-                start=0.0, end=max(20.0, 5.0 * damping), step=max(0.1, damping / 20.0), value=damping,
-                title=f"damping [{unit.replace('N', 'N*s', 1)}]", name="damping",
-            )  # fmt: skip
-            widgets += [self._stiffness, self._damping]
-        rate = f"{scene.bus.rate:g}"
+        self._begin = begin
+        bus, touched = hand.touched.scene.bus, hand.touched
+        self._sliders: list[tuple[TouchSlider, Any]] = [(one, _slider(one)) for one in touched.sliders]
+        rate = f"{bus.rate:g}"
         self._rates = sorted({*_RATES, rate}, key=float)
         self._rate: Any = RadioButtonGroup(
             labels=[f"{rate} Hz" for rate in self._rates], active=self._rates.index(rate), name="rate"
         )
         self._delay: Any = RadioButtonGroup(
-            labels=list(_DELAYS.values()), active=list(_DELAYS).index(scene.bus.rpdo), name="delay"
-        )
+            labels=list(_DELAYS.values()), active=list(_DELAYS).index(bus.rpdo), name="delay",
+            disabled=touched.is_display,
+        )  # fmt: skip
         again: Any = Button(label="start again", name="again")
         again.on_click(self._changed)
+        widgets = [widget for _, widget in self._sliders]
         for slider in widgets:
             slider.on_change("value_throttled", self._moved)
         for group in (self._rate, self._delay):
@@ -298,10 +303,25 @@ class _Controls:
 
     def _changed(self) -> None:
         changes = {"bus.rate": self._rates[self._rate.active], "bus.rpdo": list(_DELAYS)[self._delay.active]}
-        if self._stiffness is not None:
-            changes[self._key] = repr(float(10.0**self._stiffness.value))
-            changes[self._key.replace("stiffness", "damping")] = repr(float(self._damping.value))
+        for one, widget in self._sliders:
+            changes[one.key] = repr(float(10.0**widget.value if one.decades else widget.value))
         self._begin(changes)
+
+
+def _slider(one: TouchSlider) -> Any:
+    """Returns the widget of a value of the scene."""
+    if not one.decades:
+        most, step = max(20.0, 5.0 * one.value), max(0.1, one.value / 20.0)
+        title = f"{one.title} [{one.unit}]"
+        return Slider(start=0.0, end=most, step=step, value=one.value, title=title, name=one.title)
+    middle = np.log10(max(one.value, 1e-3))
+    shown = CustomJSTickFormatter(
+        args={"unit": one.unit}, code="return `${Math.pow(10, tick).toPrecision(3)} ${unit}`"
+    )  # fmt: skip
+    return Slider(
+        start=middle - one.decades, end=middle + one.decades, step=0.025 * one.decades, value=middle, title=one.title,
+        format=shown, name=one.title,
+    )  # fmt: skip
 
 
 def _status(status: TouchStatus) -> str:

@@ -5,8 +5,8 @@ Nothing real moves, so a page that keeps the processor busy does not end the run
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import replace
+from typing import Any
 
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.unprotected import UnprotectedParameters
@@ -14,64 +14,24 @@ from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
 from canhaptic.scene.accuracy_choice import simulation_of
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.further_bus import FurtherBus
 from canhaptic.scene.models import AxisScene, GroupScene, MechanismScene, Scene
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
-from canhaptic.sim.plant.pointer_hand import PointerHand
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.study.algorithms import able_under
+from canhaptic.touch.display_sides import display_line, display_plane
+from canhaptic.touch.touch_scene import (
+    HAND,
+    PLAIN,
+    Side,
+    TouchScene,
+    on_two_buses,
+    pointer_hand,
+    reach,
+    sliders_of,
+)
 
-PLAIN: Final = "unprotected"
-_GUARDED: Final = "guarded"
-_PATIENCE: Final = 10.0  # [s] until a silent peer counts as lost
-_LOST_CYCLES: Final = 2000
-_HAND: Final = {"stiffness": 300.0, "damping": 3.0}
-"""Hand of a scene without one [N/m, N*s/m] or [N*m/rad, N*m*s/rad]."""
-_ROOM: Final = 0.1
-"""Half of what is shown of a scene whose hand does not move [m or rad]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Side:
-    """One handle.
-
-    Attributes:
-        name: Of the side, which is that of its algorithm.
-        axes: Names of its axes in the rig.
-        group: Name of the group that renders on them; empty where each renders by itself.
-    """
-
-    name: str
-    axes: tuple[str, ...]
-    group: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class TouchScene:
-    """A scene twice.
-
-    Attributes:
-        scene: With both sides, to be built.
-        sides: Unprotected first.
-        unit: In which the handle moves.
-        shown: Least and largest place that is shown, of each direction [m or rad].
-        start: Where the handle is at the start [m or rad].
-        solid: Where it is solid: [low, high] along an axis, or what is outside of a box, by direction [m or rad].
-        stiffness_key: Path of the stiffness in the scene; the damping is in the same section. Empty: none.
-    """
-
-    scene: Scene
-    sides: tuple[Side, Side]
-    unit: str
-    shown: tuple[tuple[float, float], ...]
-    start: tuple[float, ...]
-    solid: tuple[tuple[float, float], ...]
-    stiffness_key: str
-
-    @property
-    def is_plane(self) -> bool:
-        """Whether the handle moves in a plane."""
-        return len(self.shown) == 2
+_GUARDED = "guarded"
+_SLIDERS = ("stiffness", "damping")
 
 
 def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
@@ -96,6 +56,8 @@ def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
     if name not in names:
         raise InputError(f"{scene.source}: has no axis {name!r}, expected one of: {', '.join(names)}")
     chosen = scene.axis(name)
+    if chosen.parameters.admittance is not None:
+        return display_plane(scene, chosen.group) if chosen.group else display_line(scene, chosen)
     return _plane(scene, chosen.group) if chosen.group else _line(scene, chosen)
 
 
@@ -114,39 +76,28 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
             one,
             parameters=one.parameters.model_copy(update={"name": side.name, "energy_loss_limit": "none"}),
             bus=side.name,
-            simulation=replace(simulation_of(one), user=_pointer_hand(user, start)),
+            simulation=replace(simulation_of(one), user=pointer_hand(user, start)),
         )
         for one, side in zip((plain, guarded), sides, strict=True)
     )
-    shown = _reach(user.motion, user.rest, start)
+    shown = reach(user.motion, user.rest, start)
     solid = _solid(axis.environment.parameters, shown)
-    has_stiffness = "stiffness" in type(axis.environment.parameters).model_fields
+    wall = axis.environment.parameters
+    names = _SLIDERS if "stiffness" in type(wall).model_fields else ()
     return TouchScene(
-        _on_two_buses(scene, axes, sides),
+        on_two_buses(scene, axes, sides),
         sides,
         axis.parameters.unit,
         (shown,),
         (start,),
         solid,
-        "environment.stiffness" if has_stiffness else "",
+        sliders_of("environment", wall, names, axis.parameters.unit),
     )
 
 
 def _name_of(axis: AxisScene) -> str:
     name = axis.passivity.name if axis.passivity.own is None else axis.passivity.own.__name__
     return name if name != PLAIN else _GUARDED
-
-
-def _pointer_hand(user: UserParameters, start: float) -> PointerHand:
-    grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else _HAND
-    return PointerHand(**grip, place=start)
-
-
-def _reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
-    """Returns what is shown of a direction [m or rad]: half as much again as the hand of the scene would move."""
-    middle = rest + (motion.offset if motion else 0.0)
-    half = 1.5 * motion.amplitude if motion else _ROOM
-    return min(middle - half, start), max(middle + half, start)
 
 
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
@@ -164,22 +115,6 @@ def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, f
         elif inside:
             spans.append((place, place))
     return tuple(spans)
-
-
-def _on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Side], **changes: Any) -> Scene:
-    bus = scene.bus.model_copy(
-        update={"heartbeat_timeout": _PATIENCE, "stop_cycles": max(_LOST_CYCLES, scene.bus.stop_cycles)}
-    )
-    log = scene.log.model_copy(update={"energy": None, "bus": None})
-    return replace(
-        scene,
-        bus=bus,
-        bus_name=sides[0].name,
-        further_buses=(FurtherBus(name=sides[1].name),),
-        axes=tuple(axes),
-        log=log,
-        **{"groups": (), "mechanisms": (), **changes},
-    )
 
 
 # --- in a plane ---------------------------------------------------------------------------------------------------
@@ -217,13 +152,13 @@ def _plane(scene: Scene, name: str) -> TouchScene:
     reaches = zip(hand.motions, hand.rest, start, strict=True)
     solid = zip(box.lower, box.upper, strict=True)
     return TouchScene(
-        _on_two_buses(scene, axes, sides, groups=(guarded,), mechanisms=mechanisms),
+        on_two_buses(scene, axes, sides, groups=(guarded,), mechanisms=mechanisms),
         sides,
         "m",
-        tuple(_reach(motion, rest, at) for motion, rest, at in reaches),
+        tuple(reach(motion, rest, at) for motion, rest, at in reaches),
         start,
         tuple((float(low), float(high)) for low, high in solid),
-        f"groups.{index}.network.stiffness",
+        sliders_of(f"groups.{index}.network", box, _SLIDERS, "m"),
     )
 
 
@@ -243,7 +178,7 @@ def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
 def _held(of: MechanismScene, members: Sequence[AxisScene], side: Side) -> MechanismScene:
     """Returns the mechanism of one side, held by the pointer; its axes in the order of the mechanism."""
     port = dict(zip((axis.parameters.name for axis in members), side.axes, strict=True))
-    hand = (of.hand or TaskHand(**_HAND)).model_dump(exclude={"motion", "push"})
+    hand = (of.hand or TaskHand(**HAND)).model_dump(exclude={"motion", "push"})
     start = getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0))
     held = PointerTaskHand(**{**hand, "rest": start}, motion=PlaneMotion())
     return replace(of, axes=tuple(port[axis] for axis in of.axes), hand=held)

@@ -7,6 +7,7 @@ from typing import Any, Final
 from canhaptic.control.balance import Verdict
 from canhaptic.view.palette import GREEN, ORANGE, VERMILION
 
+_SUMS: Final = {"passive": "at the motor", "passive_at_sensor": "at the sensor", "passive_at_handle": "at the handle"}
 _COLOURS: Final[dict[Verdict, str]] = {"yes": GREEN, "in doubt": ORANGE, "no": VERMILION}
 
 
@@ -14,7 +15,7 @@ def verdict_bar(ports: Mapping[str, Mapping[str, Any]]) -> str:
     """Returns a bar of HTML with the verdicts of every account, by name of the port."""
     verdicts: dict[str, Verdict] = {}
     for name, port in ports.items():
-        for key, sum_of in (("passive", "at the motor"), ("passive_at_handle", "at the handle")):
+        for key, sum_of in _SUMS.items():
             if key in port:
                 verdicts[f"{name}: passive {sum_of}"] = port[key]
     style = "display:inline-block;color:white;font-weight:bold;padding:3px 14px;margin-right:6px;border-radius:3px"

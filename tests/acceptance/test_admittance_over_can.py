@@ -299,11 +299,6 @@ def test_every_algorithm_is_compared_over_can(capsys: pytest.CaptureFixture[str]
     assert {found["status"] for found in compared.values()} == {"completed"}
 
 
-def test_touch_is_refused_in_words(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["touch", str(SCENE)]) == 2
-    assert "touch takes impedance displays" in capsys.readouterr().err
-
-
 def test_an_arm_of_two_displays_renders_a_mass_in_the_plane(capsys: pytest.CaptureFixture[str]) -> None:
     scene = SCENE.with_name("two_link_arm.yaml")
     with build(load_scene(scene)) as experiment:

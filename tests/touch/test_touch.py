@@ -52,7 +52,7 @@ def test_the_hand_follows_the_pointer_and_freezes_where_it_stops() -> None:
         still = rows["hand.x"][-100:]
         assert still == pytest.approx(-0.02, abs=1e-6)  # the pointer sends no more: the hand stays
         assert rows["time"] == pytest.approx(rows["time"][0] + 1e-3 * np.arange(len(rows["time"])))
-        held = abs(rows["1.torque.x"][-200:].mean())  # one sample is a few encoder counts of a stiff wall away from it
+        held = abs(rows["1.force.x"][-200:].mean())  # one sample is a few encoder counts of a stiff wall away from it
         assert held == pytest.approx(300.0 * 0.02, rel=0.05)  # the hand's spring on the wall
         hand.move((5.0,))
         rows, _ = news_of(hand, 300)
@@ -153,3 +153,27 @@ def test_a_pointer_in_a_browser_drags_both_handles(tmp_path: Path) -> None:
         assert page.faults == []
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 130
+
+
+@pytest.mark.slow
+def test_a_page_of_displays_shows_force_velocity_and_energy() -> None:
+    words = ("--set", "environment.mass=0.5", "--set", "simulation.admittance.grip.mass=1")
+    scene = str(ROOT / "configs" / "admittance" / "virtual_mass.yaml")
+    with chromium(width=1200, height=980) as page, touch(scene, *words, "--port", "0") as (address, _):
+        page.open(address)
+        page.wait_for("window.Bokeh && Bokeh.documents.length")
+        page.wait_for(f"{MODEL.format('status')}.text.includes('cycles')", 60.0)
+        left, top, width, height = page.value(FRAME)
+        middle, across = left + 0.5 * width, top + 0.5 * height
+        mouse(page, "mouseMoved", middle, across)
+        mouse(page, "mousePressed", middle, across)
+        pause = threading.Event()
+        for k in range(100):
+            mouse(page, "mouseMoved", middle + 0.3 * width * math.sin(0.06 * k), across)
+            pause.wait(0.02)
+        page.wait_for(f"{MODEL.format('verdict 1')}.text.includes('guarded: passive at the sensor: yes')")
+        lines = MODEL.format("lines 1") + ".data"
+        page.wait_for(f"Math.max(...({lines})['velocity x']) > 0.01")
+        assert page.value(f"Math.max(...({lines})['force x'].map(Math.abs))") > 0.1
+        assert page.value(f"({lines})['energy'].at(-1)") > -1e-3
+        assert page.faults == []

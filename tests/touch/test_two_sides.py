@@ -1,15 +1,20 @@
 """A scene twice in one rig, held by one hand that is moved from outside."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from canhaptic.control.admittance.loop_parameters import GuardedDisplayParameters
+from canhaptic.control.admittance.sampled_mass import NothingToChoose
 from canhaptic.cycle import run
 from canhaptic.errors import InputError
 from canhaptic.scene.build import build
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects.hard_stop import HardStop
 from canhaptic.sim.plant.mechanism.task_hand import PointerTaskHand, TaskHand
@@ -22,20 +27,23 @@ from canhaptic.touch.two_sides import two_sides
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
-def touched_by_a_sine(name: str, cycles: int) -> dict[str, float]:
+def touched_by_a_sine(name: str, cycles: int, overrides: Sequence[str] = ()) -> dict[str, float]:
     """Least true sum of h_i of every account."""
-    touched = two_sides(load_scene(CONFIGS / name))
+    touched = two_sides(load_scene(CONFIGS / name, overrides))
+    directions = len(touched.shown)
     with build(touched.scene, "free") as experiment:
         assert experiment.far_side is not None
         motors: list[Any] = [drive.servo.motor for drive in experiment.far_side.drives]
-        movers = {id(m): m for m in (m if isinstance(m, Plant) else m.shared.mechanism for m in motors)}.values()
 
         def move(cycle: int) -> None:
             angle = 2.0 * math.pi * cycle * touched.scene.bus.sample_time
-            low, high = zip(*touched.shown, strict=True)
-            for mover in movers:
-                turns = (math.sin(angle), math.cos(angle))
-                mover.move_hand(*(0.5 * (a + b) + 0.3 * (b - a) * t for a, b, t in zip(low, high, turns, strict=False)))
+            turns = (math.sin(angle), math.cos(angle))[:directions]
+            place = [0.5 * (a + b) + 0.3 * (b - a) * t for (a, b), t in zip(touched.shown, turns, strict=True)]
+            for number, motor in enumerate(motors):
+                if isinstance(motor, Plant):
+                    motor.move_hand(place[number % directions])
+                else:
+                    motor.shared.mechanism.move_hand(*place)
 
         run(experiment.cycle, cycles, progress=move)
         judge = experiment.cycle.judge
@@ -54,6 +62,37 @@ def test_a_box_is_touched_in_a_plane() -> None:
     least = touched_by_a_sine("xy_box.yaml", 500)
     assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "stage"}
     assert least["stage"] >= -1e-9
+
+
+LIGHT = ("bus.rate=250", "environment.mass=1", "simulation.admittance.grip.mass=1")
+
+
+def test_a_light_mass_gives_energy_out_unprotected_alone() -> None:
+    least = touched_by_a_sine("admittance/virtual_mass.yaml", 700, LIGHT)
+    assert least["unprotected"] < -0.1
+    assert least["guarded"] >= -1e-3
+
+
+def test_two_displays_with_one_account_are_touched_in_a_plane() -> None:
+    least = touched_by_a_sine("admittance/guided_path.yaml", 250)
+    assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "unprotected", "guarded"}
+    assert least["guarded"] >= -1e-3
+    touched = two_sides(load_scene(CONFIGS / "admittance" / "guided_path.yaml"))
+    assert touched.path[0] == touched.path[-1] == (-0.05, 0.0)
+    assert [slider.key for slider in touched.sliders] == ["groups.0.network.mass", "groups.0.network.damping"]
+
+
+def test_an_unprotected_display_is_guarded_by_what_its_simulated_drive_says() -> None:
+    scene = load_scene(CONFIGS / "admittance" / "wall.yaml")
+    axis = replace(scene.axes[0], passivity=ComponentSpec("unprotected", NothingToChoose()))
+    known = two_sides(replace(scene, axes=(axis,))).scene.axes[1].passivity.parameters
+    assert isinstance(known, GuardedDisplayParameters)
+    assert (known.drive_mass, known.loop_gain, known.integral_gain) == pytest.approx((2.1, 659.4, 6594.0))
+
+
+def test_a_display_shows_its_walls() -> None:
+    touched = two_sides(load_scene(CONFIGS / "admittance" / "wall.yaml"))
+    assert touched.solid == ((touched.shown[0][0], -0.05),)
 
 
 def test_both_sides_have_one_scene_and_one_hand() -> None:
@@ -78,6 +117,7 @@ def test_both_sides_have_one_scene_and_one_hand() -> None:
         ("two_buses.yaml", [], "expected one"),
         ("five_bar_sphere.yaml", [], "touch shows an axis by itself, or a box"),
         ("two_handles.yaml", [], "touch shows an axis by itself, or a box"),
+        ("admittance/two_link_arm.yaml", [], "kinematics planar_2r; touch shows an axis by itself, or two axes"),
     ],
 )
 def test_what_cannot_be_touched_is_refused(name: str, overrides: list[str], said: str) -> None:
