@@ -205,19 +205,21 @@ class _Moved:
         self._cycle = experiment.cycle
         first = len(experiment.scene.axes)
         self._groups = list(enumerate(experiment.cycle.groups, first))
-        self._least: dict[str, float] = {}
+        self._least: dict[str, tuple[float, float]] = {}  # at the motors, at the handle
 
     def __call__(self) -> None:
+        judge = self._cycle.judge
         for place, group in self._groups:
-            if self._cycle.judge is not None:
-                now = self._cycle.judge.interaction[place] + group.supplied
-                self._least[group.name] = min(now, self._least.get(group.name, 0.0))
+            if judge is not None:
+                now = judge.interaction[place] + group.supplied
+                least, at_handle = self._least.get(group.name, (0.0, 0.0))
+                self._least[group.name] = min(now, least), min(now + judge.dissipated[place], at_handle)
 
     def count(self, truth: dict[str, dict[str, float]]) -> None:
         """Takes these sums into the truth of a run."""
         for _, group in self._groups:
             if group.supplied:
-                truth[group.name]["least_interaction"] = self._least[group.name]
+                truth[group.name]["least_interaction"], truth[group.name]["least_at_handle"] = self._least[group.name]
 
 
 def _outcome(
