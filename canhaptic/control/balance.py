@@ -109,13 +109,14 @@ def passive_verdict(
         resolution: Largest difference of that from the true one [J].
         energy_in: That came in, all in all [J].
         is_promised: Whether certificates held in every hold that rule out less than zero.
-        has_open_hold: Whether the run ended in holds that are not booked, because no position came any more.
+        has_open_hold: Whether the run ended in holds that are not booked, because no position came any more. What is
+            promised is promised of them too: a torque that acts for longer than its certificate covers loses it.
     """
     if least + resolution < -_ROUNDING:
         return "no"
     is_small = resolution <= max(PASSIVE_TOLERANCE, _LARGEST_DOUBT * energy_in)
-    is_sure = is_promised or (least >= -_ROUNDING and is_small)
-    return "yes" if is_sure and not has_open_hold else "in doubt"
+    is_sure = is_promised or (least >= -_ROUNDING and is_small and not has_open_hold)
+    return "yes" if is_sure else "in doubt"
 
 
 def is_certified(account: Mapping[str, Any]) -> bool:

@@ -179,10 +179,9 @@ def _silent(port: _Result) -> str | Text:
 
 
 def _resolution(port: _Result) -> str:
-    """Returns how far the booked energy may be from the true one; what nothing is read back for is believed."""
-    believed = " believed" if port.get("read_back") == "none" else ""
+    """Returns how far the booked energy may be from the true one."""
     resolution = port["energy_resolution"]
-    return f"{energy(resolution)}{believed}" if resolution else f"exact{believed}   "
+    return energy(resolution) if resolution else "exact   "
 
 
 def _certificates(port: _Result) -> str:

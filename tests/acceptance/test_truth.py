@@ -40,6 +40,25 @@ def test_what_was_mended_stays_mended(seed: int) -> None:
     assert outcome.false_claims == ()
 
 
+MENDED_FURTHER = {
+    3000810: "lost RPDOs where nothing is read back",
+    3001843: "the sum at the handle of a group whose wall a mover moves",
+}
+
+
+@pytest.mark.parametrize("seed", MENDED_FURTHER)
+def test_what_was_mended_of_further_scenes_stays_mended(seed: int) -> None:
+    outcome = outcome_of(seed)
+    assert outcome.declared
+    assert outcome.false_claims == ()
+
+
+def test_a_wall_that_moves_by_itself_counts_at_the_handle_too():
+    _, outcome = judged(random_scene(3001843))
+    assert outcome.at_handle == "yes"
+    assert outcome.lost < 0.02  # of the motors alone 22 mJ
+
+
 def test_where_friction_alone_is_declared_late_torques_leave_energy_open():
     outcome = outcome_of(1000771)
     assert outcome.error > 1e-5
@@ -101,5 +120,8 @@ def test_losses_that_a_bus_makes_are_declared_and_a_yes_is_due_then():
     outcomes = [judged(scene)[1] for scene in scenes]
     assert all(0 < outcome.losses == outcome.declared_losses for outcome in outcomes)
     assert all(outcome.is_due and outcome.says_yes for outcome in outcomes)
+    ended_in_a_loss = judged(with_fault(random_scene(5165)))[1]
+    assert ended_in_a_loss.is_due
+    assert ended_in_a_loss.says_yes
     beyond = Outcome(**{**outcomes[0].as_json(), "declared_losses": outcomes[0].losses - 1})
     assert not beyond.is_due

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.cycle import run
+from canhaptic.errors import EnergyLostError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
@@ -107,6 +108,32 @@ def test_the_energy_of_a_measured_torque_is_known_to_its_bound(lag: float, quirk
             [drive] = experiment.rig.drives
             assert experiment.cycle.ledgers[0].summary().energy_in > 1e-3
             assert 0.0 < experiment.cycle.judge.believed_error[0] <= drive.read_back_bound
+
+
+_LOSE_RPDOS = "simulation.bus={drop: 0.1, direction: to_drive, ids: [0x201]}"
+
+
+def test_where_nothing_is_read_back_lost_commands_are_within_the_bound() -> None:
+    overrides = ["axes.0.read_back=none", _LOSE_RPDOS, "environment.side=above", "environment.stiffness=400"]
+    with build(load_scene(DEMO, [*overrides, "passivity={algorithm: unprotected}"])) as experiment:
+        errors = []
+
+        def note(_cycles: int) -> None:
+            assert experiment.cycle.judge is not None
+            errors.append(experiment.cycle.judge.believed_error[0])
+            assert errors[-1] <= experiment.rig.drives[0].read_back_bound + 1e-12
+
+        run(experiment.cycle, cycles=500, progress=note)
+        assert errors[-1] > 1e-6
+
+
+def test_where_nothing_is_read_back_a_rig_that_loses_energy_stops_all_the_same() -> None:
+    overrides = ["axes.0.read_back=none", "axes.0.energy_loss_limit=10 mJ", "environment.damping=0"]
+    overrides += ["environment.stiffness=5000"]
+    with build(load_scene(DEMO, [*overrides, "passivity={algorithm: unprotected}"])) as experiment:
+        with pytest.raises(EnergyLostError):
+            run(experiment.cycle, cycles=4000)
+        assert experiment.rig.drives[0].read_back_bound > 0.05
 
 
 def test_a_demand_that_is_read_back_needs_no_bound() -> None:

@@ -69,7 +69,10 @@ class TorqueAxis(ABC):
         read_back_bound: Of a torque that is measured (0x6077): sum over the holds of its largest difference from that
             of the hold before and from the one sent, times the displacement [J]. The true torque of a hold lies
             between them unless the current loop overshoots, so that the computed energy is not farther from the true
-            one. 0 where the demand is read back, which is exact, or nothing, which is believed.
+            one. Of one that is not read back: the same with its largest difference from 0 and from every command
+            before it, because any of them goes on where RPDOs are lost that no frame shows; for holds of which only
+            the whole displacement is known, with the farthest that `speed_limit` allows. 0 where the demand is read
+            back, which is exact.
         unchanged: SYNCs in a row whose process data, with a torque, were the same to the bit: a handle held still, or
             an encoder that is stuck, or process data that are not made anew.
         uncommanded: Holds whose torque read back was larger than its command, or turned, and is no older command: no
@@ -129,7 +132,8 @@ class TorqueAxis(ABC):
         self.is_complete = False
         self.unheard = 0
         self.read_back_bound = 0.0
-        self._spread = 0  # per mille: how far the measured torque is from what it was, and from what was sent
+        self._spread = 0  # per mille: how far the torque is from what may have acted instead, see `read_back_bound`
+        self._lowest = self._highest = 0  # per mille: of all commands that acted, or should have
         self.scaling.reset()
         self.limiter.reset()
         self.policy.reset()
@@ -225,8 +229,11 @@ class TorqueAxis(ABC):
             self._step = (position - last_position) / periods
             if periods > self.longest_hold:
                 self.longest_hold = periods
-            if self._measures:
-                self.read_back_bound += self._spread * scaling.torque_quantum * abs(position - last_position)
+            if self._spread:
+                farthest = abs(position - last_position)
+                if self._reads_nothing and self.open_time:
+                    farthest += periods * self._largest_step
+                self.read_back_bound += self._spread * scaling.torque_quantum * farthest
         else:
             self._step = 0.0
         if position == last_position and torque == last_torque != 0.0 and statusword == last_word:
@@ -260,6 +267,9 @@ class TorqueAxis(ABC):
             reported, self._reported = self._reported, reported
         if self._reads_nothing:
             reported = believed
+            self._lowest = min(self._lowest, believed, *self._passed)
+            self._highest = max(self._highest, believed, *self._passed)
+            self._spread = max(self._highest - believed, believed - self._lowest)
         if self._measures:
             self._judge_measured(reported, believed)
             self._spread = max(abs(reported - believed), abs(reported - self._held_before))
