@@ -7,8 +7,11 @@ nothing open however long the axis moves.
 **Torque.** A motor that gives f (1 + s) + c for a torque f, |s| <= share and |c| <= offset, leaves open
 sum (share |f_k| + offset) |x_k - x_(k-1)|, if the axis does not turn back within a hold.
 
-**Late.** Where the algorithm does not bound it itself, an estimate: a torque before that acts for a time theta into a
-hold leaves open |f_k - f_(k-1)| theta v, with v twice the largest mean speed of its two neighbours.
+**Late.** A torque changes within a time theta of its SYNC, window and lag together: all over the run the one before it
+acts no longer than that in its place (`certificates.hold_timing`). So each change leaves open |f_k - f_(k-1)| theta v,
+where the algorithm bounds it no better. `guarded` with dry friction alone knows no motion inside a hold, and
+v is the largest speed of the axis (`speed_limit`). For algorithms without certificates v is an estimate, twice the
+largest mean speed of the hold and its neighbour: with `speed_limit` no account would ever say no.
 
 **Lost.** After lost process data the displacement D of n holds is known, and the torque f of the last of them, read
 back. Booked is -f D, true is -sum f_j D_j, where f_j is a torque sent since then, or the one before where commands were
@@ -46,6 +49,7 @@ class Accuracy:
     torque_offset: float = 0.0  # error of the torque [N or N*m]
     torque_limit: float = inf  # what more is booked of a torque may not have acted [N or N*m]
     late: float = 0.0  # time after a SYNC for which the torque before may act, where the algorithm counts none [s]
+    late_speed: float | None = None  # of the axis in that time; None: estimated [m/s or rad/s]
     counts_losses: bool = True  # whether the algorithm leaves what lost positions leave open to this meter
     largest_speed: float = inf  # of the axis [m/s or rad/s]
     device_damping: float | None = None  # at least [N*s/m or N*m*s/rad]; None: not declared
@@ -176,8 +180,8 @@ class AxisMeter:
         mean, before = moved / holds, self._speed
         self._speed = mean
         if accuracy.late:
-            fastest = 2.0 * ((mean if mean > before else before) + self._blur)
-            self._uneven += change * accuracy.late / accuracy.sample_time * fastest
+            fastest = 2.0 * ((mean if mean > before else before) + self._blur) / accuracy.sample_time
+            self._uneven += change * accuracy.late * (fastest if accuracy.late_speed is None else accuracy.late_speed)
         if size > accuracy.torque_limit:
             self._uneven += (size - accuracy.torque_limit) * (moved + self._blur)
         self._changes += change

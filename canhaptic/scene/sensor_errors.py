@@ -41,19 +41,27 @@ def accuracy_of(axis: AxisScene, algorithm: str) -> Accuracy:
     """
     effects, loop = _effects(axis), loop_as_known(axis)
     late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
-    bounds_late = algorithm == "guarded"
+    certifies = algorithm == "guarded"
+    bounds_motion = certifies and (bool(axis.group) or _bounds_motion(axis, loop))
     return Accuracy(
         sample_time=loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)),
         position=0.5 * loop.encoder_count,
         torque_share=_share(effects),
         torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0),
         torque_limit=_largest_torque(effects),
-        late=0.0 if bounds_late else late,
-        counts_losses=bool(axis.group) or not bounds_late,
+        late=0.0 if bounds_motion else late,
+        late_speed=axis.parameters.largest_speed if certifies else None,
+        counts_losses=bool(axis.group) or not bounds_motion,
         largest_speed=axis.parameters.largest_speed,
         device_damping=loop.device_damping,
         device_friction=loop.device_friction,
     )
+
+
+def _bounds_motion(axis: AxisScene, loop: LoopProperties) -> bool:
+    """Whether certificates of one axis bound its motion inside a hold: all of them but dry friction do."""
+    force, speed = (getattr(axis.passivity.parameters, key, None) for key in ("hand_force", "hand_speed"))
+    return bool(loop.device_damping or speed or (force is not None and loop.moving_mass is not None))
 
 
 def friction_declared(axis: AxisScene) -> FrictionDeclared | None:

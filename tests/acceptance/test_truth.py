@@ -3,11 +3,16 @@
 `make bench Q=truth` runs thousands of such scenes and makes one with a false claim smaller (`--only SEED`).
 """
 
+from pathlib import Path
+
 import pytest
 
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.cycle import run
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LOOP_KEYS
 from canhaptic.sim.plant.effects import EFFECTS
 from tools.bench.truth import fault_table, is_false, outcome_of, outcome_with_fault, table_of
@@ -15,6 +20,7 @@ from tools.truth.faults import with_fault
 from tools.truth.judge import Outcome, judged
 from tools.truth.scenes import random_scene
 
+DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 SCENES = 150
 QUICK = 50
 """Scenes of `make test`; `make test-all` runs all of them."""
@@ -64,6 +70,22 @@ def test_where_friction_alone_is_declared_late_torques_leave_energy_open():
     assert outcome.error > 1e-5
     assert outcome.certificates == ("device_friction",)
     assert outcome.false_claims == ()
+
+
+@pytest.mark.parametrize("rpdo", ["event", "synchronous"])
+def test_where_friction_alone_is_declared_lost_positions_leave_energy_open(rpdo):
+    overrides = [
+        "simulation.effects=[{type: coulomb_friction, static: 1.0, kinetic: 1.0}]",
+        "simulation.bus={drop: 0.05, direction: to_master, ids: [0x181]}",
+        "passivity={algorithm: guarded, hand_force: null, device_friction: 1.0, max_consecutive_losses: 3}",
+        f"bus.rpdo={rpdo}",
+        "environment.side=above",
+    ]
+    with build(load_scene(DEMO, overrides)) as experiment:
+        run(experiment.cycle, cycles=800)
+        resolution = experiment.cycle.meters.of_axes[0].measured().energy_resolution
+        assert experiment.cycle.judge.believed_error[0] < resolution < 0.1
+        assert experiment.cycle.judge.believed_error[0] > 1e-6
 
 
 def test_a_hold_ended_by_a_late_sync_dissipates_for_its_own_length():

@@ -199,8 +199,9 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
     """Returns how much less than booked may have come in by a hold in which the torque came late [J].
 
     See `hold_timing`. The hand's force is used in the direction out of the contact alone. Dry friction alone bounds no
-    motion inside a hold: there the axis is taken to be no faster than twice the mean of this hold or the one before,
-    as `AxisMeter` does for algorithms without certificates.
+    motion inside a hold, and its promise needs none: it pays for each torque at every instant. There an estimate is
+    taken off, for an axis no faster than twice the mean of this hold or the one before; `AxisMeter` adds what a hand of
+    the largest speed leaves open.
 
     Args:
         declared: Of axis and hand.
@@ -229,7 +230,7 @@ def doubt_of_late(declared: Declared, bound: TorqueBound, displacement: float, t
     elif declared.hand_speed > 0.0:
         less = more = differs * declared.hand_speed * declared.late
     else:
-        bound.resolution += 2.0 * damped
+        bound.resolution += damped if declared.damping == 0.0 else 2.0 * damped
         return damped
     bound.resolution += less + more
     if declared.damping > 0.0:  # what is promised to every hand rests on no hand
