@@ -8,6 +8,7 @@ from canhaptic.commission.dialogue import Dialogue
 from canhaptic.commission.findings import Report, StepFinding, StepVerdict, Value
 from canhaptic.commission.laws import NO_TORQUE, CommissioningLimits, OpenLoop
 from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.display_drive import DisplayDrive
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
@@ -53,6 +54,9 @@ class Session:
         scene = self.scene if with_hand else _without_hand(self.scene)
         try:
             with build(scene) as self._experiment:
+                for drive in self.drives:
+                    if isinstance(drive, DisplayDrive):
+                        drive.checks_rest = False  # the offset is what is to be measured
                 yield
         finally:
             self._experiment = None

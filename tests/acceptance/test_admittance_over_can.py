@@ -168,16 +168,23 @@ _OFFSET = (
 )
 
 
-@pytest.mark.parametrize("tare", [False, True])
-def test_a_transducer_is_tared_by_sdo_at_the_start(tare: bool) -> None:
-    node = f"axes.0.admittance.force.node={{node_id: 9, tare: {str(tare).lower()}}}"
+def test_a_transducer_is_tared_by_sdo_at_the_start() -> None:
+    node = "axes.0.admittance.force.node={node_id: 9, tare: true}"
     with build(load_scene(_NODE, [*_OFFSET, node])) as experiment:
         run(experiment.cycle, 1000)
         account = experiment_account(experiment, "completed", 1.0)
         first = -next(iter(experiment.rig.records)).samples[0].torque_applied
-    least = account["truth"]["handle"]["least_interaction"]
-    assert (least >= -1e-3) == tare  # 4 N that no hand pushes with are given out
-    assert (abs(first) < 0.5) == tare
+    assert account["truth"]["handle"]["least_interaction"] >= -1e-3
+    assert abs(first) < 0.5
+
+
+def test_a_sensor_that_shows_a_force_at_rest_ends_the_start() -> None:
+    for scene, changes in ((_NODE, _OFFSET), (SCENE, ["simulation.admittance.sensor.offset=-0.2 N"])):
+        with build(load_scene(scene, changes)) as experiment:
+            with pytest.raises(StartError, match="force at rest") as refused:
+                run(experiment.cycle, 5)
+            assert "let go of the handle" in str(refused.value)
+            assert not experiment.plants[0].begun  # nothing was enabled
 
 
 def test_a_transducer_that_does_not_answer_the_tare_ends_the_start() -> None:

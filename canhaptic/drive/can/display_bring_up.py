@@ -12,6 +12,10 @@ _SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch
 _RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
 _LARGEST: Final = 0xFFFF_FFFF  # of an UNSIGNED32
 _NO_TARE: Final = "check power and node ID of the sensor, or leave admittance.force.node.tare out"
+_NOT_AT_REST: Final = (
+    "let go of the handle; then correct force.offset_counts (canhaptic commission measures it), tare the sensor, or "
+    "raise force.error, with which the account reckons"
+)
 _REMEDY: Final = "set the object with the vendor's tool, or correct its limits in the dictionary"
 
 
@@ -27,6 +31,7 @@ class DisplayBringUp(CanBringUp):
             "ramps": _REMEDY,
             "quick stop": _REMEDY,
             "tare": _NO_TARE,
+            "force at rest": _NOT_AT_REST,
         }
 
     def _zero_torque(self) -> None:
@@ -55,6 +60,19 @@ class DisplayBringUp(CanBringUp):
         super().command_operational()
         with self.step("bus"):
             self._drive.command_sensor(od.NmtCommand.START)
+
+    def check_rest(self) -> None:
+        """Refuses a sensor that shows a force where no hand may push: an offset would move the handle by itself."""
+        drive = self._drive
+        if not drive.checks_rest:
+            return
+        force, declared = drive.force, drive.display.force
+        shown, unit = force.of(drive.reported_per_mille), "N" if drive.axis.unit == "m" else "N*m"
+        if not -declared.error <= shown <= declared.error:
+            raise self.refusal(
+                "force at rest", f"{shown:.4g} {unit} before the drive is enabled",
+                f"at most force.error ({declared.error:g} {unit}), with no hand on the handle",
+            )  # fmt: skip
 
     def process_data(self) -> Confirmation:
         """Returns every TPDO after a SYNC, and the frame of the sensor."""

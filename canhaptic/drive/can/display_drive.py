@@ -38,6 +38,9 @@ _NEAR: Final = 1 << 10  # counts that a handle may move between two readings of 
 class DisplayDrive(ServoDrive):
     """A drive that follows velocities and reports forces.
 
+    Attributes:
+        checks_rest: Whether the start refuses a sensor that shows more than `force.error` before the drive is enabled.
+
     Raises:
         DictionaryError: The dictionary is not fit for it.
         ParameterError: The axis is not an admittance display.
@@ -51,6 +54,7 @@ class DisplayDrive(ServoDrive):
             raise ParameterError(f"{axis.name}: has no `admittance`; expected an admittance display")
         self.display: DisplayParameters = display
         self.force = ForceChannel(display.force, bus.sample_time)
+        self.checks_rest = display.force.sampling != "impulse"  # a sum says nothing of the force of now
         self._is_position = display.mode == "position"
         self.command_quantum = speed_quantum(axis, bus)
         super().__init__(link, axis, dictionary, bus)

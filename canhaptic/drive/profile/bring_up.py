@@ -128,6 +128,10 @@ class BringUp(ABC):
     def process_data(self) -> Confirmation:
         """Returns how the drive shows that it sends its process data."""
 
+    def check_rest(self) -> None:
+        """Looks at what the drive reports before it is enabled; raises StartError where it must not be."""
+        return
+
     # --- the tools ------------------------------------------------------------------------------------------------
 
     @contextmanager

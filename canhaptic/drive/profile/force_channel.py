@@ -31,6 +31,10 @@ class ForceChannel:
         self.force, self.same, self.is_wrong = 0.0, 0, False
         self._counts: int | None = None
 
+    def of(self, counts: int) -> float:
+        """Returns the force that counts stand for [N or N*m]; not of a running impulse."""
+        return (counts - self._offset) * self._per_count
+
     def take(self, counts: int, periods: int = 1) -> float:
         """Returns the force of the hand towards +q [N or N*m]; of a running impulse its mean over the holds between.
 

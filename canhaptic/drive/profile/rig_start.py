@@ -36,6 +36,8 @@ def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     _enter_operational(exchange, bring_ups)
     _exchange_zero_torque(exchange, bring_ups)
     _check_positions(exchange, bring_ups)
+    for bring_up in bring_ups:
+        bring_up.check_rest()
     _enable(exchange, bring_ups)
 
 

@@ -202,7 +202,7 @@ class DisplayServo(Servo):
         entry = self._force
         if entry is None:
             return
-        counts = round(self.motor.read_force() / self._per_count + self._force_offset) if self.is_running else 0
+        counts = round(self.motor.read_force() / self._per_count + self._force_offset)
         if not entry.low <= counts <= entry.high:
             counts = int(entry.low if counts < entry.low else entry.high)
         entry.value = counts
