@@ -92,7 +92,8 @@ class Cycle:
         self.rig = rig
         self.controllers = tuple(controllers)
         self.groups = tuple(groups)
-        self._lasted = [controller.lasted for controller in self.controllers if hasattr(controller, "lasted")]
+        render = (*self.controllers, *(group.controller for group in self.groups))
+        self._lasted = [controller.lasted for controller in render if hasattr(controller, "lasted")]
         self._grouped = GroupedControllers(self.controllers, self.groups) if groups else None
         axes = self._grouped.axes if self._grouped else len(self.controllers)
         if axes != len(rig.drives):

@@ -8,8 +8,11 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.control.balance import AT_REST, Certificate, Ledger
+from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import withdraw_certificates
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 STALLS = "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}"
@@ -161,3 +164,21 @@ def test_smaller_older_and_settling_torques_are_no_other_torques(
     port, _ = account(capsys, *values)
     assert port["out"] > 0.0
     assert port["uncommanded_cycles"] == 0
+
+
+def test_a_group_takes_a_skipped_sync_for_holds_of_which_only_the_whole_motion_is_known() -> None:
+    """Its wall goes on by the time that passed, and no fast motion is made of a slow one that lasted longer."""
+    scene = load_scene(DEMO.parent / "two_handles.yaml", ["simulation.bus={stall: [{begin: 0.3, duration: 5 ms}]}"])
+    with build(scene) as built:
+        [group], missed = built.cycle.groups, []
+        book = group.controller._step  # type: ignore[attr-defined]
+
+        def noted(holds: int, *known: Any) -> Any:
+            missed.append(holds)
+            return book(holds, *known)
+
+        group.controller._step = noted  # type: ignore[attr-defined]
+        run(built.cycle, cycles=1000)
+        skipped = built.rig.skipped_syncs
+    assert skipped >= 4
+    assert (max(missed), sum(missed)) == (skipped, skipped)

@@ -83,6 +83,14 @@ class SteppedGroup:
         self._last = group_at_rest(self.axes)
         self._started = False
 
+    def lasted(self, periods: float) -> None:
+        """Counts SYNCs that were skipped as samples that were lost: of both holds only the whole displacement is known.
+
+        Args:
+            periods: Length of the hold that the next `step` ends [sample times].
+        """
+        self._missed += (round(periods) - 1) * self._started
+
     def hold(self) -> GroupBalance:
         """Repeats the last commands for want of a sample; see `GroupController`."""
         self._missed += self._started

@@ -19,6 +19,7 @@ from canhaptic.control.passivity.internal_dissipation import InternalDissipation
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from tests.control.late_plant import climb
+from tests.control.network.networks import group
 
 ENERGIES = ("h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit", "leak", "paid")
 WALLS = [(800.0, 0.0), (3e3, 0.0), (200.0, 0.0)]
@@ -190,3 +191,16 @@ def test_a_group_pressed_into_a_wall_with_late_torques_holds_it(delay):
             q += v * 0.25e-3
     assert held == pytest.approx(10.0, rel=0.01)
     assert q == pytest.approx(-10.0 / 2e4, rel=0.3)
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_slow_motion_that_lasted_longer_certifies_a_group_no_fast_one(delay):
+    """Three sample times of it, a SYNC or two having been skipped; as for one axis."""
+    torques = []
+    for lasted in (1.0, 3.0):
+        of = group(Plane(normal=(1.0,), stiffness=1e4, damping=0.0), 1, sample_time=1e-2, delay=delay, hand_force=5.0)
+        of.step([1e-3], [0.0])
+        of.lasted(lasted)
+        torques.append(of.step([-5e-3], [0.0]).torques[0])
+        assert of.step([-11e-3], [0.0]).torques[0] > 0.0  # the next hold is one of the usual length
+    assert torques[0] > 2.0 * torques[1]
