@@ -12,8 +12,18 @@ from typing import Any, Protocol
 from canhaptic.errors import InputError
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
-from canhaptic.sim.plant.mechanism.hand_force import HandForce
-from canhaptic.sim.plant.mechanism.linkage import Inertia
+from canhaptic.sim.plant.mechanism.hand_force import force_of_hand, hand_pull
+from canhaptic.sim.plant.mechanism.linkage import (
+    Inertia,
+    LinkagePose,
+    inertia_in,
+    inertia_rate,
+    pose_at,
+    quadratic,
+    singular,
+    solved,
+    span_rates,
+)
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.textbook.event_location import SwitchedModel
@@ -125,7 +135,7 @@ class _TwoMotors:
     switches = False
 
     def __init__(self, hand: TaskHand | None, positions: Sequence[float]) -> None:
-        self._hand, self._swing = hand, None if hand is None else HandForce(hand)
+        self._hand = force_of_hand(hand)
         self.start, self.breaks = [*positions, 0.0, 0.0, 0.0, 0.0], list[float]()
         self.evaluations = 0
 
@@ -144,18 +154,6 @@ class _TwoMotors:
     def works(self, state: State) -> tuple[float, float]:
         """Returns the works of all motors and of the user; see `GroupModel`."""
         return float(state[4]), float(state[5])
-
-    def _hand_force(self, time: float, place: State, speed: State) -> tuple[float, float]:
-        """Returns the force on the handle [N] at a place [m] and a velocity [m/s]."""
-        if self._hand is None or self._swing is None:
-            return 0.0, 0.0
-        (x, y), (vx, vy) = self._swing.target(time)
-        k, d, push = self._hand.stiffness_matrix, self._hand.damping_matrix, self._hand.push
-        x, y, vx, vy = x - place[0], y - place[1], vx - speed[0], vy - speed[1]
-        return (
-            k.xx * x + k.xy * y + d.xx * vx + d.xy * vy + push[0],
-            k.xy * x + k.yy * y + d.xy * vx + d.yy * vy + push[1],
-        )
 
 
 class StageModel(_TwoMotors):
@@ -194,7 +192,7 @@ class StageModel(_TwoMotors):
     def _forces(self, time: float, state: State, torques: State) -> tuple[Floats, tuple[float, float]]:
         """Returns the forces on the masses without dry friction, and of them that of the hand [N]."""
         place, speed = state[:2], state[2:4]
-        hand = self._hand_force(time, place, speed)
+        hand = hand_pull(self._hand, time, (place[0], place[1]), (speed[0], speed[1]))
         pairs = zip(torques, hand, self._damping, speed, strict=True)
         return [torque + force - b * v for torque, force, b, v in pairs], hand
 
@@ -211,22 +209,22 @@ class FiveBarModel(_TwoMotors):
 
     def inertia(self, positions: State) -> list[Floats]:
         """Returns the inertia in a pose; see `GroupModel`."""
-        found = self._linkage.inertia(self._linkage.pose(float(positions[0]), float(positions[1])))
+        found = inertia_in(self._linkage, self._pose(float(positions[0]), float(positions[1])))
         return [[found.a, found.b], [found.b, found.c]]
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
         """Returns the rate of every state; see `SwitchedModel`."""
         self.evaluations += 1
         left, right, v_left, v_right = (float(value) for value in state[:4])
-        pose = self._linkage.pose(left, right)
+        pose = self._pose(left, right)
         (xl, xr), (yl, yr) = pose.jacobian
-        force = self._hand_force(time, pose.handle, (xl * v_left + xr * v_right, yl * v_left + yr * v_right))
+        force = hand_pull(self._hand, time, pose.handle, (xl * v_left + xr * v_right, yl * v_left + yr * v_right))
         hand = xl * force[0] + yl * force[1], xr * force[0] + yr * force[1]
-        by_left, by_right = self._linkage.inertia_rates(pose)
+        by_left, by_right = (inertia_rate(self._linkage, pose, by) for by in (0, 1))
         turning = Inertia(*(a * v_left + b * v_right for a, b in zip(by_left, by_right, strict=True)))  # dM / dt
-        centrifugal = 0.5 * by_left.product(v_left, v_right), 0.5 * by_right.product(v_left, v_right)
+        centrifugal = 0.5 * quadratic(by_left, v_left, v_right), 0.5 * quadratic(by_right, v_left, v_right)
         pull = self._stop_pull(pose.span)
-        spans = self._linkage.span_rates(pose)
+        spans = span_rates(pose)
         total = [
             torque[i] + hand[i] - self._damping * v - pull * spans[i] + centrifugal[i] - turned
             for i, v, turned in (
@@ -234,11 +232,22 @@ class FiveBarModel(_TwoMotors):
                 (1, v_right, turning.b * v_left + turning.c * v_right),
             )
         ]
-        accelerations = self._linkage.inertia(pose).solve(*total)
+        accelerations = solved(inertia_in(self._linkage, pose), *total)
         return [
             v_left, v_right, *accelerations, torque[0] * v_left + torque[1] * v_right,
             hand[0] * v_left + hand[1] * v_right,
         ]  # fmt: skip
+
+    def _pose(self, left: float, right: float) -> LinkagePose:
+        """Returns the pose at two motor angles [rad].
+
+        Raises:
+            ParameterError: It is singular.
+        """
+        pose = pose_at(self._linkage, left, right)
+        if not pose.is_regular:
+            raise singular(self._linkage, left, right, pose.span)
+        return pose
 
     def _stop_pull(self, span: float) -> float:
         """Returns the force of the elbow stop, positive where it draws the elbows together [N]."""

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
-from canhaptic.sim.plant.mechanism.hand_force import HandForce
+from canhaptic.sim.plant.mechanism.hand_force import force_of_hand, hand_slope, hand_target, mean_pull
+from canhaptic.sim.plant.mechanism.linkage import pose_at
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.plant.user import SinusoidMotion
@@ -34,31 +35,31 @@ def test_what_motors_and_hand_give_a_five_bar_is_what_it_stores_and_loses(most):
     model, linkage = FiveBarModel(links, HAND), links.linkage()
 
     def stored(state):
-        inertia, span = np.array(model.inertia(state[:2])), linkage.pose(state[0], state[1]).span
+        inertia, span = np.array(model.inertia(state[:2])), pose_at(linkage, state[0], state[1]).span
         return 0.5 * state[2:4] @ inertia @ state[2:4] + 0.5 * stop["stiffness"] * max(0.0, span - most) ** 2
 
     state, step = np.array([2.1, 1.0, 3.0, -2.0, 0.0, 0.0]), 1e-6
     rates = np.array(model.rates(0.2, state.tolist(), [0.4, -0.3], ()))
     change = (stored(state + step * rates) - stored(state - step * rates)) / (2.0 * step)
-    assert (linkage.pose(2.1, 1.0).span > most) is (most == 0.2)
+    assert (pose_at(linkage, 2.1, 1.0).span > most) is (most == 0.2)
     assert change == pytest.approx(rates[4] + rates[5] - LINKS["damping"] * (state[2:4] @ state[2:4]), rel=1e-4)
 
 
 def test_the_slope_of_the_hands_force_is_its_derivative():
-    hand, before, after, step, width = HandForce(HAND), (0.02, 0.2), (0.021, 0.198), 1e-3, 1e-6
-    slope = hand.slope(step)
+    hand, before, after, step, width = force_of_hand(HAND), (0.02, 0.2), (0.021, 0.198), 1e-3, 1e-6
+    slope = hand_slope(hand, step)
     for axis, column in ((0, (slope.xx, slope.xy)), (1, (slope.xy, slope.yy))):
         ends = [np.array(after), np.array(after)]
         ends[0][axis] -= width
         ends[1][axis] += width
-        low, high = (np.array(hand.force(before, (end[0], end[1]), 0.3, step)) for end in ends)
+        low, high = (np.array(mean_pull(hand, before, (end[0], end[1]), 0.3, step)) for end in ends)
         assert -(high - low) / (2.0 * width) == pytest.approx(column, rel=1e-6)
 
 
 @pytest.mark.parametrize("moving", ["x", "y"])
 def test_a_hand_that_moves_along_one_axis_rests_along_the_other(moving):
     hand = TaskHand(stiffness=10, rest=(0.1, 0.2), motion=PlaneMotion(**{moving: SWING}))
-    place, speed = HandForce(hand).target(0.25)
+    place, speed = hand_target(force_of_hand(hand), 0.25)
     other = 1 if moving == "x" else 0
     assert (place[other], speed[other]) == ((0.1, 0.2)[other], 0.0)
     assert place[1 - other] == pytest.approx((0.1, 0.2)[1 - other] + 0.05)

@@ -1,59 +1,91 @@
-"""The force of a hand in the plane over one substep, for mechanisms that are not piecewise affine."""
+"""The force of a hand in the plane, for mechanisms that are not piecewise affine; kernels."""
 
 import math
+from dataclasses import dataclass
 
+from canhaptic.sim.plant.mechanism.linkage import Pair, Rows
 from canhaptic.sim.plant.mechanism.task_hand import Ellipse, TaskHand
 
 
+@dataclass(frozen=True, slots=True)
 class HandForce:
-    """Mean force of the hand over a substep, second order, and conservative where its spring is.
+    """A hand in numbers."""
+
+    k_xx: float = 0.0  # stiffness [N/m]
+    k_xy: float = 0.0
+    k_yy: float = 0.0
+    d_xx: float = 0.0  # damping [N*s/m]
+    d_xy: float = 0.0
+    d_yy: float = 0.0
+    push_x: float = 0.0  # [N]
+    push_y: float = 0.0
+    rest_x: float = 0.0  # of the spring, with the offset of the motion [m]
+    rest_y: float = 0.0
+    amplitude_x: float = 0.0  # of the voluntary motion; 0: none [m]
+    amplitude_y: float = 0.0
+    omega_x: float = 0.0  # [rad/s]
+    omega_y: float = 0.0
+    phase_x: float = 0.0  # [rad]
+    phase_y: float = 0.0
+
+
+def force_of_hand(hand: TaskHand | None) -> HandForce:
+    """Returns a hand in numbers; zeros for None."""
+    if hand is None:
+        return HandForce()
+    swings = [(m.offset, m.amplitude, 2.0 * math.pi * m.frequency, m.phase) if m else (0.0,) * 4 for m in hand.motions]
+    offsets, *moving = zip(*swings, strict=True)
+    rest = [at + offset for at, offset in zip(hand.rest, offsets, strict=True)]
+    flat = [value for pair in moving for value in pair]
+    return HandForce(*hand.stiffness_matrix, *hand.damping_matrix, *hand.push, *rest, *flat)
+
+
+def hand_target(hand: HandForce, time: float) -> Rows:
+    """Returns where the hand wants the handle to be [m], and how fast it moves there [m/s]."""
+    x, y, vx, vy = hand.rest_x, hand.rest_y, 0.0, 0.0
+    if hand.amplitude_x != 0.0:
+        x += hand.amplitude_x * math.sin(hand.omega_x * time + hand.phase_x)
+        vx = hand.amplitude_x * hand.omega_x * math.cos(hand.omega_x * time + hand.phase_x)
+    if hand.amplitude_y != 0.0:
+        y += hand.amplitude_y * math.sin(hand.omega_y * time + hand.phase_y)
+        vy = hand.amplitude_y * hand.omega_y * math.cos(hand.omega_y * time + hand.phase_y)
+    return (x, y), (vx, vy)
+
+
+def hand_pull(hand: HandForce, time: float, place: Pair, speed: Pair) -> Pair:
+    """Returns the force on a handle [N].
 
     Args:
-        hand: Its parameters.
+        hand: That holds it.
+        time: Since the start [s].
+        place: Of the handle [m].
+        speed: Of the handle [m/s].
     """
+    (x, y), (vx, vy) = hand_target(hand, time)
+    x, y, vx, vy = x - place[0], y - place[1], vx - speed[0], vy - speed[1]
+    return (
+        hand.k_xx * x + hand.k_xy * y + hand.d_xx * vx + hand.d_xy * vy + hand.push_x,
+        hand.k_xy * x + hand.k_yy * y + hand.d_xy * vx + hand.d_yy * vy + hand.push_y,
+    )
 
-    def __init__(self, hand: TaskHand) -> None:
-        self._stiffness, self._damping = hand.stiffness_matrix, hand.damping_matrix
-        self._hand = hand
-        self._rest = tuple(r + (m.offset if m else 0.0) for r, m in zip(hand.rest, hand.motions, strict=True))
-        self._swings = [
-            (m.amplitude, 2.0 * math.pi * m.frequency, m.phase) if m is not None else None for m in hand.motions
-        ]
 
-    def target(self, time: float) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Returns where the hand wants the handle to be [m], and how fast it moves there [m/s]."""
-        x, y, vx, vy = *self._rest, 0.0, 0.0
-        if self._swings[0] is not None:
-            amplitude, omega, phase = self._swings[0]
-            x += amplitude * math.sin(omega * time + phase)
-            vx = amplitude * omega * math.cos(omega * time + phase)
-        if self._swings[1] is not None:
-            amplitude, omega, phase = self._swings[1]
-            y += amplitude * math.sin(omega * time + phase)
-            vy = amplitude * omega * math.cos(omega * time + phase)
-        return (x, y), (vx, vy)
+def mean_pull(hand: HandForce, before: Pair, after: Pair, time: float, step: float) -> Pair:
+    """Returns the mean force on the handle over a substep [N]: second order, and conservative where its spring is.
 
-    def force(
-        self, before: tuple[float, float], after: tuple[float, float], time: float, step: float
-    ) -> tuple[float, float]:
-        """Returns the force on the handle [N] while it moves from `before` to `after`.
+    Args:
+        hand: That holds it.
+        before: Handle at `time` [m].
+        after: Handle at `time + step` [m].
+        time: Since the start [s].
+        step: [s]
+    """
+    middle = (0.5 * (before[0] + after[0]), 0.5 * (before[1] + after[1]))
+    speed = ((after[0] - before[0]) / step, (after[1] - before[1]) / step)
+    return hand_pull(hand, time + 0.5 * step, middle, speed)
 
-        Args:
-            before: Handle at `time` [m].
-            after: Handle at `time + step` [m].
-            time: Since the start [s].
-            step: [s]
-        """
-        (x, y), (vx, vy) = self.target(time + 0.5 * step)
-        x, y = x - 0.5 * (before[0] + after[0]), y - 0.5 * (before[1] + after[1])
-        vx, vy = vx - (after[0] - before[0]) / step, vy - (after[1] - before[1]) / step
-        k, d, push = self._stiffness, self._damping, self._hand.push
-        return (
-            k.xx * x + k.xy * y + d.xx * vx + d.xy * vy + push[0],
-            k.xy * x + k.yy * y + d.xy * vx + d.yy * vy + push[1],
-        )
 
-    def slope(self, step: float) -> Ellipse:
-        """Returns minus the derivative of the force by `after` [N/m]."""
-        k, d = self._stiffness, self._damping
-        return Ellipse(*(0.5 * stiff + damp / step for stiff, damp in zip(k, d, strict=True)))
+def hand_slope(hand: HandForce, step: float) -> Ellipse:
+    """Returns minus the derivative of `mean_pull` by `after` [N/m]."""
+    return Ellipse(
+        0.5 * hand.k_xx + hand.d_xx / step, 0.5 * hand.k_xy + hand.d_xy / step, 0.5 * hand.k_yy + hand.d_yy / step
+    )
