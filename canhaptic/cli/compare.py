@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from canhaptic.cli.arguments import check_picture, scene_of
@@ -79,7 +80,8 @@ def _compare_groups(scene: Scene, arguments: argparse.Namespace) -> int:
         raise InputError("--rate: changes the loop of one axis without a bus; for groups use --set bus.rate=...")
     if arguments.png is not None:
         raise InputError("--png: draws axes with their continuous run; draw a group with canhaptic run --png")
-    return _over_can(scene, arguments, group_algorithms, compare_groups, group_comparison_report)
+    compared = partial(compare_groups, engine="python" if arguments.can else arguments.engine)
+    return _over_can(scene, arguments, group_algorithms, compared, group_comparison_report)
 
 
 def _over_can(

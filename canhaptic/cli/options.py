@@ -41,7 +41,7 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
         "--budget", metavar="S", type=budget, default=BUDGET, help="time to spend on timing [s]; 0: none"
     )
     parser.add_argument(
-        "--engine", choices=("auto", "numba", "python"), default="auto", help="of the loops of an axis; numba compiles"
+        "--engine", choices=("auto", "numba", "python"), default="auto", help="of the loops; numba compiles"
     )
     parser.add_argument("--tables", action="store_true", help="show every row, not the answer only")
     parser.add_argument(
@@ -135,7 +135,8 @@ def _compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--can", action="store_true", help="over the whole CAN path instead of without a bus")
     parser.add_argument(
         "--engine", choices=("auto", "numba", "python"), default="python",
-        help="of runs without a bus; python (default) has the bits of the CAN path, numba differs by rounding",
+        help="of runs without a bus; python (default) has the bits of the CAN path, numba differs by rounding; groups "
+        "go over CAN with python, and without a bus with numba",
     )  # fmt: skip
     parser.add_argument("--png", metavar="FILE", type=Path, help="picture of the comparison (.png, .svg, .pdf)")
     add_json(parser)

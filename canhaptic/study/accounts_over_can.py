@@ -54,12 +54,12 @@ def accounts_over_can(
     return found
 
 
-def heading_of(scene: Scene, cycles: int) -> dict[str, Any]:
-    """Returns what every comparison over CAN begins with, as plain values."""
+def heading_of(scene: Scene, cycles: int, path: str = "can") -> dict[str, Any]:
+    """Returns what a comparison of groups or displays begins with, as plain values; its path is "can" or "direct"."""
     return {
         "scene": scene.source,
         "config_hash": scene.config_hash(),
-        "path": "can",
+        "path": path,
         "rate": 1.0 / scene.bus.sample_time,
         "delay": scene.bus.delay,
         "cycles": cycles,

@@ -1,6 +1,7 @@
-"""Every group algorithm on one scene, over its simulated drives: the accounts of its groups, and what truly happened.
+"""Every group algorithm on one scene: the accounts of its groups, and what truly happened.
 
-There is no continuous reference: what a group adds to its network is judged by the plant's own energies alone.
+Over its simulated drives, or compiled without a bus. There is no continuous reference: what a group adds to its network
+is judged by the plant's own energies alone.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,12 +12,16 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import damping_unit
-from canhaptic.control.balance import PASSIVE_TOLERANCE
+from canhaptic.control.balance import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
+from canhaptic.errors import ParameterError
 from canhaptic.scene.models import Scene
-from canhaptic.study.accounts_over_can import accounts_over_can, heading_of, known_algorithms
+from canhaptic.study.accounts_over_can import Progress, accounts_over_can, heading_of, known_algorithms
 from canhaptic.study.algorithms import group_under
-from canhaptic.study.scenes import cycles_of
+from canhaptic.study.batch.engine import WORTH_COMPILING_GROUPS, Engine, chosen_engine
+from canhaptic.study.batch.group_loop import GroupRecorder
+from canhaptic.study.batch.group_rows import render_group_by
+from canhaptic.study.scenes import cycles_of, parts_of
 from canhaptic.view.si import si
 from canhaptic.view.table_style import FigureTable
 
@@ -28,6 +33,7 @@ def compare_groups(
     algorithms: Sequence[str] | None = None,
     *,
     duration: float | None = None,
+    engine: Engine = "python",
     progress: Callable[[int], None] | None = None,
 ) -> dict[str, Any]:
     """Returns the accounts of every group of a scene under each algorithm, as plain values.
@@ -37,6 +43,8 @@ def compare_groups(
             own algorithm.
         algorithms: Names of `GROUP_ALGORITHMS`; all of them by default.
         duration: [s]; by default the scene's.
+        engine: "python" goes over the whole CAN path, "numba" compiles each group with its motors, without a bus;
+            "auto" takes that where it pays.
         progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
@@ -44,15 +52,17 @@ def compare_groups(
         ParameterError: An unknown algorithm.
     """
     names, cycles = group_algorithms(algorithms), cycles_of(scene, duration)
-    runs = accounts_over_can(scene, names, cycles, _scene_under, progress)
+    chosen = chosen_engine(engine, len(names) * len(scene.groups) * cycles >= WORTH_COMPILING_GROUPS)
+    accounts = _over_can if chosen == "python" else _without_bus
+    found = accounts(scene, names, cycles, progress)
     return {
-        **heading_of(scene, cycles),
+        **heading_of(scene, cycles, "can" if chosen == "python" else "direct"),
         "groups": {
             group.name: {
                 "axes": list(group.axes),
                 "network": group.network.name,
                 "unit": scene.axis(group.axes[0]).parameters.unit,
-                "algorithms": {name: _of_group(group.name, found) for name, found in runs.items()},
+                "algorithms": found[group.name],
             }
             for group in scene.groups
         },
@@ -68,11 +78,52 @@ def _scene_under(scene: Scene, name: str) -> Scene:
     return replace(scene, groups=tuple(group_under(group, name) for group in scene.groups))
 
 
+_Accounts = dict[str, dict[str, dict[str, Any]]]
+"""By group and algorithm."""
+
+
+def _over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> _Accounts:
+    runs = accounts_over_can(scene, names, cycles, _scene_under, progress)
+    return {group.name: {name: _of_group(group.name, found) for name, found in runs.items()} for group in scene.groups}
+
+
 def _of_group(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    account: dict[str, Any] = {"status": found["status"], "remark": found["remark"]}
+    account: dict[str, Any] = {"status": found["status"], "remark": found["remark"], "engine": "python"}
     if "ports" not in found:
         return account
     return account | {**found["ports"][name], "truth": found["truth"].get(name)}
+
+
+def _without_bus(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> _Accounts:
+    parts, found, done = parts_of(scene), _Accounts(), 0
+    for group in scene.groups:
+        found[group.name] = {}
+        for name in names:
+            found[group.name][name] = _compiled(parts[group.name], name, cycles)
+            done += cycles
+            if progress is not None:
+                progress(done // len(scene.groups))
+    return found
+
+
+def _compiled(scene: Scene, name: str, cycles: int) -> dict[str, Any]:
+    """Returns the account of one group; whether it was passive is what the plant's own energies say."""
+    try:
+        run = render_group_by("numba", _scene_under(scene, name), cycles, GroupRecorder(len(scene.axes)))
+    except ParameterError as error:
+        return {"status": "refused", "remark": str(error), "engine": None}
+    return {
+        "status": run.ended or "completed",
+        "remark": "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text),
+        "engine": run.engine,
+        **run.summary.as_json(scene.bus.sample_time),
+        "passive": passive_verdict(run.least_interaction),
+        "truth": {
+            "interaction": float(run.interaction[-1]) if run.interaction.size else 0.0,
+            "least_interaction": run.least_interaction,
+            "believed_error": run.believed_error,
+        },
+    }
 
 
 # --- the table ----------------------------------------------------------------------------------------------------
@@ -82,9 +133,8 @@ def group_comparison_report(result: Mapping[str, Any]) -> RenderableType:
     """Returns one table per group: a column per algorithm, a row per figure."""
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")
-    heading.append(
-        f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, over the CAN path"
-    )
+    path = "over the CAN path" if result["path"] == "can" else "without a bus, compiled"
+    heading.append(f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, {path}")
     parts: list[RenderableType] = [heading]
     for name, group in result["groups"].items():
         parts.append(Text(f" {name}: {group['network']} on {', '.join(group['axes'])}"))

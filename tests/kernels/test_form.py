@@ -26,6 +26,12 @@ from canhaptic.control.port_hamiltonian.shapes.sphere import Round
 from canhaptic.control.port_hamiltonian.shapes.tube import AroundLine
 from canhaptic.registry import load
 from canhaptic.study.batch.closed_loop import run_loop
+from canhaptic.study.batch.event_plant import book_motor
+from canhaptic.study.batch.event_plants import by_its_way
+from canhaptic.study.batch.event_substeps import residual_of_plant
+from canhaptic.study.batch.group_closed_loop import run_group, step
+from canhaptic.study.batch.group_events import move_event_motors, run_with_efforts
+from canhaptic.study.batch.group_five_bar import move_five_bar
 
 FORBIDDEN = (
     ast.Raise, ast.Try, ast.With, ast.Lambda, ast.ListComp, ast.GeneratorExp, ast.DictComp, ast.SetComp, ast.Dict,
@@ -107,6 +113,19 @@ def test_the_loop_with_plant_reference_and_figures_keeps_to_the_form() -> None:
     assert [fault for part in parts for fault in faults(part)] == []
 
 
+def parts_of_groups() -> list[Any]:
+    """Returns what the loop of a group reaches; of the stepper not what it replaces."""
+    known = {step, *by_its_way()}
+    moving = (run_group, move_event_motors, run_with_efforts, residual_of_plant, book_motor, move_five_bar)
+    return [part for move in moving for part in reached(move, known)]
+
+
+def test_the_loop_of_a_group_and_its_motors_keep_to_the_form() -> None:
+    parts = parts_of_groups()
+    assert {part.__name__ for part in parts} >= {"pose_at", "discrete_gradient", "mean_pull", "run_substeps", "see"}
+    assert [fault for part in parts for fault in faults(part)] == []
+
+
 def with_transcendental_functions() -> set[str]:
     """Returns the kernels of controllers that call a function of the C library whose last bit is its own."""
     kernels = [load(table, name, "algorithm").kernel.step for table in (ALGORITHMS, GROUP_ALGORITHMS) for name in table]
@@ -114,7 +133,7 @@ def with_transcendental_functions() -> set[str]:
     parts = [getattr(world, method) for world in worlds for method in METHODS]
     parts += [mechanism.locate for mechanism in (IdentityMap, LinearMap, LinkMap, FiveBarMap)]
     parts += [geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, BoxInside)]
-    every = [part for kernel in (*kernels, *parts) for part in reached(kernel, set())]
+    every = [part for kernel in (*kernels, *parts) for part in reached(kernel, set())] + parts_of_groups()
     names = {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "expm1", "log", "tanh", "pow", "hypot"}
     return {part.__qualname__ for part in every if names.intersection(part.__code__.co_names)}
 
@@ -123,7 +142,8 @@ def test_the_kernels_with_transcendental_functions_are_these() -> None:
     """Elsewhere Python and numba have the same bits on any machine; here if they take the same C library."""
     assert with_transcendental_functions() == {
         "Detents.effort", "Detents.state_of_energy", "Detents.stored_energy", "ViscoelasticMedium.relaxed",
-        "FiveBarMap.locate", "LinkMap.locate", "moved_by",
+        "FiveBarMap.locate", "LinkMap.locate", "moved_by", "pose_at", "hand_target", "gaussian",
+        "mean_sine", "falling_friction", "bent",
     }  # fmt: skip
 
 

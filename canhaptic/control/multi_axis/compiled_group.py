@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupRun
-from canhaptic.control.multi_axis.group_motion import World
+from canhaptic.control.multi_axis.group_motion import World, why_not_world
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer
 from canhaptic.kernels.compiler import compiled
@@ -36,12 +36,9 @@ def compiled_world(world: World) -> tuple[Any, Records]:
     Raises:
         ParameterError: A part of it is given as functions in Python.
     """
-    parts = (world.mechanism, world.geometry, world.functions)
-    names = [type(part).__name__ for part in parts if not hasattr(part, "_fields") or hasattr(part, "kinematics")]
-    if names:
+    if reason := why_not_world(world):
         raise ParameterError(
-            f"compiled: got {', '.join(names)}, which is Python code of its own, expected mechanisms, geometries and "
-            "storages that scenes can name; leave compiled out"
+            f"compiled: {reason}, expected mechanisms, geometries and storages that scenes can name; leave compiled out"
         )
     bare = World(arrays_of(world.mechanism), arrays_of(world.geometry), world.mover, 0, world.functions)  # type: ignore[arg-type]
     return bare, record_of(world.tables)

@@ -122,6 +122,13 @@ def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tup
     return World(mechanism_of(kinematics), geometry, mover, tables, network.functions)
 
 
+def why_not_world(world: World) -> str:
+    """Returns "" when every part of a world can be compiled, else which cannot."""
+    parts = (world.mechanism, world.geometry, world.functions)
+    names = [type(part).__name__ for part in parts if not hasattr(part, "_fields") or hasattr(part, "kinematics")]
+    return f"got {', '.join(names)}, which is Python code of its own" if names else ""
+
+
 def motion_settings(world: World, loops: tuple[LoopProperties, ...]) -> MotionSettings:
     """Returns what is fixed for a run."""
     counts = [loop.encoder_count for loop in loops]

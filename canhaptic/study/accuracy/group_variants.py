@@ -17,8 +17,9 @@ from canhaptic.scene.timing import with_timing
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.study.accuracy.loop_sensitivity import RATES, Variant, fineness, hertz
 from canhaptic.study.algorithms import group_under
-from canhaptic.study.batch.engine import ChosenEngine
-from canhaptic.study.batch.group_loop import GroupRecorder, render_group
+from canhaptic.study.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine
+from canhaptic.study.batch.group_loop import GroupRecorder
+from canhaptic.study.batch.group_rows import render_group_by
 from canhaptic.study.loop import Array, Case, LoopRun
 from canhaptic.study.scenes import at_rate
 
@@ -54,7 +55,12 @@ class _GroupVariant(Variant):
     def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
         """Returns what it did; see `Variant`."""
         furthest = _TRAVELS * float(np.abs(motion).max()) + float(np.ptp(motion, axis=0).max())
-        return render_group(self.case.scene, cycles, GroupRecorder(motion.shape[1], furthest, tick))
+        return render_group_by(engine, self.case.scene, cycles, GroupRecorder(motion.shape[1], furthest, tick))
+
+    def work(self, cycles: int) -> tuple[str, float]:
+        """Returns the algorithm, and the cost of a run; see `Variant`."""
+        (group,) = self.case.scene.groups
+        return group.passivity.name, cycles * WORTH_COMPILING / WORTH_COMPILING_GROUPS
 
 
 def finely_solved(scene: Scene, factor: float = 1.0) -> Scene:

@@ -78,7 +78,7 @@ class Variant:
             cycles: SYNCs.
             motion: Of the continuous run, which says what counts as divergence [m or rad].
             tick: Called at every SYNC; may raise to give up.
-            engine: Of the loop of an axis; that of a group is run by Python.
+            engine: Of the loop.
         """
         raise NotImplementedError
 

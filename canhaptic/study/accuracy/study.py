@@ -55,7 +55,7 @@ class AccuracyStudy:
             else a tenth of an encoder count.
         duration: Of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
         budget: Time for timings [s]; 0 for none.
-        engine: Of the loops of an axis; "auto" compiles them where that pays.
+        engine: Of the loops; "auto" compiles them where that pays.
         progress: Called with the number of units done, of `UNITS`.
         stop: Asked often whether to stop.
     """

@@ -10,7 +10,7 @@ from math import inf, isfinite
 from typing import Any, Final, NamedTuple
 
 from canhaptic.control.environments.environment import Environment
-from canhaptic.kernels import Buffer
+from canhaptic.kernels import Buffer, new
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.sim.plant.propagator import TICKS
 from canhaptic.study.batch.meter import Meter, MeterSettings, compare, diverge, miss, take
@@ -147,18 +147,27 @@ def commanded(loop: LoopSettings, torque: float) -> float:
     return torque if loop.torque_quantum == 0.0 else round(torque / loop.torque_quantum) * loop.torque_quantum
 
 
-def acting(signals: Signals, place: Interruption, torque: float) -> float:
-    """Returns what reaches the motor of a torque during the hold to come [N or N*m], and warms the winding."""
+class Acting(NamedTuple):
+    """What reaches a motor of a torque during the hold to come."""
+
+    torque: float  # [N or N*m]
+    temperature: float  # of the winding at its end [K]
+
+
+def acting(signals: Signals, temperature: float, torque: float) -> Acting:
+    """Returns what reaches the motor of a torque [N or N*m] where its winding has a temperature [K]."""
     winding = signals.winding
     if not signals.saturates_last:
         torque = min(max(torque, -signals.saturation), signals.saturation)
     if winding.torque_limit < inf:
-        cool = min(max((winding.hot - place.temperature) / winding.span, 0.0), 1.0)
+        cool = min(max((winding.hot - temperature) / winding.span, 0.0), 1.0)
         torque = min(max(torque, -winding.torque_limit * cool), winding.torque_limit * cool)
-        place.temperature += (winding.ambient + winding.heat * torque * torque - place.temperature) * winding.share
+        temperature += (winding.ambient + winding.heat * torque * torque - temperature) * winding.share
     if signals.saturates_last:
         torque = min(max(torque, -signals.saturation), signals.saturation)
-    return torque if signals.torque_step == 0.0 else round(torque / signals.torque_step) * signals.torque_step
+    if signals.torque_step != 0.0:
+        torque = round(torque / signals.torque_step) * signals.torque_step
+    return new(Acting, (torque, temperature))
 
 
 def pass_frames(losses: Losses, place: Interruption, cycle: int) -> None:
@@ -249,7 +258,9 @@ def run_loop(
 def advance(loop: LoopSettings, plant: Any, place: Interruption, cycle: int) -> int:
     """Moves the plant to a SYNC; returns what `move_plant` does."""
     if place.cycle != cycle:
-        place.acting = acting(loop.signals, place, place.held) if loop.signals.on_torque else place.held
+        place.acting = place.held
+        if loop.signals.on_torque:
+            place.acting, place.temperature = acting(loop.signals, place.temperature, place.held)
     outcome = move_plant(plant, place.acting, cycle)
     if outcome != MOVED:
         place.cycle = cycle

@@ -1,5 +1,6 @@
 """The loop of a group compiled by numba, its motors and its controller in one; needs the extra `fast`."""
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -10,46 +11,57 @@ from canhaptic.control.multi_axis.group_kernel import GroupKernel
 from canhaptic.control.multi_axis.group_motion import GroupMotion, World
 from canhaptic.kernels.compiler import compiled
 from canhaptic.kernels.records import Records, record_of, records_of
+from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
+from canhaptic.study.batch.compiled_loops import compiled_noise, compiled_uniform
 from canhaptic.study.batch.group_case import GroupCase
-from canhaptic.study.batch.group_closed_loop import GroupMeter, run_group, step
-from canhaptic.study.batch.group_events import EventMotorsPlan, event_replacements
+from canhaptic.study.batch.group_closed_loop import GroupMeter, LinearMotors, run_group, step
+from canhaptic.study.loop import Array
 
 
 def run_records(
     world: World, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
-    motors: Any, room: Records, followed: Records, meters: Records, cycles: int,
+    motors: Any, room: Records, followed: Records, meters: Records, rows: Any, cycles: int,
 ) -> None:  # fmt: skip
     """Calls `run_group` with what lies in records of shape (1,)."""
     whole = World(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
     run_group(
-        whole, settings[0], states[0], memories[0], rig[0], motors[0], room[0], followed[0], meters[0], cycles
+        whole, settings[0], states[0], memories[0], rig[0], motors[0], room[0], followed[0], meters[0], rows, cycles
     )  # fmt: skip
 
 
 @lru_cache(maxsize=16)
-def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], *, has_events: bool) -> Any:
+def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple[tuple[Any, Any], ...]) -> Any:
     """Returns `run_records` compiled once in a process for each size of group."""
-    instead = {step: kernel.step, **(event_replacements() if has_events else {})}
+    instead = {step: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
     return compiled(run_records, instead, keep=True, parts=parts)
 
 
-def compiled_meter(case: GroupCase, cycles: int) -> GroupMeter:
-    """Returns the sums of a loop; see `group_scalar.group_meter`.
+def _motors(motors: Any) -> tuple[Any, dict[Any, Any]]:
+    """Returns the motors at their start, and what the loop calls anew for them."""
+    if isinstance(motors, LinearMotors):
+        return record_of(motors), {}
+    return (motors.made(listed=False),), motors.replacements()
 
-    Raises:
-        ParameterError: A part of the world is given as functions in Python.
+
+def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[Any, Any]) -> GroupMeter:
+    """Returns the sums of a loop after its cycles, or when it diverged.
+
+    Args:
+        case: That can be compiled.
+        cycles: SYNCs.
+        rows: For what takes the place of `take_group`, shape (cycles, columns).
+        instead: Functions of the loop, each with what comes in its place.
     """
     world = case.world
     bare, tables = compiled_world(world)
-    plan = case.motors if isinstance(case.motors, EventMotorsPlan) else None
+    motors, replaced = _motors(case.motors)
     parts = type(world.mechanism), type(world.geometry), type(world.functions)
-    run = _compiled_loop(case.kernel, parts, has_events=plan is not None)
-    motors: Any = (plan.made(listed=False),) if plan else record_of(case.motors)
+    run = _compiled_loop(case.kernel, parts, (*replaced.items(), *instead.items()))
     meters = records_of([GroupMeter()])
     run(
         bare, tables, record_of(case.settings), records_of([case.kernel.state()]),
         record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), motors,
-        record_of(case.room()), records_of([GroupMotion()]), meters, cycles,
+        record_of(case.room()), records_of([GroupMotion()]), meters, rows, cycles,
     )  # fmt: skip
     found = GroupMeter()
     _fill(found, meters[0])

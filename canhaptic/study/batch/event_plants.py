@@ -84,14 +84,18 @@ class EventModes:
         scene: What it consists of.
         accuracy: The defaults when None.
         listed: Whether Python runs the loop, on lists.
+        is_booked: Whether the motor's work is booked; None: as the plant asks.
     """
 
-    def __init__(self, scene: PlantModel, accuracy: AccuracyParameters | None, *, listed: bool) -> None:
+    def __init__(
+        self, scene: PlantModel, accuracy: AccuracyParameters | None, *, listed: bool, is_booked: bool | None = None
+    ) -> None:
         accuracy = accuracy or AccuracyParameters()
         self._machine = machine = HybridAutomaton(scene, accuracy.max_events, accuracy.event_bits)
         self._settings = StepperSettings(accuracy.max_events, accuracy.event_bits, machine.tick_time)
         self._start, self._first = machine.state.copy(), machine.modes.index(machine.mode)
-        self._is_booked, self._substeps = is_booked(scene), accuracy.substeps
+        self._is_booked = works_are_booked(scene) if is_booked is None else is_booked
+        self._substeps = accuracy.substeps
         self._listed = listed
         names = [*scene.names]
         extra = (names.index("travel"), names.index("effort")) if scene.efforts else (0, 0)
@@ -179,7 +183,7 @@ def by_its_way() -> dict[Any, Any]:
     return {**_PRODUCTS, stepper.book: book_nothing}
 
 
-def is_booked(scene: PlantModel) -> bool:
+def works_are_booked(scene: PlantModel) -> bool:
     """Returns whether the motor's work is more than its torque times the way: by a current loop, or a ripple."""
     return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
 
@@ -196,6 +200,6 @@ def replacements(scene: PlantModel) -> dict[Any, Any]:
     }  # fmt: skip
     if scene.efforts:
         found |= {event_plant.run_ticks: run_substeps, splitting.residual: residual_of_plant}
-    if is_booked(scene):
+    if works_are_booked(scene):
         return found | {stepper.book: book_motor, closed_loop.work_in: booked_work}
     return found

@@ -1,5 +1,6 @@
 """The one group of a scene as kernels take it: what is rendered, by what, and the motors that are moved."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 from canhaptic.control.mechanisms.kinematics import Kinematics
@@ -11,21 +12,21 @@ from canhaptic.control.multi_axis.group_motion import (
     World,
     motion_memory,
     motion_settings,
+    why_not_world,
     world_of,
 )
 from canhaptic.kernels import list_of_zeros
 from canhaptic.registry import load
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import check_group
 from canhaptic.scene.sensor_errors import loop_as_known
-from canhaptic.study.batch.group_closed_loop import (
-    GroupRig,
-    GroupRoom,
-    LinearMotors,
-)
+from canhaptic.study.batch.closed_loop import LoopSettings
+from canhaptic.study.batch.group_closed_loop import GroupRig, GroupRoom, LinearMotors
 from canhaptic.study.batch.group_events import EventMotorsPlan
+from canhaptic.study.batch.group_five_bar import FiveBarPlan
 from canhaptic.study.batch.group_loop import Motors, loop_of, motors_of
-from canhaptic.study.batch.group_motors import event_motors, linear_motors
+from canhaptic.study.batch.group_motors import motors_in_loop
+from canhaptic.study.batch.signal_effects import SignalEffects
 from canhaptic.study.loop import FURTHEST
 
 
@@ -36,14 +37,14 @@ class GroupCase(NamedTuple):
     world: World
     settings: Any
     rig: GroupRig
-    motors: LinearMotors | EventMotorsPlan | Motors
+    motors: LinearMotors | EventMotorsPlan | FiveBarPlan | Motors
     period: int  # [ns]
     why_not: str = ""  # reason by name why its loop cannot be compiled; "" where it can
 
     @property
     def is_compilable(self) -> bool:
         """Whether its loop can be compiled."""
-        return not isinstance(self.motors, Motors)
+        return not self.why_not
 
     def room(self) -> GroupRoom:
         """Returns buffers of zeros."""
@@ -75,10 +76,18 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
     exact = tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)
     time = scene.bus.sample_time
     rig = GroupRig(
-        scene.bus.delay, [loop_of(axis, scene.bus.delay) for axis in axes],
+        scene.bus.delay, [_with_effects(loop_of(axis, scene.bus.delay), axis, time) for axis in axes],
         [(axis.loop.device_damping or 0.0) / time for axis in axes], FURTHEST, explains, motion_settings(world, exact),
     )  # fmt: skip
-    motors = linear_motors(scene, axes) or event_motors(scene, axes)
-    if isinstance(motors, str):
-        return GroupCase(kernel, world, settings, rig, motors_of(scene, axes), scene.bus.sample_time_ns, motors)
-    return GroupCase(kernel, world, settings, rig, motors, scene.bus.sample_time_ns)
+    found, period = motors_in_loop(scene, axes), scene.bus.sample_time_ns
+    if isinstance(found, str):
+        return GroupCase(kernel, world, settings, rig, motors_of(scene, axes), period, found)
+    return GroupCase(kernel, world, settings, rig, found, period, why_not_world(world))
+
+
+def _with_effects(loop: LoopSettings, axis: AxisScene, sample_time: float) -> LoopSettings:
+    """Returns what lies between a motor and its controller, with the effects of its plant on torque and encoder."""
+    simulation = axis.simulation
+    if simulation is None:
+        return loop
+    return replace(loop, signals=SignalEffects.of(simulation.effects).at(sample_time, simulation.seed))

@@ -23,7 +23,7 @@ from canhaptic.control.multi_axis.group_motion import (
     write_efforts,
 )
 from canhaptic.kernels import Buffer, Indices, Matrix, new
-from canhaptic.study.batch.closed_loop import LoopSettings, commanded, measured
+from canhaptic.study.batch.closed_loop import LoopSettings, acting, commanded, measured, read
 from canhaptic.study.batch.meter import Meter, count_branch, take_energy
 
 _FREE, _EXIT = Branch.FREE.value, Branch.EXIT.value
@@ -56,8 +56,10 @@ class GroupRoom(NamedTuple):
 
     held: Buffer  # since the SYNC before [N or N*m]
     waiting: Buffer  # one sample late
+    acting: Buffer  # what of `held` reaches the motors
+    temperatures: Buffer  # of their windings [K]
     true: Buffer  # positions [m or rad]
-    read: Buffer  # positions after the effects of the encoders
+    read: Buffer  # positions that the encoders read
     seen: Buffer  # positions as the controller sees them
     moved: Buffer  # true motion in the hold that ended
     spring: Buffer  # asked for at the last SYNC [N or N*m]
@@ -90,7 +92,7 @@ def step(
 
 def run_group(
     world: World, settings: Any, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
-    followed: GroupMotion, meter: GroupMeter, cycles: int,
+    followed: GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
 ) -> None:  # fmt: skip
     """Runs a loop until its last SYNC or until it diverges, which a number that is not finite does too.
 
@@ -104,16 +106,22 @@ def run_group(
         room: Zeros.
         followed: Of the group that knows its true positions, at rest.
         meter: Gathers the sums.
+        rows: For what takes the place of `take_group`.
         cycles: SYNCs.
     """
     figures = meter.figures
     for cycle in range(cycles):
-        meter.work += move_motors(motors, room, cycle)
+        act(rig, room, cycle)
+        work = move_motors(motors, room, cycle)
+        if not isfinite(work):
+            figures.diverged = 1.0
+            break
+        meter.work += work
         if cycle and rig.explains:
             explain(world, rig, room, followed, meter)
         elif rig.explains:
             begin_motion(world, rig.true, followed, room.asked, room.true)
-        see(rig, room)
+        see(rig, room, cycle)
         hold = step(world, settings, state, memory, 0, room.seen, room.held)
         torques, total = memory.group.commands.torques[hold.place], 0.0
         for i in range(len(room.held)):
@@ -122,18 +130,30 @@ def run_group(
             figures.diverged = 1.0
             break
         meter.supplied += hold.supplied
-        take_group(rig, room, meter, hold)
+        take_group(rig, room, meter, rows, hold)
         if is_away(rig, room):
             figures.diverged = 1.0
             break
         send(rig, room, torques)
 
 
-def see(rig: GroupRig, room: GroupRoom) -> None:
+def act(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
+    """Takes what of the torques held reaches the motors until a SYNC."""
+    for i in range(len(room.held)):
+        signals = rig.loops[i].signals
+        if not cycle:
+            room.temperatures[i] = signals.winding.ambient
+        elif signals.on_torque:
+            room.acting[i], room.temperatures[i] = acting(signals, room.temperatures[i], room.held[i])
+        else:
+            room.acting[i] = room.held[i]
+
+
+def see(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
     """Writes the positions as the controller sees them."""
     for i in range(len(room.seen)):
-        at = room.read[i]
-        room.seen[i] = measured(rig.loops[i], at) if isfinite(at) else at
+        at, loop = room.read[i], rig.loops[i]
+        room.seen[i] = measured(loop, read(loop.signals, cycle, at)) if isfinite(at) else at
 
 
 def send(rig: GroupRig, room: GroupRoom, torques: Buffer) -> None:
@@ -154,7 +174,7 @@ def is_away(rig: GroupRig, room: GroupRoom) -> bool:
     return False
 
 
-def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, hold: GroupHold) -> None:
+def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
     """Takes one SYNC; see `meter.take`."""
     figures, account, square, largest = meter.figures, hold.account, 0.0, 0.0
     figures.cycles += 1.0
@@ -222,12 +242,12 @@ def states_of(moved: Buffer) -> int:
 
 
 def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
-    """Moves the motors to a SYNC under the torques held; returns the work that they did in that hold [J]."""
+    """Moves the motors to a SYNC; returns the work that they did in that hold [J], NaN where they cannot move."""
     flow, state, moved = motors.flow, motors.state, motors.moved
     states, work, count = states_of(moved), 0.0, len(room.held)
     if cycle:
         for i in range(count):
-            state[states + i] = room.held[i]
+            state[states + i] = room.acting[i]
         for row in range(states):
             factors, total = flow[row], 0.0
             for column in range(states + count + 1):
@@ -236,8 +256,12 @@ def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
         for row in range(states):
             state[row] = moved[row]
     for i in range(count):
-        at = state[motors.places[i]]
-        room.moved[i] = at - room.true[i] if cycle else 0.0
-        room.true[i] = room.read[i] = at
-        work += room.held[i] * room.moved[i]
+        work += arrive(room, i, state[motors.places[i]], cycle)
     return work
+
+
+def arrive(room: GroupRoom, i: int, at: float, cycle: int) -> float:
+    """Takes where a motor is at a SYNC [m or rad]; returns the work that it did in that hold [J]."""
+    room.moved[i] = at - room.true[i] if cycle else 0.0
+    room.true[i] = room.read[i] = at
+    return room.acting[i] * room.moved[i]

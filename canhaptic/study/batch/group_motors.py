@@ -1,4 +1,4 @@
-"""Motors of a group that move by one flow: plants of their own side by side, or a stage, as one matrix."""
+"""What the motors of a group move, for its loop: by one flow, by the stepper, or as a five-bar."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,21 +6,22 @@ from typing import Any
 import numpy as np
 
 from canhaptic.scene.accuracy_choice import simulation_of
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, MechanismScene, Scene
 from canhaptic.scene.parts import build_mechanism, build_plant
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarMotion
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.study.batch.event_plants import PlantValues
 from canhaptic.study.batch.group_closed_loop import LinearMotors
 from canhaptic.study.batch.group_events import EventMotorsPlan, why_not_events
-from canhaptic.study.batch.plants import is_linear
-from canhaptic.study.batch.signal_effects import SIGNAL_EFFECTS
+from canhaptic.study.batch.group_five_bar import FiveBarPlan
+from canhaptic.study.batch.plants import is_linear, why_not_in_loop
 from canhaptic.study.scenes import mechanism_of_group
 
 
-def linear_motors(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | None:
-    """Returns the motors of a group at their start; None where they do not move by one flow.
+def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
+    """Returns the motors of a group at their start; the reason by name where they cannot move in its loop.
 
     Args:
         scene: Of the group alone.
@@ -31,44 +32,40 @@ def linear_motors(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | Non
     """
     of = mechanism_of_group(scene)
     if of is not None:
-        moving: Any = build_mechanism(of, scene.bus.sample_time_ns)
-        if not isinstance(moving, XYMotion) or not moving.is_linear:
-            return None
-        return _stage(moving, [of.axes.index(axis.parameters.name) for axis in axes])
+        return _of_mechanism(of, [of.axes.index(axis.parameters.name) for axis in axes], scene.bus.sample_time_ns)
     simulations = [simulation_of(axis) for axis in axes]
-    effects = [effect.name for simulation in simulations for effect in simulation.effects]
-    if not all(is_linear(simulation) for simulation in simulations) or not set(effects).isdisjoint(SIGNAL_EFFECTS):
-        return None
-    return _side_by_side([build_plant(simulation, scene.bus.sample_time_ns) for simulation in simulations])
-
-
-def event_motors(scene: Scene, axes: Sequence[AxisScene]) -> EventMotorsPlan | str:
-    """Returns the motors of a group whose plants have events; the reason by name where they cannot move in its loop.
-
-    Args:
-        scene: Of the group alone.
-        axes: Of the group.
-
-    Raises:
-        InputError: The motors of the group are not simulated, or move with others.
-    """
-    of, names = mechanism_of_group(scene), [axis.parameters.name for axis in axes]
-    if of is not None:
-        moving: Any = build_mechanism(of, scene.bus.sample_time_ns)
-        if not isinstance(moving, XYMotion):
-            return f"a {of.mechanism.name} moves by equations that are solved at every hold"
-        order = [of.axes.index(name) for name in names]
-        reason = why_not_events(moving.model())
-        places = [[part[at] for at in order] for part in (moving.force_places, moving.position_places)]
-        return reason or EventMotorsPlan([moving.model], [None], [0] * len(axes), *places)
-    values = [PlantValues(simulation_of(axis), scene.bus.sample_time_ns) for axis in axes]
-    every = [why_not_events(one.scene()) for one in values]
+    reason = next(filter(None, map(why_not_in_loop, simulations)), "")
+    if reason:
+        return reason
+    if all(map(is_linear, simulations)):
+        return _side_by_side([build_plant(simulation, scene.bus.sample_time_ns) for simulation in simulations])
+    values = [PlantValues(simulation, scene.bus.sample_time_ns) for simulation in simulations]
     forces = [len(one.scene().names) - 2 for one in values]
-    plan = EventMotorsPlan(
+    return next(filter(None, (why_not_events(one.scene()) for one in values)), "") or EventMotorsPlan(
         [one.scene for one in values], [one.simulation.accuracy for one in values], list(range(len(axes))), forces,
         [0] * len(axes),
     )  # fmt: skip
-    return next(filter(None, every), "") or plan
+
+
+def _of_mechanism(
+    of: MechanismScene, order: Sequence[int], sample_time_ns: int
+) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
+    """Returns what a mechanism is in the loop.
+
+    Args:
+        of: The mechanism.
+        order: Places of the motors of the group among its own.
+        sample_time_ns: T [ns].
+    """
+    moving: Any = build_mechanism(of, sample_time_ns)
+    if isinstance(moving, FiveBarMotion):
+        return FiveBarPlan(moving, order.index(0), order.index(1))
+    if not isinstance(moving, XYMotion):
+        return f"the mechanism {of.mechanism.name} is own code"
+    if moving.is_linear:
+        return _stage(moving, order)
+    places = [[part[at] for at in order] for part in (moving.force_places, moving.position_places)]
+    return why_not_events(moving.model()) or EventMotorsPlan([moving.model], [None], [0] * len(order), *places)
 
 
 def _side_by_side(plants: Sequence[Plant]) -> LinearMotors:

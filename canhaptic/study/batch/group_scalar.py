@@ -6,6 +6,7 @@ a group has no position.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from math import nan
 from typing import Any, Final
@@ -19,17 +20,19 @@ from canhaptic.control.multi_axis.group_motion import (
 from canhaptic.errors import CanHapticError
 from canhaptic.kernels import with_quick_fields
 from canhaptic.kernels.binding import bound
+from canhaptic.study.batch.closed_loop import Signals
 from canhaptic.study.batch.engine import ChosenEngine
 from canhaptic.study.batch.group_case import GroupCase
 from canhaptic.study.batch.group_closed_loop import (
     GroupMeter,
+    GroupRig,
     GroupRoom,
     LinearMotors,
+    arrive,
     move_motors,
     run_group,
     step,
 )
-from canhaptic.study.batch.group_events import EventMotorsPlan, event_replacements
 from canhaptic.study.batch.group_loop import Motors
 from canhaptic.study.figures import CONTINUOUS, METRICS, metrics_of, sums_of
 
@@ -45,28 +48,34 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
         engine: Python takes every case.
     """
     if engine == "numba" and case.is_compilable:
-        from canhaptic.study.batch.compiled_group_loop import compiled_meter
+        from canhaptic.study.batch.compiled_group_loop import run_compiled
 
-        return compiled_meter(case, cycles)
+        return run_compiled(case, cycles, np.empty((0, 0)), {})
     meter, memory = GroupMeter(), with_quick_fields(case.kernel.memory(case.world, case.settings))
-    motors: Any = case.motors
-    if isinstance(motors, LinearMotors):
-        run, motors = _python_loop(case.kernel), motors._replace(state=list(motors.state))
-    elif isinstance(motors, EventMotorsPlan):
-        run, motors = _python_loop(case.kernel, has_events=True), motors.made(listed=True)
-    else:
-        run = bound(run_group, {step: case.kernel.step, move_motors: _Moved(motors, case.period)})
+    motors, rig, replaced = _in_python(case)
+    run = _python_loop(case.kernel, tuple(replaced.items()))
     fixed = (with_quick_fields(part) for part in (case.world, case.settings))
     try:
-        run(*fixed, case.kernel.state(), memory, case.rig, motors, case.room(), GroupMotion(), meter, cycles)
+        run(*fixed, case.kernel.state(), memory, rig, motors, case.room(), GroupMotion(), meter, [], cycles)
     except CanHapticError:  # of a mechanism that is pushed where it cannot move
         meter.figures.diverged = 1.0
     return meter
 
 
+def _in_python(case: GroupCase) -> tuple[Any, GroupRig, dict[Any, Any]]:
+    """Returns the motors at their start, what lies between them and the controller, and what the loop calls anew."""
+    motors = case.motors
+    if isinstance(motors, LinearMotors):
+        return motors._replace(state=list(motors.state)), case.rig, {}
+    if not isinstance(motors, Motors):
+        return motors.made(listed=True), case.rig, motors.replacements()
+    bare = [replace(loop, signals=Signals()) for loop in case.rig.loops]  # the plants have them
+    return motors, case.rig._replace(loops=bare), {move_motors: _Moved(motors, case.period)}
+
+
 @lru_cache(maxsize=16)
-def _python_loop(kernel: GroupKernel, *, has_events: bool = False) -> Callable[..., None]:
-    found: Callable[..., None] = bound(run_group, {step: kernel.step, **(event_replacements() if has_events else {})})
+def _python_loop(kernel: GroupKernel, replaced: tuple[tuple[Any, Any], ...]) -> Callable[..., None]:
+    found: Callable[..., None] = bound(run_group, {step: kernel.step, **dict(replaced)})
     return found
 
 
@@ -82,8 +91,7 @@ class _Moved:
         if cycle:
             motors.advance_to(cycle * self._period, tuple(room.held))
         for i, at in enumerate(motors.positions()):
-            room.moved[i] = at - room.true[i] if cycle else 0.0
-            room.true[i] = at
+            arrive(room, i, at, cycle)
         room.read[:] = motors.encoders()
         before, self._done = self._done, motors.work()
         return self._done - before

@@ -19,7 +19,7 @@ from canhaptic.scene.parts import build_plant
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import flow_changes
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.study.batch.event_plants import PlantValues, distinct_plants, is_booked
+from canhaptic.study.batch.event_plants import PlantValues, distinct_plants, works_are_booked
 from canhaptic.study.batch.signal_effects import SIGNAL_EFFECTS
 from canhaptic.study.loop import Array
 
@@ -38,7 +38,7 @@ def is_linear(simulation: AxisSimulation) -> bool:
     """
     scene = PlantValues(simulation, _ANY_NS).scene()
     moves_by_flow = not (any(part.has_guards for part in scene.parts) or scene.efforts or scene.schedule)
-    return moves_by_flow and not is_booked(scene)
+    return moves_by_flow and not works_are_booked(scene)
 
 
 def why_not_in_loop(simulation: AxisSimulation) -> str:
