@@ -157,7 +157,11 @@ def handle_verdict(account: Mapping[str, Any]) -> Verdict | None:
 
 def _verdict_of(account: Mapping[str, Any], least: float, resolution: float, is_promised: bool) -> Verdict:
     open_hold = account.get("open_hold", False)
-    return passive_verdict(least, resolution, energy_in=account["in"], is_promised=is_promised, has_open_hold=open_hold)
+    found = passive_verdict(
+        least, resolution, energy_in=account["in"], is_promised=is_promised, has_open_hold=open_hold
+    )
+    is_other = account.get("uncommanded_cycles", 0) > 0  # what is read back may be of another hold than is declared
+    return "in doubt" if is_other and found == "yes" else found
 
 
 OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.GROUP.value)

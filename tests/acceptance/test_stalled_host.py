@@ -149,6 +149,16 @@ def test_a_torque_that_was_never_commanded_voids_the_certificate(capsys: pytest.
     assert (port["uncommanded_cycles"], port["certificate"]) == (0, "hand_force")
 
 
+def test_no_account_of_torques_that_were_never_commanded_says_yes(capsys: pytest.CaptureFixture[str]) -> None:
+    """Booked with the torque of the next hold, what a delayed damper gives out looks as if it came in."""
+    wall = "environment={type: spring_damper_wall, stiffness: 100 N/m, damping: 60 N*s/m, position: -0.05 m}"
+    values = ("passivity={algorithm: unprotected}", wall, "simulation.drive.torque_read_back=after_update")
+    port, truth = account(capsys, *values)
+    assert truth["least_interaction"] < -0.05 < 0.0 == port["least_interaction"]
+    assert port["energy_resolution"] < 1e-3
+    assert port["passive"] == "in doubt"
+
+
 @pytest.mark.parametrize(
     "values",
     [
